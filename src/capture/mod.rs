@@ -1,0 +1,17 @@
+//! Read: a capture folder — `capture.toml`, photographs, EXIF, the rig — checked before any work starts.
+
+mod manifest;
+mod rig;
+
+pub use manifest::{Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Window};
+pub use rig::{Board, Camera, Noise, Projector, ResponseCurve, Rig, WhiteReference};
+
+use crate::{Error, Result};
+use std::path::Path;
+
+fn parse_toml<T: serde::de::DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
+    toml::from_str(text).map_err(|e| {
+        let line = e.span().map_or(0, |s| text[..s.start].matches('\n').count() + 1);
+        Error::field(path, format!("line {line}"), "a field as docs/captures.md describes it", e.message().trim())
+    })
+}

@@ -1,0 +1,185 @@
+//! `calibration/rig.toml`: the camera, the projector, the board and the white reference. Field by field in `docs/captures.md`.
+
+use crate::{Error, Result, geometry::Point};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// The whole of `rig.toml`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Rig {
+    /// Version of this format: 1.
+    pub format: u32,
+    /// The camera.
+    pub camera: Camera,
+    /// The sensor's noise.
+    pub noise: Noise,
+    /// The projector.
+    pub projector: Projector,
+    /// The chessboard.
+    pub board: Board,
+    /// The white reference.
+    pub white_reference: WhiteReference,
+}
+
+/// Optics and response of the camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Camera {
+    /// Width and height of its photographs, px.
+    pub size_px: [usize; 2],
+    /// Nominal focal length, px.
+    pub focal_px: f64,
+    /// Principal point, px (centre of the first pixel is 0).
+    pub principal_px: Point,
+    /// How code values encode light.
+    pub response: ResponseCurve,
+    /// Vignetting V = 1 + c₀ r² + c₁ r⁴ + …, r the distance from the principal point over `focal_px`.
+    #[serde(default)]
+    pub vignetting: Vec<f64>,
+}
+
+impl Camera {
+    /// Relative sensitivity at pixel `q`, 1 at the principal point.
+    pub fn vignetting_at(&self, q: Point) -> f64 {
+        let r2 =
+            ((q[0] - self.principal_px[0]).powi(2) + (q[1] - self.principal_px[1]).powi(2)) / self.focal_px.powi(2);
+        // Horner from the last coefficient: 1 + r²(c₀ + r²(c₁ + …)).
+        1.0 + self.vignetting.iter().rev().fold(0.0, |sum, c| r2 * (c + sum))
+    }
+}
+
+/// How code values encode light.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ResponseCurve {
+    /// Code values are proportional to light above the black level.
+    Linear,
+    /// The sRGB curve (IEC 61966-2-1) over the full range of code values.
+    Srgb,
+}
+
+/// The noise of the sensor, in code values (DN) of the linear signal at the photographs' own bit depth.
+///
+/// The variance of a linear value y is gain · (y − black) + (gain · read)² + 1/12 (Poisson, read-out, rounding), DN².
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Noise {
+    /// Code value of no light, DN.
+    pub black_dn: f64,
+    /// Code value from which a pixel counts as saturated, DN.
+    pub saturation_dn: f64,
+    /// DN per photo-electron.
+    pub gain_dn_per_electron: f64,
+    /// Read noise, electrons.
+    pub read_noise_electrons: f64,
+}
+
+/// The projector.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Projector {
+    /// Width and height, px.
+    pub size_px: [usize; 2],
+}
+
+/// A printed chessboard that lies in the slab's plane for the board shot.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Board {
+    /// Inner corners along x and y; unequal, so that the board cannot be taken for its own turn.
+    pub inner_corners: [usize; 2],
+    /// Side of a square, mm.
+    pub square_mm: f64,
+    /// The first inner corner in slab coordinates, mm.
+    pub origin_mm: Point,
+}
+
+impl Board {
+    /// Inner corner `[i, j]` in slab coordinates, mm.
+    pub fn corner_mm(&self, corner: [usize; 2]) -> Point {
+        std::array::from_fn(|a| self.origin_mm[a] + corner[a] as f64 * self.square_mm)
+    }
+}
+
+/// A diffuse white target of known reflectance.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WhiteReference {
+    /// Its reflectance per channel (R, G, B).
+    pub reflectance: [f64; 3],
+}
+
+impl Rig {
+    /// Finds the rig of the capture in `capture_dir`: in `calibration` when given, else `capture_dir/calibration`, else `calibration` beside it.
+    ///
+    /// # Errors
+    /// [`Error::NoRig`] with the places that were tried.
+    pub fn find(capture_dir: &Path, calibration: Option<&Path>) -> Result<PathBuf> {
+        let places = match calibration {
+            Some(dir) => vec![dir.to_path_buf()],
+            None => {
+                let beside = capture_dir.canonicalize().ok().and_then(|d| Some(d.parent()?.join("calibration")));
+                [Some(capture_dir.join("calibration")), beside].into_iter().flatten().collect()
+            }
+        };
+        let found = places.iter().map(|p| p.join("rig.toml")).find(|p| p.is_file());
+        found.ok_or_else(|| Error::NoRig {
+            path: capture_dir.to_path_buf(),
+            looked: places.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", "),
+        })
+    }
+
+    /// Reads and checks a rig file.
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::Field`].
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+        let rig: Self = super::parse_toml(path, &text)?;
+        rig.check(path)?;
+        Ok(rig)
+    }
+
+    /// Writes `rig.toml` into `dir`.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn write(&self, dir: &Path) -> Result<()> {
+        let path = dir.join("rig.toml");
+        let text = toml::to_string(self).map_err(Error::internal)?;
+        std::fs::write(&path, text).map_err(Error::io("write", &path))
+    }
+
+    fn check(&self, path: &Path) -> Result<()> {
+        let range = |name: &str, v: f64, low: f64, high: f64| {
+            if v >= low && v <= high { Ok(()) } else { Err(Error::field(path, name, format!("{low} to {high}"), v)) }
+        };
+        if self.format != super::FORMAT {
+            return Err(Error::field(path, "format", super::FORMAT.to_string(), self.format));
+        }
+        range("camera.focal_px", self.camera.focal_px, 1.0, 1e7)?;
+        range("noise.black_dn", self.noise.black_dn, 0.0, 65_535.0)?;
+        range("noise.saturation_dn", self.noise.saturation_dn, self.noise.black_dn + 1.0, 1e9)?;
+        range("noise.gain_dn_per_electron", self.noise.gain_dn_per_electron, 0.0, 1e6)?;
+        range("noise.read_noise_electrons", self.noise.read_noise_electrons, 0.0, 1e6)?;
+        range("board.square_mm", self.board.square_mm, 1e-6, 1e6)?;
+        for a in 0..2 {
+            range("board.inner_corners", self.board.inner_corners[a] as f64, 3.0, 1000.0)?;
+            range("camera.size_px", self.camera.size_px[a] as f64, 1.0, 65_536.0)?;
+            range("projector.size_px", self.projector.size_px[a] as f64, 1.0, 65_536.0)?;
+        }
+        for r in self.white_reference.reflectance {
+            range("white_reference.reflectance", r, 1e-6, 1.0)?;
+        }
+        if self.camera.vignetting.iter().any(|c| !c.is_finite()) {
+            return Err(Error::field(
+                path,
+                "camera.vignetting",
+                "finite numbers",
+                format!("{:?}", self.camera.vignetting),
+            ));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,258 @@
+//! What can go wrong, typed: every error names the file and field, what was expected and what was found.
+
+use std::path::{Path, PathBuf};
+
+/// `Result` with this crate's [`Error`].
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// Everything that ends the work.
+///
+/// All but [`Error::Internal`] are about the input or the surroundings (the program exits with 1);
+/// `Internal` is our own fault (exit 2). [`Error::hint`] says what to try.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The operating system refused a file.
+    #[error("{}: cannot {action}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What was tried: "read", "create", …
+        action: &'static str,
+        /// The system's answer.
+        source: std::io::Error,
+    },
+    /// The folder is not a capture.
+    #[error("{}: no capture.toml in this folder", path.display())]
+    NoManifest {
+        /// The folder that was named.
+        path: PathBuf,
+    },
+    /// No rig file was found for a capture.
+    #[error("{}: no rig.toml found (looked in {looked})", path.display())]
+    NoRig {
+        /// The capture folder.
+        path: PathBuf,
+        /// The places that were tried.
+        looked: String,
+    },
+    /// A field of a text or binary file has a value that cannot be used.
+    #[error("{}: {field}: expected {expected}, found {found}", path.display())]
+    Field {
+        /// The file.
+        path: PathBuf,
+        /// The field, as written in the file.
+        field: String,
+        /// What it should have been.
+        expected: String,
+        /// What it was.
+        found: String,
+    },
+    /// A photograph named by the manifest is not there.
+    #[error("{}: photograph of shot \"{shot}\" is missing", path.display())]
+    MissingPhotograph {
+        /// The file that was expected.
+        path: PathBuf,
+        /// The shot that names it.
+        shot: String,
+    },
+    /// A photograph cannot be decoded.
+    #[error("{}: photograph of shot \"{shot}\" cannot be decoded: {reason}", path.display())]
+    BrokenPhotograph {
+        /// The file.
+        path: PathBuf,
+        /// The shot that names it.
+        shot: String,
+        /// The decoder's message.
+        reason: String,
+    },
+    /// Neither EXIF nor the manifest gives an exposure time.
+    #[error("{}: exposure_secs: expected an exposure time in EXIF (ExposureTime or ShutterSpeedValue) or in capture.toml, found neither", path.display())]
+    NoExposure {
+        /// The photograph.
+        path: PathBuf,
+    },
+    /// Two photographs of one shot have the same exposure.
+    #[error("{}: shot \"{shot}\": expected exposures that differ, found {first} and {second} both at {exposure_secs} s", path.display())]
+    SameExposure {
+        /// The manifest.
+        path: PathBuf,
+        /// The shot.
+        shot: String,
+        /// One photograph.
+        first: String,
+        /// The other.
+        second: String,
+        /// Their common exposure time.
+        exposure_secs: f64,
+    },
+    /// A pattern lights a dot that is not on the slab.
+    #[error("{}: shot \"{shot}\": dot {dot:?}: expected {expected}, found {found}", path.display())]
+    DotOutsideSlab {
+        /// The manifest.
+        path: PathBuf,
+        /// The shot.
+        shot: String,
+        /// The dot's grid index (x, y).
+        dot: [usize; 2],
+        /// The permitted range.
+        expected: String,
+        /// Where the dot is.
+        found: String,
+    },
+    /// No exposure measured the peak of a dot.
+    #[error("{}: shot \"{shot}\": dot {dot:?} is saturated in every exposure (shortest {shortest_secs} s)", path.display())]
+    DotSaturated {
+        /// The shortest photograph of the shot.
+        path: PathBuf,
+        /// The shot.
+        shot: String,
+        /// The dot's grid index (x, y).
+        dot: [usize; 2],
+        /// The shortest exposure time of the shot.
+        shortest_secs: f64,
+    },
+    /// The slab, camera and projector could not be related.
+    #[error("{}: shot \"{shot}\": registration failed: {reason}", path.display())]
+    Registration {
+        /// The photograph or manifest.
+        path: PathBuf,
+        /// The shot.
+        shot: String,
+        /// Why.
+        reason: String,
+    },
+    /// A matrix store cannot be read.
+    #[error("{}: not a whole R_d matrix: {reason}", path.display())]
+    BrokenMatrix {
+        /// The store.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A material file cannot be read.
+    #[error("{}: not a whole material: {reason}", path.display())]
+    BrokenMaterial {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// An image other than a photograph (a light, say) cannot be read.
+    #[error("{}: cannot be decoded: {reason}", path.display())]
+    BrokenImage {
+        /// The file.
+        path: PathBuf,
+        /// The decoder's message.
+        reason: String,
+    },
+    /// Two inputs do not belong together.
+    #[error("{} and {}: {field}: {a_value} against {b_value}", a.display(), b.display())]
+    Mismatch {
+        /// One input.
+        a: PathBuf,
+        /// The other.
+        b: PathBuf,
+        /// The quantity that differs.
+        field: String,
+        /// Its value in `a`.
+        a_value: String,
+        /// Its value in `b`.
+        b_value: String,
+    },
+    /// An option has a value that cannot be used.
+    #[error("{setting}: expected {expected}, found {found}")]
+    Setting {
+        /// The option, as typed.
+        setting: &'static str,
+        /// What it should have been.
+        expected: String,
+        /// What it was.
+        found: String,
+    },
+    /// A value that must be finite is not.
+    #[error("{}: {field}: expected finite numbers, found {found} at {at}", path.display())]
+    NotFinite {
+        /// The file.
+        path: PathBuf,
+        /// The array.
+        field: &'static str,
+        /// The value.
+        found: f64,
+        /// Its index, readable.
+        at: String,
+    },
+    /// Our own fault.
+    #[error("internal: {what}")]
+    Internal {
+        /// What was found to be impossible.
+        what: String,
+    },
+}
+
+impl Error {
+    /// An [`Error::Io`] for `path`; made for `map_err(Error::io("read", path))`.
+    pub fn io(action: &'static str, path: impl AsRef<Path>) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.as_ref().to_path_buf();
+        move |source| Self::Io { path, action, source }
+    }
+
+    /// An [`Error::Internal`] from anything printable.
+    pub fn internal(what: impl std::fmt::Display) -> Self {
+        Self::Internal { what: what.to_string() }
+    }
+
+    /// An [`Error::Field`].
+    pub fn field(
+        path: impl AsRef<Path>,
+        field: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl std::fmt::Display,
+    ) -> Self {
+        Self::Field {
+            path: path.as_ref().to_path_buf(),
+            field: field.into(),
+            expected: expected.into(),
+            found: found.to_string(),
+        }
+    }
+
+    /// Whether this is our own fault rather than the input's.
+    pub fn is_internal(&self) -> bool {
+        matches!(self, Self::Internal { .. })
+    }
+
+    /// What the person at the terminal might do about it.
+    pub fn hint(&self) -> Option<String> {
+        let hint = match self {
+            Self::Io { action: "create" | "write" | "rename", .. } => {
+                "choose an output path in a folder that exists and can be written, with --out"
+            }
+            Self::Io { .. } => "check the path and its permissions",
+            Self::NoManifest { .. } => {
+                "name the folder that holds capture.toml; docs/captures.md describes it, and `acquire simulate DIR` writes an example"
+            }
+            Self::NoRig { .. } => "name the folder of rig.toml with --calibration DIR; docs/captures.md describes it",
+            Self::Field { .. } => "docs/captures.md lists every field with its unit and range",
+            Self::MissingPhotograph { .. } => "copy the photograph back, or remove the shot from capture.toml",
+            Self::BrokenPhotograph { .. } => "the copy from the camera may have been cut short; copy it again",
+            Self::NoExposure { .. } => "write exposure_secs = … for this photograph in capture.toml",
+            Self::SameExposure { .. } => "correct exposure_secs in capture.toml, or remove one of the two photographs",
+            Self::DotOutsideSlab { .. } => "check [grid] and [slab] in capture.toml against the projected patterns",
+            Self::DotSaturated { .. } => "add a shorter exposure to this shot, or close the aperture",
+            Self::Registration { .. } => {
+                "look at the named photograph: the whole board or pattern must be visible, sharp and unsaturated"
+            }
+            Self::BrokenMatrix { .. } => {
+                "the store may come from a stopped run; build it again with `acquire build-matrix`"
+            }
+            Self::BrokenMaterial { .. } => "the file may have been cut short; make it again with `acquire factor`",
+            Self::BrokenImage { .. } => "give an OpenEXR, PNG or JPEG image",
+            Self::Mismatch { .. } => "compare outputs of the same capture, grid and window",
+            Self::Setting { .. } => "see `acquire help` for the range of each option",
+            Self::NotFinite { .. } => "the matrix was not written by `acquire`, or was damaged; build it again",
+            Self::Internal { .. } => "this is a bug in acquire; please report it with the command line",
+        };
+        Some(hint.to_owned())
+    }
+}

@@ -1,0 +1,1 @@
+//! Factor: the matrix, streamed, to a compact material.

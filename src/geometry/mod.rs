@@ -1,0 +1,16 @@
+//! Planes and lenses: where a point of the slab appears in the camera, and where a projector pixel lands on the slab.
+//!
+//! # Conventions
+//! - Slab: millimetres, origin at the top left corner of the sample as the camera sees it, x right, y down.
+//! - Camera and projector: pixels; the centre of pixel (column 0, row 0) is (0.0, 0.0), x right, y down.
+//! - Transforms are named `to_from_from`: `camera_from_slab` takes slab millimetres to camera pixels.
+//! - All of it in f64.
+
+mod homography;
+mod lens;
+
+pub use homography::Homography;
+pub use lens::{CameraView, Lens};
+
+/// A point or vector of the plane, (x, y).
+pub type Point = [f64; 2];

@@ -1,0 +1,1 @@
+//! Material: evaluate R̂_d, relight, save, export.

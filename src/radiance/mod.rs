@@ -1,0 +1,1 @@
+//! Merge: the exposures of one shot to linear radiance, its variance and a validity mask.

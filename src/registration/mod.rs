@@ -1,0 +1,1 @@
+//! Register: slab ↔ camera ↔ projector, and the drift of every lattice shot.

@@ -1,0 +1,1 @@
+//! Extract: for each lit point the window of responses, with variance.

@@ -1,0 +1,150 @@
+//! Findings that do not stop the work: typed, shown on the terminal and kept in the matrix and the report.
+
+use serde::{Deserialize, Serialize};
+
+/// Something the person should know about a measurement that was completed all the same.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "warning", rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Warning {
+    /// Samples that no exposure measured (saturated or outside the photograph); marked invalid.
+    SaturatedSamples {
+        /// The shot.
+        shot: String,
+        /// How many samples of its windows.
+        samples: usize,
+    },
+    /// A window reaches past the sample's rim or the photograph; the samples there are marked invalid.
+    ClippedWindow {
+        /// How many lit points.
+        rows: usize,
+        /// How many samples in all.
+        samples: usize,
+    },
+    /// Grid points that no shot lights; their rows are marked invalid.
+    UnlitPoints {
+        /// How many.
+        rows: usize,
+    },
+    /// Two sources of an exposure time disagree by more than a twentieth.
+    ExposureDisagrees {
+        /// The photograph.
+        file: String,
+        /// The time that was used.
+        used_secs: f64,
+        /// The time that was not.
+        other_secs: f64,
+        /// Where the other came from.
+        other: String,
+    },
+    /// Aperture or ISO change inside the capture; the radiance scale is corrected by them.
+    ApertureOrIsoChanges {
+        /// The first photograph that differs.
+        file: String,
+        /// The relative sensitivity against the first photograph.
+        factor: f64,
+    },
+    /// No reference dots: drift is the median of the lattice dots' own shifts, which edges of materials bias.
+    DriftFromLatticeDots,
+    /// Too few dots of a shot were found to measure its drift; it is taken as the neighbours' mean.
+    DriftUnmeasured {
+        /// The shot.
+        shot: String,
+    },
+    /// Windows of one shot overlap: dots light each other's windows by an estimated share.
+    CrossTalk {
+        /// The smallest distance between dots of one shot, in outgoing samples.
+        spacing_samples: f64,
+        /// The window's side in samples.
+        window_samples: usize,
+    },
+    /// The board does not cover the slab: its registration there is an extrapolation.
+    BoardTooSmall {
+        /// The largest distance of a window's sample from the board, mm.
+        outside_mm: f64,
+    },
+    /// Rows whose albedo exceeds one: more light leaves than arrives.
+    AlbedoAboveOne {
+        /// How many rows.
+        rows: usize,
+        /// The largest albedo found.
+        largest: f64,
+    },
+    /// An odd EXIF block that could only be read in part.
+    DamagedExif {
+        /// The photograph.
+        file: String,
+        /// The reader's message.
+        reason: String,
+    },
+    /// Rows without any valid sample or with a peak that is not positive; they are kept as zeros.
+    EmptyRows {
+        /// How many.
+        rows: usize,
+    },
+    /// A row's peak lay further out than the search permits; its shift was limited.
+    ShiftLimited {
+        /// How many rows.
+        rows: usize,
+        /// The largest permitted shift, samples.
+        limit: usize,
+    },
+}
+
+impl std::fmt::Display for Warning {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::SaturatedSamples { shot, samples } => {
+                write!(
+                    f,
+                    "shot \"{shot}\": {samples} samples were saturated in every exposure; they are marked invalid"
+                )
+            }
+            Self::ClippedWindow { rows, samples } => {
+                write!(
+                    f,
+                    "{samples} samples of {rows} windows lie outside the slab or the photograph; they are marked invalid"
+                )
+            }
+            Self::UnlitPoints { rows } => {
+                write!(f, "{rows} grid points are lit by no shot; their rows are marked invalid")
+            }
+            Self::ExposureDisagrees { file, used_secs, other_secs, other } => {
+                write!(f, "{file}: exposure {used_secs} s is used, {other} says {other_secs} s")
+            }
+            Self::ApertureOrIsoChanges { file, factor } => {
+                write!(f, "{file}: aperture or ISO differ from the first photograph; radiance is scaled by {factor:.4}")
+            }
+            Self::DriftFromLatticeDots => {
+                write!(
+                    f,
+                    "no reference dots in the patterns: drift comes from the lattice's own dots and is biased near edges of materials"
+                )
+            }
+            Self::DriftUnmeasured { shot } => {
+                write!(f, "shot \"{shot}\": too few dots to measure its drift; the neighbouring shots' mean is used")
+            }
+            Self::CrossTalk { spacing_samples, window_samples } => write!(
+                f,
+                "dots of one shot are {spacing_samples:.1} samples apart but windows are {window_samples} wide: neighbours' tails are in the rows"
+            ),
+            Self::BoardTooSmall { outside_mm } => {
+                write!(f, "windows reach {outside_mm:.2} mm outside the board: registration is extrapolated there")
+            }
+            Self::AlbedoAboveOne { rows, largest } => {
+                write!(
+                    f,
+                    "{rows} rows send back more light than arrives (albedo up to {largest:.3}): check the white reference"
+                )
+            }
+            Self::DamagedExif { file, reason } => write!(f, "{file}: EXIF is damaged and was read in part: {reason}"),
+            Self::EmptyRows { rows } => write!(f, "{rows} rows have no positive peak; they are kept as zeros"),
+            Self::ShiftLimited { rows, limit } => {
+                write!(
+                    f,
+                    "{rows} rows have their peak more than {limit} samples from the lit point; their shift was limited to it"
+                )
+            }
+        }
+    }
+}
