@@ -15,10 +15,23 @@
 use crate::{Error, Result, Warning, geometry::Point};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+use zarrs::array::codec::ZstdCodec;
+use zarrs::array::{Array, ArrayBuilder, ArraySubset, ElementOwned, data_type};
+use zarrs::filesystem::FilesystemStore;
 
+/// The version of this layout, attribute `acquire_format`.
 const FORMAT: u32 = 1;
+/// Whatever the Zarr crate answers; turned into ours at the public functions.
+type BoxedError = Box<dyn std::error::Error + Send + Sync>;
+/// R, G, B.
 const CHANNELS: usize = 3;
+/// A chunk holds about this many bytes of responses: large enough for the disk, small enough to stream.
+const CHUNK_BYTES: usize = 4 << 20;
+/// Fast, and measured noise compresses no better at higher levels.
+const ZSTD_LEVEL: i32 = 1;
 
 /// What a matrix is, besides its numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -108,22 +121,32 @@ pub struct RowBlock {
 }
 
 /// Writes a matrix. Rows come in any order from any thread; nothing appears under the final name before [`Self::finish`].
+///
+/// A lattice shot lights points all over the slab, so rows wait uncompressed in a scratch file until all of a chunk are there.
 #[derive(Debug)]
 pub struct MatrixWriter {
     path: PathBuf,
     header: MatrixHeader,
-    scratch: File,
     folder: tempfile::TempDir,
-    written: std::sync::Mutex<Vec<bool>>,
+    scratch: File,
+    written: Mutex<Vec<bool>>,
 }
 
 impl MatrixWriter {
-    /// Prepares to write the store `path`.
+    /// Prepares to write the store `path`; an older store there is replaced by [`Self::finish`].
     ///
     /// # Errors
-    /// [`Error::Io`] when the folder of `path` cannot be written.
+    /// [`Error::Io`] when the folder of `path` cannot be written, [`Error::Field`] when something other than a store is at `path`.
     pub fn create(path: &Path, header: MatrixHeader) -> Result<Self> {
-        todo!()
+        if path.exists() && !path.join("zarr.json").is_file() {
+            return Err(Error::field(path, "output", "a new path, or an older matrix to replace", "something else"));
+        }
+        let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = tempfile::Builder::new().prefix(".acquire-matrix-").tempdir_in(parent);
+        let folder = folder.map_err(Error::io("create", path))?;
+        let scratch = tempfile::tempfile_in(folder.path()).map_err(Error::io("create", path))?;
+        let written = Mutex::new(vec![false; header.rows()]);
+        Ok(Self { path: path.to_path_buf(), header, folder, scratch, written })
     }
 
     /// What will be written besides the rows.
@@ -131,21 +154,194 @@ impl MatrixWriter {
         &mut self.header
     }
 
+    /// What will be written besides the rows.
+    pub fn header(&self) -> &MatrixHeader {
+        &self.header
+    }
+
     /// Stores row `index` (row-major over (y_i, x_i)).
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Internal`] when the row has another length than the header says.
+    /// [`Error::Io`]; [`Error::Internal`] when the row has another length than the header says, or a value is not finite.
     pub fn put(&self, index: usize, row: &Row) -> Result<()> {
-        todo!()
+        let n = self.header.row_len();
+        if index >= self.header.rows() || [row.response.len(), row.variance.len(), row.valid.len()] != [n; 3] {
+            return Err(Error::internal(format_args!("row {index} does not fit the matrix")));
+        }
+        let mut bytes = Vec::with_capacity(n * 9);
+        for value in row.response.iter().chain(&row.variance) {
+            if !value.is_finite() {
+                return Err(Error::internal(format_args!("row {index} holds {value}")));
+            }
+            bytes.extend_from_slice(&value.to_le_bytes());
+        }
+        bytes.extend(row.valid.iter().map(|&v| u8::from(v)));
+        self.scratch.write_all_at(&bytes, (index * n * 9) as u64).map_err(Error::io("write", &self.path))?;
+        self.written.lock().map_err(Error::internal)?[index] = true;
+        Ok(())
     }
 
-    /// Writes the store and renames it into place, replacing an older one. Rows never put are invalid throughout.
+    /// Writes the store and renames it into place. Rows never put are invalid throughout.
     ///
     /// # Errors
     /// [`Error::Io`].
     pub fn finish(self) -> Result<()> {
-        todo!()
+        let written = self.written.lock().map_err(Error::internal)?.clone();
+        let store_path = self.folder.path().join("store");
+        self.write_store(&store_path, &written).map_err(|reason| Error::Io {
+            path: self.path.clone(),
+            action: "write",
+            source: std::io::Error::other(reason.to_string()),
+        })?;
+        if self.path.exists() {
+            std::fs::rename(&self.path, self.folder.path().join("older")).map_err(Error::io("rename", &self.path))?;
+        }
+        std::fs::rename(&store_path, &self.path).map_err(Error::io("rename", &self.path))
     }
+
+    fn write_store(&self, store_path: &Path, written: &[bool]) -> Result<(), BoxedError> {
+        let header = &self.header;
+        let store = Arc::new(FilesystemStore::new(store_path)?);
+        let mut attributes = serde_json::Map::new();
+        attributes.insert("acquire_format".into(), FORMAT.into());
+        attributes.insert("units".into(), serde_json::json!({
+            "response": "mm^-2", "variance": "mm^-4", "x_i_mm": "mm", "y_i_mm": "mm", "position_sd_mm": "mm", "dx_mm": "mm", "dy_mm": "mm"
+        }));
+        if let serde_json::Value::Object(fields) = serde_json::to_value(header)? {
+            attributes.extend(fields);
+        }
+        zarrs::group::GroupBuilder::new().attributes(attributes).build(store.clone(), "/")?.store_metadata()?;
+        self.write_coordinates(&store)?;
+
+        let arrays =
+            ["response", "variance"].map(|name| rows_array(header, &store, name, data_type::float32(), f32::NAN));
+        let [response, variance] = arrays;
+        let (response, variance) = (response?, variance?);
+        let valid = rows_array(header, &store, "valid", data_type::uint8(), u8::MAX)?;
+        for array in [&response, &variance, &valid] {
+            array.store_metadata()?;
+        }
+        use rayon::prelude::*;
+        let blocks: Vec<_> = blocks(header).collect();
+        blocks.into_par_iter().try_for_each(|rows| {
+            let block = self.read_scratch(rows.clone(), written)?;
+            let subset = subset(header, rows);
+            response.store_array_subset(&subset, block.response)?;
+            variance.store_array_subset(&subset, block.variance)?;
+            valid.store_array_subset(&subset, block.valid)?;
+            Ok::<_, BoxedError>(())
+        })?;
+        Ok(())
+    }
+
+    fn read_scratch(&self, rows: std::ops::Range<usize>, written: &[bool]) -> std::io::Result<RowBlock> {
+        let n = self.header.row_len();
+        let mut block = RowBlock::zeros(rows.clone(), n);
+        let mut bytes = vec![0u8; n * 9];
+        for (k, row) in rows.enumerate().filter(|&(_, row)| written[row]) {
+            self.scratch.read_exact_at(&mut bytes, (row * n * 9) as u64)?;
+            let (values, valid) = bytes.split_at(n * 8);
+            let floats = values.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
+            for (i, value) in floats.enumerate() {
+                let target = if i < n { &mut block.response } else { &mut block.variance };
+                target[k * n + i % n] = value;
+            }
+            block.valid[k * n..(k + 1) * n].copy_from_slice(valid);
+        }
+        Ok(block)
+    }
+
+    fn write_coordinates(&self, store: &Arc<FilesystemStore>) -> Result<(), BoxedError> {
+        let header = &self.header;
+        let grid = [header.points[1] as u64, header.points[0] as u64];
+        let names = ["y_i", "x_i"];
+        let lit = |a: usize| header.lit_mm.iter().map(|p| p[a]).collect::<Vec<f64>>();
+        small_array(store, "x_i_mm", &grid, &names, data_type::float64(), 0.0f64, lit(0))?;
+        small_array(store, "y_i_mm", &grid, &names, data_type::float64(), 0.0f64, lit(1))?;
+        small_array(
+            store,
+            "position_sd_mm",
+            &grid,
+            &names,
+            data_type::float64(),
+            0.0f64,
+            header.position_sd_mm.clone(),
+        )?;
+        // Zarr has no missing integers; −1 is the documented mark of an unlit point on disk only.
+        let shot = header.shot_of.iter().map(|s| s.map_or(-1, |s| s as i32)).collect::<Vec<i32>>();
+        small_array(store, "shot", &grid, &names, data_type::int32(), -1i32, shot)?;
+        for (a, name) in ["dx", "dy"].into_iter().enumerate() {
+            let offsets = (0..header.window[a]).map(|k| header.offset_px([k, k])[a] as f64 * header.pitch_mm);
+            let shape = [header.window[a] as u64];
+            small_array(
+                store,
+                &format!("{name}_mm"),
+                &shape,
+                &[name],
+                data_type::float64(),
+                0.0f64,
+                offsets.collect(),
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// Ranges of rows that lie in one chunk each: the blocks to stream in.
+fn blocks(header: &MatrixHeader) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
+    let (nx, step) = (header.points[0], chunk_rows(header));
+    (0..header.points[1]).flat_map(move |y| (0..nx).step_by(step).map(move |x| y * nx + x..y * nx + (x + step).min(nx)))
+}
+
+fn chunk_rows(header: &MatrixHeader) -> usize {
+    (CHUNK_BYTES / (4 * header.row_len())).clamp(1, header.points[0])
+}
+
+/// The part of a row array that holds `rows`, all of one y_i.
+fn subset(header: &MatrixHeader, rows: std::ops::Range<usize>) -> ArraySubset {
+    let (nx, [wx, wy]) = (header.points[0], header.window);
+    let (y, x) = ((rows.start / nx) as u64, (rows.start % nx) as u64);
+    let n = rows.len() as u64;
+    ArraySubset::new_with_ranges(&[y..y + 1, x..x + n, 0..wy as u64, 0..wx as u64, 0..CHANNELS as u64])
+}
+
+fn rows_array<F>(
+    header: &MatrixHeader,
+    store: &Arc<FilesystemStore>,
+    name: &str,
+    data_type: zarrs::array::DataType,
+    fill: F,
+) -> Result<Array<FilesystemStore>, zarrs::array::ArrayCreateError>
+where
+    F: Into<zarrs::array::FillValue>,
+{
+    let ([nx, ny], [wx, wy]) = (header.points, header.window);
+    let shape = [ny, nx, wy, wx, CHANNELS].map(|n| n as u64);
+    let chunk = [1, chunk_rows(header), wy, wx, CHANNELS].map(|n| n as u64);
+    ArrayBuilder::new(shape.to_vec(), chunk.to_vec(), data_type, fill.into())
+        .dimension_names(["y_i", "x_i", "dy", "dx", "channel"].into())
+        .bytes_to_bytes_codecs(vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, true))])
+        .build(store.clone(), &format!("/{name}"))
+}
+
+fn small_array<T: zarrs::array::Element>(
+    store: &Arc<FilesystemStore>,
+    name: &str,
+    shape: &[u64],
+    dimensions: &[&str],
+    data_type: zarrs::array::DataType,
+    fill: impl Into<zarrs::array::FillValue>,
+    values: Vec<T>,
+) -> Result<(), BoxedError>
+where
+    Vec<T>: zarrs::array::IntoArrayBytes<'static>,
+{
+    let array = ArrayBuilder::new(shape.to_vec(), shape.to_vec(), data_type, fill.into())
+        .dimension_names(Some(dimensions.iter().copied()))
+        .build(store.clone(), &format!("/{name}"))?;
+    array.store_metadata()?;
+    array.store_array_subset(&array.subset_all(), values)?;
+    Ok(())
 }
 
 /// Reads a matrix in blocks of rows.
@@ -153,15 +349,60 @@ impl MatrixWriter {
 pub struct MatrixReader {
     path: PathBuf,
     header: MatrixHeader,
+    response: Array<FilesystemStore>,
+    variance: Array<FilesystemStore>,
+    valid: Array<FilesystemStore>,
 }
 
 impl MatrixReader {
     /// Opens a store and reads everything but the rows.
     ///
     /// # Errors
-    /// [`Error::Io`], [`Error::BrokenMatrix`].
+    /// [`Error::Io`] when there is nothing at `path`, [`Error::BrokenMatrix`] when it is not a whole matrix.
     pub fn open(path: &Path) -> Result<Self> {
-        todo!()
+        let root = path.join("zarr.json");
+        std::fs::metadata(path).map_err(Error::io("read", path))?;
+        let broken = |reason: String| Error::BrokenMatrix { path: path.to_path_buf(), reason };
+        if !root.is_file() {
+            return Err(broken("zarr.json is missing".into()));
+        }
+        let store = Arc::new(FilesystemStore::new(path).map_err(|e| broken(e.to_string()))?);
+        let group = zarrs::group::Group::open(store.clone(), "/").map_err(|e| broken(e.to_string()))?;
+        let attributes = serde_json::Value::Object(group.attributes().clone());
+        let format = attributes.get("acquire_format").and_then(serde_json::Value::as_u64);
+        if format != Some(FORMAT.into()) {
+            return Err(broken(format!("acquire_format: expected {FORMAT}, found {format:?}")));
+        }
+        let mut header: MatrixHeader =
+            serde_json::from_value(attributes).map_err(|e| broken(format!("attributes: {e}")))?;
+        let open = |name: &str| {
+            Array::open(store.clone(), &format!("/{name}")).map_err(|e| broken(format!("array {name}: {e}")))
+        };
+        let ([nx, ny], [wx, wy]) = (header.points, header.window);
+        let shape = [ny, nx, wy, wx, CHANNELS].map(|n| n as u64);
+        let rows = |name: &str| {
+            let array = open(name)?;
+            if array.shape() == shape {
+                Ok(array)
+            } else {
+                Err(broken(format!("array {name}: expected shape {shape:?}, found {:?}", array.shape())))
+            }
+        };
+        let (response, variance, valid) = (rows("response")?, rows("variance")?, rows("valid")?);
+        let x: Vec<f64> = small(&open("x_i_mm")?, header.rows()).map_err(&broken)?;
+        let y: Vec<f64> = small(&open("y_i_mm")?, header.rows()).map_err(&broken)?;
+        header.lit_mm = x.into_iter().zip(y).map(|(x, y)| [x, y]).collect();
+        header.position_sd_mm = small(&open("position_sd_mm")?, header.rows()).map_err(&broken)?;
+        let shot: Vec<i32> = small(&open("shot")?, header.rows()).map_err(&broken)?;
+        header.shot_of = shot.into_iter().map(|s| usize::try_from(s).ok()).collect();
+        let shots = header.shots.len();
+        if let Some(s) = header.shot_of.iter().flatten().find(|&&s| s >= shots) {
+            return Err(broken(format!("array shot: expected numbers below {shots}, found {s}")));
+        }
+        if header.lit_mm.iter().flatten().chain(&header.position_sd_mm).any(|v| !v.is_finite()) {
+            return Err(broken("coordinates are not finite".into()));
+        }
+        Ok(Self { path: path.to_path_buf(), header, response, variance, valid })
     }
 
     /// What the matrix is.
@@ -174,11 +415,157 @@ impl MatrixReader {
         &self.path
     }
 
+    /// Consecutive ranges of rows that are quickest to [`Self::read`]; together all rows, in order.
+    pub fn blocks(&self) -> Vec<std::ops::Range<usize>> {
+        blocks(&self.header).collect()
+    }
+
     /// Reads consecutive rows; callable from several threads.
     ///
     /// # Errors
-    /// [`Error::BrokenMatrix`] when a chunk cannot be read, [`Error::NotFinite`] for NaN or infinity.
+    /// [`Error::BrokenMatrix`] when a chunk is missing or damaged, [`Error::NotFinite`] for NaN or infinity,
+    /// [`Error::Internal`] for rows that the matrix has not.
     pub fn read(&self, rows: std::ops::Range<usize>) -> Result<RowBlock> {
-        todo!()
+        if rows.end > self.header.rows() || rows.start > rows.end {
+            return Err(Error::internal(format_args!("rows {rows:?} of a matrix of {}", self.header.rows())));
+        }
+        let mut block =
+            RowBlock { first: rows.start, rows: rows.len(), response: vec![], variance: vec![], valid: vec![] };
+        let nx = self.header.points[0];
+        let mut start = rows.start;
+        while start < rows.end {
+            let end = rows.end.min((start / nx + 1) * nx);
+            let part = subset(&self.header, start..end);
+            block.response.extend(self.part::<f32>(&self.response, &part)?);
+            block.variance.extend(self.part::<f32>(&self.variance, &part)?);
+            block.valid.extend(self.part::<u8>(&self.valid, &part)?);
+            start = end;
+        }
+        self.check(&block)?;
+        Ok(block)
+    }
+
+    fn part<T: ElementOwned>(&self, array: &Array<FilesystemStore>, part: &ArraySubset) -> Result<Vec<T>>
+    where
+        Vec<T>: zarrs::array::FromArrayBytes,
+    {
+        array.retrieve_array_subset::<Vec<T>>(part).map_err(|e| Error::BrokenMatrix {
+            path: self.path.clone(),
+            reason: format!("array {}: {e}", array.path()),
+        })
+    }
+
+    fn check(&self, block: &RowBlock) -> Result<()> {
+        if block.valid.iter().any(|&v| v > 1) {
+            let reason =
+                format!("array valid: a chunk of rows {} to {} is missing", block.first, block.first + block.rows);
+            return Err(Error::BrokenMatrix { path: self.path.clone(), reason });
+        }
+        for (field, values) in [("response", &block.response), ("variance", &block.variance)] {
+            if let Some(at) = values.iter().position(|v| !v.is_finite()) {
+                let (n, wx) = (self.header.row_len(), self.header.window[0]);
+                let (row, sample) = (block.first + at / n, at % n / CHANNELS);
+                let lit = [row % self.header.points[0], row / self.header.points[0]];
+                let at_text =
+                    format!("lit point {lit:?}, sample [{}, {}], channel {}", sample % wx, sample / wx, at % CHANNELS);
+                return Err(Error::NotFinite { path: self.path.clone(), field, found: values[at].into(), at: at_text });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn small<T: ElementOwned>(array: &Array<FilesystemStore>, len: usize) -> Result<Vec<T>, String>
+where
+    Vec<T>: zarrs::array::FromArrayBytes,
+{
+    let name = array.path().to_string();
+    let values: Vec<T> = array.retrieve_array_subset(&array.subset_all()).map_err(|e| format!("array {name}: {e}"))?;
+    if values.len() == len {
+        Ok(values)
+    } else {
+        Err(format!("array {name}: expected {len} values, found {}", values.len()))
+    }
+}
+
+impl RowBlock {
+    fn zeros(rows: std::ops::Range<usize>, row_len: usize) -> Self {
+        let n = rows.len() * row_len;
+        Self { first: rows.start, rows: rows.len(), response: vec![0.0; n], variance: vec![0.0; n], valid: vec![0; n] }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
+        let rows = points[0] * points[1];
+        MatrixHeader {
+            points,
+            window,
+            pitch_mm: 0.5,
+            lit_pitch_mm: [0.5, 0.5],
+            lit_mm: (0..rows).map(|r| [r as f64 * 0.5, 1.0]).collect(),
+            position_sd_mm: vec![0.01; rows],
+            shot_of: (0..rows).map(|r| (r > 0).then_some(0)).collect(),
+            shots: vec![ShotRecord { name: "a".into(), drift_px: [0.1, 0.2], drift_sd_px: None }],
+            warnings: vec![Warning::UnlitPoints { rows: 1 }],
+            provenance: serde_json::json!({"seed": 1}),
+        }
+    }
+
+    fn row(header: &MatrixHeader, index: usize) -> Row {
+        let n = header.row_len();
+        let response = (0..n).map(|k| (index * n + k) as f32).collect();
+        Row { response, variance: vec![index as f32; n], valid: (0..n).map(|k| k % 2 == 0).collect() }
+    }
+
+    #[test]
+    fn what_was_put_is_read_back_whatever_the_order() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.rd.zarr");
+        let header = header([5, 3], [3, 1]);
+        for _ in 0..2 {
+            // The second time replaces the first.
+            let writer = MatrixWriter::create(&path, header.clone()).unwrap();
+            for index in (1..header.rows()).rev() {
+                writer.put(index, &row(&header, index)).unwrap();
+            }
+            writer.finish().unwrap();
+        }
+        let reader = MatrixReader::open(&path).unwrap();
+        assert_eq!(reader.header(), &header);
+        let block = reader.read(3..12).unwrap();
+        for index in 3..12 {
+            let (n, expected) = (header.row_len(), row(&header, index));
+            let part = (index - 3) * n..(index - 2) * n;
+            assert_eq!(block.response[part.clone()], expected.response);
+            assert_eq!(block.variance[part.clone()], expected.variance);
+            assert!(block.valid[part].iter().zip(expected.valid).all(|(a, b)| (*a == 1) == b));
+        }
+        assert!(reader.read(0..1).unwrap().valid.iter().all(|&v| v == 0), "a row never put is invalid");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left beside the store");
+    }
+
+    #[test]
+    fn a_missing_chunk_is_an_error_and_not_a_row_of_zeros() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.rd.zarr");
+        let header = header([2, 2], [3, 3]);
+        let writer = MatrixWriter::create(&path, header.clone()).unwrap();
+        writer.finish().unwrap();
+        std::fs::remove_dir_all(path.join("valid/c/1")).unwrap();
+        let reader = MatrixReader::open(&path).unwrap();
+        reader.read(0..2).unwrap();
+        assert!(matches!(reader.read(2..4), Err(Error::BrokenMatrix { .. })));
+    }
+
+    #[test]
+    fn a_stopped_writer_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.rd.zarr");
+        drop(MatrixWriter::create(&path, header([2, 2], [3, 3])).unwrap());
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }
