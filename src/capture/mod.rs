@@ -1,9 +1,14 @@
 //! Read: a capture folder — `capture.toml`, photographs, EXIF, the rig — checked before any work starts.
 
+mod exif;
+mod folder;
 mod manifest;
+mod photograph;
 mod rig;
 
+pub use folder::Capture;
 pub use manifest::{Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Window};
+pub use photograph::{Photograph, Pixels, Rect, Samples};
 pub use rig::{Board, Camera, Noise, Projector, ResponseCurve, Rig, WhiteReference};
 
 use crate::{Error, Result};

@@ -1,0 +1,187 @@
+//! A whole capture folder, checked before any work starts.
+
+use super::exif::{self, ExifExposure};
+use super::{Manifest, Pattern, Photograph, Rig};
+use crate::{Error, Result, Warning};
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+
+/// A capture whose manifest, rig and photographs' heads have been read and fit together.
+#[derive(Debug, Clone)]
+pub struct Capture {
+    /// Its folder.
+    pub dir: PathBuf,
+    /// `capture.toml`.
+    pub manifest: Manifest,
+    /// `rig.toml`.
+    pub rig: Rig,
+    /// Where the rig was found.
+    pub rig_path: PathBuf,
+    /// The photographs of each shot of the manifest, shortest exposure first.
+    pub brackets: Vec<Vec<Photograph>>,
+    /// Findings.
+    pub warnings: Vec<Warning>,
+}
+
+/// Two sources of one exposure time may differ by rounding to nominal values (1/30 for 1/32) before it is worth a word.
+const EXPOSURE_TOLERANCE: f64 = 0.07;
+
+impl Capture {
+    /// Reads and checks a capture: manifest, rig, presence, size and exposure of every photograph. No pixels are decoded.
+    ///
+    /// # Errors
+    /// Those of [`Manifest::read`], [`Rig::find`] and [`Rig::read`]; [`Error::MissingPhotograph`], [`Error::BrokenPhotograph`],
+    /// [`Error::NoExposure`], [`Error::SameExposure`]; [`Error::Field`] for a photograph of another size or a shot that is needed and not there.
+    pub fn open(dir: &Path, calibration: Option<&Path>) -> Result<Self> {
+        if !dir.is_dir() {
+            let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "there is no such folder");
+            return Err(Error::io("read", dir)(missing));
+        }
+        let manifest = Manifest::read(dir)?;
+        let rig_path = Rig::find(dir, calibration)?;
+        let rig = Rig::read(&rig_path)?;
+        let manifest_path = dir.join("capture.toml");
+        require_shots(&manifest, &manifest_path)?;
+
+        let mut warnings = Vec::new();
+        let heads: Vec<(Vec<Head>, Vec<Warning>)> =
+            manifest.shots.par_iter().map(|shot| read_heads(dir, shot, rig.camera.size_px)).collect::<Result<_>>()?;
+        let first = heads.iter().flat_map(|(heads, _)| heads).next().map(|h| h.exif.clone()).unwrap_or_default();
+        let mut brackets = Vec::new();
+        for (mut shot_heads, mut found) in heads {
+            warnings.append(&mut found);
+            for head in &mut shot_heads {
+                let factor = relative_sensitivity(&head.exif, &first);
+                head.photograph.effective_secs = head.photograph.exposure_secs * factor;
+                let told = warnings.iter().any(|w| matches!(w, Warning::ApertureOrIsoChanges { .. }));
+                if (factor - 1.0).abs() > 1e-6 && !told {
+                    warnings.push(Warning::ApertureOrIsoChanges { file: head.name.clone(), factor });
+                }
+            }
+            brackets.push(sorted_bracket(shot_heads, &manifest_path)?);
+        }
+        Ok(Self { dir: dir.to_path_buf(), manifest, rig, rig_path, brackets, warnings })
+    }
+
+    /// Indices of the shots of a kind, in the manifest's order.
+    pub fn shots(&self, of: impl Fn(&Pattern) -> bool) -> Vec<usize> {
+        (0..self.manifest.shots.len()).filter(|&s| of(&self.manifest.shots[s].pattern)).collect()
+    }
+
+    /// The path of `capture.toml`.
+    pub fn manifest_path(&self) -> PathBuf {
+        self.dir.join("capture.toml")
+    }
+
+    /// Number of photographs.
+    pub fn photographs(&self) -> usize {
+        self.brackets.iter().map(Vec::len).sum()
+    }
+}
+
+struct Head {
+    name: String,
+    photograph: Photograph,
+    exif: ExifExposure,
+}
+
+fn read_heads(dir: &Path, shot: &super::Shot, size_px: [usize; 2]) -> Result<(Vec<Head>, Vec<Warning>)> {
+    let mut warnings = Vec::new();
+    let mut heads = Vec::new();
+    for entry in &shot.photographs {
+        let path = dir.join(&entry.file);
+        let mut photograph = Photograph { path, shot: shot.name.clone(), exposure_secs: 0.0, effective_secs: 0.0 };
+        let found = photograph.size_px()?;
+        if found != size_px {
+            let size = |s: [usize; 2]| format!("{} × {} px", s[0], s[1]);
+            let expected = format!("{} (camera.size_px in rig.toml)", size(size_px));
+            return Err(Error::field(&photograph.path, "size", expected, size(found)));
+        }
+        let exif =
+            exif::read(&photograph.path, &entry.file, &mut warnings).map_err(Error::io("read", &photograph.path))?;
+        let sources = [
+            (entry.exposure_secs, "capture.toml"),
+            (exif.exposure_secs, "EXIF ExposureTime"),
+            (exif.apex_secs, "EXIF ShutterSpeedValue"),
+        ];
+        let mut known = sources.iter().filter_map(|(secs, source)| Some(((*secs)?, *source)));
+        let Some((used_secs, _)) = known.next() else {
+            return Err(Error::NoExposure { path: photograph.path });
+        };
+        for (other_secs, other) in known {
+            if (other_secs / used_secs - 1.0).abs() > EXPOSURE_TOLERANCE {
+                let (file, other) = (entry.file.clone(), other.to_owned());
+                warnings.push(Warning::ExposureDisagrees { file, used_secs, other_secs, other });
+            }
+        }
+        photograph.exposure_secs = used_secs;
+        heads.push(Head { name: entry.file.clone(), photograph, exif });
+    }
+    Ok((heads, warnings))
+}
+
+/// Light gathered per second against the first photograph's settings: ISO over the square of the f-number.
+fn relative_sensitivity(exif: &ExifExposure, first: &ExifExposure) -> f64 {
+    let ratio = |a: Option<f64>, b: Option<f64>| a.zip(b).map_or(1.0, |(a, b)| a / b);
+    ratio(exif.iso, first.iso) / ratio(exif.f_number, first.f_number).powi(2)
+}
+
+fn sorted_bracket(mut heads: Vec<Head>, manifest: &Path) -> Result<Vec<Photograph>> {
+    heads.sort_by(|a, b| a.photograph.effective_secs.total_cmp(&b.photograph.effective_secs));
+    for pair in heads.windows(2) {
+        // Nominal times of neighbouring third stops differ by a quarter; nearer than a hundredth is the same.
+        if pair[1].photograph.effective_secs / pair[0].photograph.effective_secs < 1.01 {
+            let (mut first, mut second) = (pair[0].name.clone(), pair[1].name.clone());
+            if first > second {
+                std::mem::swap(&mut first, &mut second);
+            }
+            return Err(Error::SameExposure {
+                path: manifest.to_path_buf(),
+                shot: pair[0].photograph.shot.clone(),
+                first,
+                second,
+                exposure_secs: pair[0].photograph.exposure_secs,
+            });
+        }
+    }
+    Ok(heads.into_iter().map(|h| h.photograph).collect())
+}
+
+fn require_shots(manifest: &Manifest, path: &Path) -> Result<()> {
+    let count = |of: fn(&Pattern) -> bool| manifest.shots.iter().filter(|s| of(&s.pattern)).count();
+    let once: [(&str, fn(&Pattern) -> bool); 4] = [
+        ("board", |p| matches!(p, Pattern::Board)),
+        ("reference-white", |p| matches!(p, Pattern::ReferenceWhite)),
+        ("reference-black", |p| matches!(p, Pattern::ReferenceBlack)),
+        ("sample-black", |p| matches!(p, Pattern::SampleBlack)),
+    ];
+    for (kind, of) in once {
+        if count(of) != 1 {
+            return Err(Error::field(path, format!("shots of kind \"{kind}\""), "exactly one", count(of)));
+        }
+    }
+    for (kind, of) in [
+        ("gray-code", (|p| matches!(p, Pattern::GrayCode { .. })) as fn(&Pattern) -> bool),
+        ("lattice", |p| matches!(p, Pattern::Lattice { .. })),
+    ] {
+        if count(of) == 0 {
+            return Err(Error::field(path, format!("shots of kind \"{kind}\""), "at least one", "none"));
+        }
+    }
+    let mut lit_by = std::collections::BTreeMap::new();
+    for shot in &manifest.shots {
+        let Pattern::Lattice { dots } = &shot.pattern else { continue };
+        for dot in dots {
+            if let Some(earlier) = lit_by.insert(dot, &shot.name) {
+                let field = format!("shots \"{}\": dots", shot.name);
+                return Err(Error::field(
+                    path,
+                    field,
+                    "each dot in one shot only",
+                    format!("{dot:?} also in \"{earlier}\""),
+                ));
+            }
+        }
+    }
+    Ok(())
+}

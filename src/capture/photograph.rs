@@ -1,0 +1,221 @@
+//! One photograph: its file, exposure, size, and its pixels when asked.
+
+use crate::{Error, Result};
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+/// A photograph that was found and whose exposure is known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Photograph {
+    /// The file.
+    pub path: PathBuf,
+    /// The shot it belongs to.
+    pub shot: String,
+    /// Exposure time, s.
+    pub exposure_secs: f64,
+    /// Exposure in seconds of the first photograph's aperture and ISO: what code values are proportional to.
+    pub effective_secs: f64,
+}
+
+/// Decoded code values, R G B interleaved.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pixels {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// 3 · width · height code values.
+    pub samples: Samples,
+    /// BLAKE3 of the file.
+    pub hash: blake3::Hash,
+}
+
+/// Code values in the file's own type.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Samples {
+    /// 8-bit.
+    U8(Vec<u8>),
+    /// 16-bit (or fewer bits in 16).
+    U16(Vec<u16>),
+    /// Floating point, linear.
+    F32(Vec<f32>),
+}
+
+/// A rectangle of camera pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Rect {
+    /// First column.
+    pub x: usize,
+    /// First row.
+    pub y: usize,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+impl Rect {
+    /// Number of pixels.
+    pub fn area(&self) -> usize {
+        self.width * self.height
+    }
+}
+
+impl Photograph {
+    /// Reads, hashes and decodes the file. Grey is repeated in three channels, alpha is dropped.
+    ///
+    /// # Errors
+    /// [`Error::MissingPhotograph`], [`Error::BrokenPhotograph`] (cut short, an unknown format or layout).
+    pub fn decode(&self) -> Result<Pixels> {
+        let bytes = std::fs::read(&self.path).map_err(|e| self.unreadable(e))?;
+        let hash = blake3::hash(&bytes);
+        let broken =
+            |reason: String| Error::BrokenPhotograph { path: self.path.clone(), shot: self.shot.clone(), reason };
+        let (width, height, samples) = match Format::of(&self.path) {
+            Some(Format::Tiff) => decode_tiff(&bytes).map_err(broken)?,
+            Some(Format::Exr) => decode_exr(&bytes).map_err(broken)?,
+            Some(Format::Common) => decode_common(&bytes).map_err(broken)?,
+            None => return Err(broken("the file name ends in none of .png .jpg .jpeg .tif .tiff .exr".into())),
+        };
+        Ok(Pixels { width, height, samples, hash })
+    }
+
+    /// Width and height from the file's head, without decoding it.
+    ///
+    /// # Errors
+    /// As [`Self::decode`].
+    pub fn size_px(&self) -> Result<[usize; 2]> {
+        let broken =
+            |reason: String| Error::BrokenPhotograph { path: self.path.clone(), shot: self.shot.clone(), reason };
+        let file = || std::fs::File::open(&self.path).map(std::io::BufReader::new).map_err(|e| self.unreadable(e));
+        match Format::of(&self.path) {
+            Some(Format::Tiff) => {
+                let mut decoder = tiff::decoder::Decoder::new(file()?).map_err(|e| broken(e.to_string()))?;
+                let (w, h) = decoder.dimensions().map_err(|e| broken(e.to_string()))?;
+                Ok([w as usize, h as usize])
+            }
+            Some(Format::Exr) => {
+                let meta =
+                    exr::meta::MetaData::read_from_buffered(file()?, false).map_err(|e| broken(e.to_string()))?;
+                let head = meta.headers.first().ok_or_else(|| broken("no image in the file".into()))?;
+                Ok([head.layer_size.width(), head.layer_size.height()])
+            }
+            Some(Format::Common) => {
+                let reader =
+                    image::ImageReader::new(file()?).with_guessed_format().map_err(|e| broken(e.to_string()))?;
+                let (w, h) = reader.into_dimensions().map_err(|e| broken(e.to_string()))?;
+                Ok([w as usize, h as usize])
+            }
+            None => Err(broken("the file name ends in none of .png .jpg .jpeg .tif .tiff .exr".into())),
+        }
+    }
+
+    fn unreadable(&self, e: std::io::Error) -> Error {
+        match e.kind() {
+            std::io::ErrorKind::NotFound => {
+                Error::MissingPhotograph { path: self.path.clone(), shot: self.shot.clone() }
+            }
+            _ => Error::io("read", &self.path)(e),
+        }
+    }
+}
+
+enum Format {
+    Tiff,
+    Exr,
+    Common,
+}
+
+impl Format {
+    fn of(path: &Path) -> Option<Self> {
+        match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+            "tif" | "tiff" => Some(Self::Tiff),
+            "exr" => Some(Self::Exr),
+            "png" | "jpg" | "jpeg" => Some(Self::Common),
+            _ => None,
+        }
+    }
+}
+
+type Decoded = Result<(usize, usize, Samples), String>;
+
+fn decode_common(bytes: &[u8]) -> Decoded {
+    use image::DynamicImage as D;
+    let reader = image::ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| e.to_string())?;
+    let image = reader.decode().map_err(|e| e.to_string())?;
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let samples = match image {
+        D::ImageRgb16(i) => Samples::U16(i.into_raw()),
+        D::ImageRgb8(i) => Samples::U8(i.into_raw()),
+        i @ (D::ImageLuma16(_) | D::ImageLumaA16(_) | D::ImageRgba16(_)) => Samples::U16(i.into_rgb16().into_raw()),
+        i @ (D::ImageLuma8(_) | D::ImageLumaA8(_) | D::ImageRgba8(_)) => Samples::U8(i.into_rgb8().into_raw()),
+        other => return Err(format!("pixels of type {:?} are not read", other.color())),
+    };
+    Ok((width, height, samples))
+}
+
+fn decode_tiff(bytes: &[u8]) -> Decoded {
+    use tiff::{ColorType, decoder::DecodingResult as R};
+    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(|e| e.to_string())?;
+    let (width, height) = decoder.dimensions().map_err(|e| e.to_string())?;
+    let channels = match decoder.colortype().map_err(|e| e.to_string())? {
+        ColorType::RGB(_) => 3,
+        ColorType::RGBA(_) => 4,
+        ColorType::Gray(_) => 1,
+        other => return Err(format!("pixels of type {other:?} are not read")),
+    };
+    let samples = match decoder.read_image().map_err(|e| e.to_string())? {
+        R::U8(v) => Samples::U8(to_rgb(v, channels)),
+        R::U16(v) => Samples::U16(to_rgb(v, channels)),
+        R::F32(v) => Samples::F32(to_rgb(v, channels)),
+        _ => return Err("samples must be 8 or 16 bit integers or 32 bit floats".into()),
+    };
+    Ok((width as usize, height as usize, samples))
+}
+
+fn decode_exr(bytes: &[u8]) -> Decoded {
+    use exr::prelude::*;
+    let image = read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .rgb_channels(
+            |size, _| (size.width(), vec![0.0f32; size.area() * 3]),
+            |(width, pixels): &mut (usize, Vec<f32>), at, (r, g, b): (f32, f32, f32)| {
+                let k = 3 * (at.y() * *width + at.x());
+                pixels[k..k + 3].copy_from_slice(&[r, g, b]);
+            },
+        )
+        .first_valid_layer()
+        .all_attributes()
+        .from_buffered(Cursor::new(bytes))
+        .map_err(|e| e.to_string())?;
+    let size = image.layer_data.size;
+    Ok((size.width(), size.height(), Samples::F32(image.layer_data.channel_data.pixels.1)))
+}
+
+fn to_rgb<T: Copy>(values: Vec<T>, channels: usize) -> Vec<T> {
+    match channels {
+        3 => values,
+        1 => values.into_iter().flat_map(|v| [v; 3]).collect(),
+        _ => values.chunks_exact(channels).flat_map(|p| [p[0], p[1], p[2]]).collect(),
+    }
+}
+
+impl Pixels {
+    /// A copy of the code values in `rect`, which must lie inside.
+    pub fn crop(&self, rect: Rect) -> Samples {
+        fn rows<T: Copy>(v: &[T], width: usize, r: Rect) -> Vec<T> {
+            (r.y..r.y + r.height).flat_map(|y| &v[3 * (y * width + r.x)..][..3 * r.width]).copied().collect()
+        }
+        match &self.samples {
+            Samples::U8(v) => Samples::U8(rows(v, self.width, rect)),
+            Samples::U16(v) => Samples::U16(rows(v, self.width, rect)),
+            Samples::F32(v) => Samples::F32(rows(v, self.width, rect)),
+        }
+    }
+
+    /// The whole picture.
+    pub fn rect(&self) -> Rect {
+        Rect { x: 0, y: 0, width: self.width, height: self.height }
+    }
+}
