@@ -1,1 +1,7 @@
 //! Merge: the exposures of one shot to linear radiance, its variance and a validity mask.
+
+mod merge;
+mod sensor;
+
+pub use merge::{Exposure, Radiance, merge};
+pub use sensor::Sensor;

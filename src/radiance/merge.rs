@@ -1,0 +1,207 @@
+//! Merging a bracket by photon statistics.
+
+use super::Sensor;
+use crate::capture::{Rect, Samples};
+
+/// One exposure of a shot over the pixels to be merged.
+#[derive(Debug, Clone)]
+pub struct Exposure {
+    /// Code values, R G B interleaved.
+    pub samples: Samples,
+    /// Effective exposure time, s.
+    pub secs: f64,
+}
+
+/// Linear radiance of a rectangle of pixels, in code values per second, R G B interleaved.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Radiance {
+    /// Where in the photograph.
+    pub rect: Rect,
+    /// Radiance, DN/s; 0 where nothing measured it.
+    pub value: Vec<f32>,
+    /// Variance, (DN/s)².
+    pub variance: Vec<f32>,
+    /// How many exposures measured each; 0 means that the value is not to be used.
+    pub used: Vec<u8>,
+}
+
+/// Above this share of the range a longer exposure is left out when the shorter ones predict it to be there:
+/// deciding by the exposure's own noisy value would keep its low outcomes and drop its high ones, a bias.
+const PREDICTED_SHARE: f32 = 0.9;
+
+/// Merges a bracket to radiance: at each pixel and channel the minimum-variance mean of y/t over unsaturated exposures.
+///
+/// Weights are t²/variance with variance = gain · L t + floor, L being the pooled estimate Σy/Σt (the maximum-likelihood
+/// value for pure Poisson noise, `Hasinoff2010`). Exposures that are saturated, or that shorter ones predict to be
+/// within a tenth of it, are masked, never averaged in. The bracket must be sorted by time and cover `rect`.
+///
+/// Not detected: light that changes between the exposures, hot pixels, motion.
+pub fn merge(bracket: &[Exposure], rect: Rect, sensor: &Sensor) -> Radiance {
+    let n = 3 * rect.area();
+    let mut out = Radiance { rect, value: vec![0.0; n], variance: vec![0.0; n], used: vec![0; n] };
+    let mut pooled = Pooled { sum_y: vec![0.0; n], sum_t: vec![0.0; n] };
+    let mut linear: Vec<Vec<f32>> = Vec::with_capacity(bracket.len());
+    for exposure in bracket {
+        let mut y = Vec::with_capacity(n);
+        sensor.linearize(&exposure.samples, &mut y);
+        pooled.add(&mut y, exposure.secs as f32, sensor.range(), &mut out.used);
+        linear.push(y);
+    }
+    weigh(bracket, &linear, &pooled, sensor, &mut out);
+    out
+}
+
+struct Pooled {
+    sum_y: Vec<f32>,
+    sum_t: Vec<f32>,
+}
+
+impl Pooled {
+    /// Adds an exposure's usable samples and marks the others in `y` as +∞.
+    fn add(&mut self, y: &mut [f32], t: f32, range: f32, used: &mut [u8]) {
+        for (((y, sum_y), sum_t), used) in y.iter_mut().zip(&mut self.sum_y).zip(&mut self.sum_t).zip(used) {
+            let predicted_high = *sum_y * t > PREDICTED_SHARE * range * *sum_t;
+            let usable = y.is_finite() && !(predicted_high && *used > 0);
+            // Written without branches so that it runs at memory speed.
+            *sum_y += if usable { *y } else { 0.0 };
+            *sum_t += if usable { t } else { 0.0 };
+            *used += u8::from(usable);
+            *y = if usable { *y } else { f32::INFINITY };
+        }
+    }
+}
+
+fn weigh(bracket: &[Exposure], linear: &[Vec<f32>], pooled: &Pooled, sensor: &Sensor, out: &mut Radiance) {
+    let times: Vec<f32> = bracket.iter().map(|e| e.secs as f32).collect();
+    for k in 0..out.value.len() {
+        if out.used[k] == 0 {
+            continue;
+        }
+        let estimate = (pooled.sum_y[k] / pooled.sum_t[k]).max(0.0);
+        let (mut top, mut bottom) = (0.0f32, 0.0f32);
+        for (y, &t) in linear.iter().zip(&times) {
+            let y = y[k];
+            if y.is_finite() {
+                let mut variance = sensor.gain * estimate * t + sensor.floor;
+                if sensor.is_curved() {
+                    variance += sensor.rounding(estimate * t);
+                }
+                let w = t / variance;
+                top += w * y;
+                bottom += w * t;
+            }
+        }
+        out.value[k] = top / bottom;
+        out.variance[k] = 1.0 / bottom;
+    }
+}
+
+impl Radiance {
+    /// Index of channel 0 of photograph pixel (x, y), which must lie in `rect`.
+    pub fn at(&self, x: usize, y: usize) -> usize {
+        3 * ((y - self.rect.y) * self.rect.width + (x - self.rect.x))
+    }
+
+    /// Subtracts `other` (ambient light, say), which must cover this rectangle; variances add, validity is that of both.
+    pub fn subtract(&mut self, other: &Self) {
+        let n = 3 * self.rect.width;
+        for y in 0..self.rect.height {
+            let (a, b) = (n * y, other.at(self.rect.x, self.rect.y + y));
+            for k in 0..n {
+                self.value[a + k] -= other.value[b + k];
+                self.variance[a + k] += other.variance[b + k];
+                self.used[a + k] = self.used[a + k].min(other.used[b + k]);
+            }
+        }
+    }
+
+    /// Mean of the three channels, one value a pixel.
+    pub fn luminance(&self) -> Vec<f32> {
+        self.value.as_chunks::<3>().0.iter().map(|p| (p[0] + p[1] + p[2]) / 3.0).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::{Board, Camera, Noise, Projector, ResponseCurve, Rig, WhiteReference};
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, Normal, Poisson};
+
+    const GAIN: f64 = 0.4;
+    const READ: f64 = 0.7;
+    const BLACK: f64 = 512.0;
+
+    fn sensor(response: ResponseCurve) -> Sensor {
+        let camera = Camera { size_px: [9, 9], focal_px: 9.0, principal_px: [4.0, 4.0], response, vignetting: vec![] };
+        let noise =
+            Noise { black_dn: BLACK, saturation_dn: 16_000.0, gain_dn_per_electron: GAIN, read_noise_electrons: READ };
+        Sensor::new(&Rig {
+            format: 1,
+            camera,
+            noise,
+            projector: Projector { size_px: [9, 9] },
+            board: Board { inner_corners: [4, 3], square_mm: 1.0, origin_mm: [0.0, 0.0] },
+            white_reference: WhiteReference { reflectance: [1.0; 3] },
+        })
+    }
+
+    fn photograph(electrons_per_sec: f64, secs: f64, n: usize, rng: &mut impl rand::Rng) -> Exposure {
+        let read = Normal::new(0.0, READ).unwrap();
+        let mean = electrons_per_sec * secs;
+        let codes = (0..n).map(|_| {
+            let electrons = if mean > 0.0 { Poisson::new(mean).unwrap().sample(rng) } else { 0.0 } + read.sample(rng);
+            (BLACK + GAIN * electrons).round().clamp(0.0, 16_383.0) as u16
+        });
+        Exposure { samples: Samples::U16(codes.collect()), secs }
+    }
+
+    /// Five exposures two stops apart, from eight electrons in the longest to near saturation of the shortest.
+    /// (With less than one electron in the longest, clamping the plug-in at zero overstates the variance, by 17 % at 0.8.)
+    #[test]
+    fn radiance_is_unbiased_and_its_variance_right_over_six_decades() {
+        let sensor = sensor(ResponseCurve::Linear);
+        let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(1);
+        let rect = Rect { x: 0, y: 0, width: 60, height: 100 };
+        let n = 3 * rect.area();
+        for electrons_per_sec in [3.0, 30.0, 300.0, 3e3, 3e4, 3e5, 3e6] {
+            let times = [0.01, 0.04, 0.16, 0.64, 2.56];
+            let bracket: Vec<_> = times.iter().map(|&t| photograph(electrons_per_sec, t, n, &mut rng)).collect();
+            let merged = merge(&bracket, rect, &sensor);
+            let truth = GAIN * electrons_per_sec;
+            assert!(merged.used.iter().all(|&u| u > 0));
+            let mean = merged.value.iter().map(|&v| f64::from(v)).sum::<f64>() / n as f64;
+            let variance = merged.value.iter().map(|&v| (f64::from(v) - truth).powi(2)).sum::<f64>() / n as f64;
+            let stated = merged.variance.iter().map(|&v| f64::from(v)).sum::<f64>() / n as f64;
+            // 18,000 samples: the mean is known to sd/134; 4 of these, and 0.1 % for weights that depend on the data.
+            assert!(
+                (mean - truth).abs() < 4.0 * (variance / n as f64).sqrt() + 1e-3 * truth,
+                "{electrons_per_sec}: {mean} {truth}"
+            );
+            // The variance of 18,000 samples is known to 1 %; the plug-in estimate of few electrons costs a little.
+            assert!((variance / stated - 1.0).abs() < 0.06, "{electrons_per_sec}: {variance} {stated}");
+        }
+    }
+
+    #[test]
+    fn a_pixel_saturated_in_every_exposure_is_marked_and_not_averaged() {
+        let sensor = sensor(ResponseCurve::Linear);
+        let rect = Rect { x: 0, y: 0, width: 1, height: 1 };
+        let full = Exposure { samples: Samples::U16(vec![16_383, 16_383, 600]), secs: 0.1 };
+        let short = Exposure { samples: Samples::U16(vec![16_383, 1000, 515]), secs: 0.001 };
+        let merged = merge(&[short, full], rect, &sensor);
+        assert_eq!(merged.used, [0, 1, 2]);
+        assert_eq!(merged.value[0], 0.0);
+        // 488 DN above black in 1 ms.
+        assert!((merged.value[1] - 488_000.0).abs() < 1.0);
+    }
+
+    #[test]
+    fn nan_in_a_float_photograph_is_no_measurement() {
+        let rect = Rect { x: 0, y: 0, width: 1, height: 1 };
+        let samples = Samples::F32(vec![f32::NAN, f32::INFINITY, 1000.0]);
+        let merged = merge(&[Exposure { samples, secs: 1.0 }], rect, &sensor(ResponseCurve::Linear));
+        assert_eq!(merged.used, [0, 0, 1]);
+        assert!(merged.value.iter().all(|v| v.is_finite()));
+    }
+}
