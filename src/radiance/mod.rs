@@ -2,6 +2,8 @@
 
 mod merge;
 mod sensor;
+mod shot;
 
 pub use merge::{Exposure, Radiance, merge};
 pub use sensor::Sensor;
+pub use shot::merge_shot;

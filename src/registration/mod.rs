@@ -1,1 +1,50 @@
 //! Register: slab ↔ camera ↔ projector, and the drift of every lattice shot.
+
+mod board;
+mod drift;
+mod fit;
+mod gray_code;
+
+pub use board::register_board;
+pub use drift::{Drift, measure_drift};
+pub use fit::{Observation, ViewFit, fit_homography, fit_view};
+pub use gray_code::{BitPair, ProjectorFit, register_projector};
+
+use crate::geometry::{CameraView, Homography, Point};
+use serde::{Deserialize, Serialize};
+
+/// Slab, camera and projector related to each other.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Registration {
+    /// The camera's view of the slab's plane.
+    pub view: CameraView,
+    /// Projector px to slab mm.
+    pub slab_from_projector: Homography,
+    /// The slab's centre, mm.
+    pub center_mm: Point,
+    /// RMS of the board's corners against the model, camera px.
+    pub camera_rms_px: f64,
+    /// RMS of the stripes' edges against the model, projector px.
+    pub projector_rms_px: f64,
+    /// Standard deviation per axis of where a projected point is on the slab, relative to the camera's samples, mm (without drift).
+    pub position_sd_mm: f64,
+}
+
+impl Registration {
+    /// Puts the two fits together for a slab of `size_mm`; `None` when the projector's map cannot be inverted.
+    pub fn new(camera: &ViewFit, projector: &ProjectorFit, size_mm: Point) -> Option<Self> {
+        let slab_from_projector = projector.projector_from_slab.inverse()?;
+        let center_mm = [size_mm[0] / 2.0, size_mm[1] / 2.0];
+        let projector_px_per_mm = projector.projector_from_slab.area_scale(center_mm).sqrt();
+        // The stripes are seen by the same camera: an error of its view moves stripes and samples alike, and cancels to first order.
+        let position_sd_mm = projector.sd_px / projector_px_per_mm;
+        Some(Self {
+            view: camera.view,
+            slab_from_projector,
+            center_mm,
+            camera_rms_px: camera.rms_px,
+            projector_rms_px: projector.rms_px,
+            position_sd_mm,
+        })
+    }
+}

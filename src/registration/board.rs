@@ -1,0 +1,85 @@
+//! The chessboard in the slab's plane: where the camera sees the slab.
+
+use super::fit::{ViewFit, fit_view};
+use crate::capture::Rig;
+use crate::geometry::Point;
+use crate::radiance::Radiance;
+use opencv::{calib3d, core, imgproc, prelude::*};
+
+/// Registers the camera to the slab's plane from a merged photograph of the board.
+///
+/// Corners by OpenCV (`findChessboardCorners`, then `cornerSubPix` on the linear picture), then homography and radial
+/// distortion by our own least squares. The corner nearest the picture's top left is taken for corner (0, 0).
+///
+/// # Errors
+/// A text that says what was not found.
+///
+/// Not detected: a board that is not in the slab's plane, or not where `rig.toml` says.
+pub fn register_board(picture: &Radiance, rig: &Rig) -> Result<ViewFit, String> {
+    let [nx, ny] = rig.board.inner_corners;
+    let corners = find_corners(picture, rig.board.inner_corners)?;
+    let at = |i: usize, j: usize| corners[j * nx + i];
+    // OpenCV starts at either end of the board: x must grow to the right, y downwards.
+    let flip_x = at(nx - 1, 0)[0] < at(0, 0)[0];
+    let flip_y = at(0, ny - 1)[1] < at(0, 0)[1];
+    let pairs: Vec<(Point, Point)> = (0..ny)
+        .flat_map(|j| (0..nx).map(move |i| [i, j]))
+        .map(|[i, j]| {
+            let seen = at(if flip_x { nx - 1 - i } else { i }, if flip_y { ny - 1 - j } else { j });
+            (rig.board.corner_mm([i, j]), seen)
+        })
+        .collect();
+    let fit = fit_view(&pairs, rig.camera.principal_px, rig.camera.focal_px)
+        .ok_or("the board's corners do not span a plane")?;
+    // A mistaken corner is off by whole squares; detection noise is far below a pixel.
+    if fit.rms_px > 1.0 {
+        return Err(format!("the board's corners fit no flat board: RMS {:.2} px", fit.rms_px));
+    }
+    Ok(fit)
+}
+
+fn find_corners(picture: &Radiance, inner: [usize; 2]) -> Result<Vec<Point>, String> {
+    let light = picture.luminance();
+    let brightest = percentile(&light, 0.99);
+    if !(brightest > 0.0) {
+        return Err("the photograph is black".into());
+    }
+    let (height, pattern) = (picture.rect.height, core::Size::new(inner[0] as i32, inner[1] as i32));
+    let find = || -> opencv::Result<Option<Vec<Point>>> {
+        let scaled: Vec<f32> = light.iter().map(|v| (255.0 * v / brightest).clamp(0.0, 255.0)).collect();
+        let bytes: Vec<u8> = scaled.iter().map(|v| v.round() as u8).collect();
+        let grey8 = core::Mat::from_slice(&bytes)?;
+        let grey8 = grey8.reshape(1, height as i32)?;
+        let mut corners = core::Vector::<core::Point2f>::new();
+        let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE;
+        if !calib3d::find_chessboard_corners(&grey8, pattern, &mut corners, flags)? {
+            return Ok(None);
+        }
+        let grey = core::Mat::from_slice(&scaled)?;
+        let grey = grey.reshape(1, height as i32)?;
+        let half = (0.35 * nearest_distance(&corners)).clamp(2.0, 15.0) as i32;
+        let stop = core::TermCriteria::new(core::TermCriteria_COUNT | core::TermCriteria_EPS, 100, 1e-4)?;
+        imgproc::corner_sub_pix(&grey, &mut corners, core::Size::new(half, half), core::Size::new(-1, -1), stop)?;
+        Ok(Some(corners.iter().map(|c| [f64::from(c.x), f64::from(c.y)]).collect()))
+    };
+    match find() {
+        Ok(Some(corners)) if corners.len() == inner[0] * inner[1] => Ok(corners),
+        Ok(_) => Err(format!("no chessboard with {} × {} inner corners was found", inner[0], inner[1])),
+        Err(e) => Err(format!("OpenCV: {}", e.message)),
+    }
+}
+
+fn nearest_distance(corners: &core::Vector<core::Point2f>) -> f32 {
+    let points: Vec<_> = corners.iter().collect();
+    points.windows(2).map(|p| (p[0].x - p[1].x).hypot(p[0].y - p[1].y)).fold(f32::MAX, f32::min)
+}
+
+/// The value below which the share `q` of `values` lies; 0 for none.
+pub(super) fn percentile(values: &[f32], q: f64) -> f32 {
+    let mut sorted = values.to_vec();
+    if sorted.is_empty() {
+        return 0.0;
+    }
+    let k = ((sorted.len() - 1) as f64 * q) as usize;
+    *sorted.select_nth_unstable_by(k, f32::total_cmp).1
+}
