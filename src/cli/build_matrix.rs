@@ -1,10 +1,52 @@
 use super::Context;
 use crate::Result;
+use crate::transport::{BuildOptions, BuildReport, build_matrix};
+use std::path::PathBuf;
 
-/// (to be written)
+/// Photographs to the matrix R_d(x_i, x_o).
+///
+/// Reads capture.toml and EXIF, merges the exposures of each shot to radiance with its variance, registers camera and
+/// projector to the slab, measures each shot's drift, extracts the window of responses of every lit point, and writes a
+/// Zarr v3 store that xarray, zarr-python and dask open.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "\
+Examples:
+  acquire build-matrix captures/
+  acquire build-matrix captures/ --calibration lab/rig-3 --out slab.rd.zarr")]
+pub struct Args {
+    /// Folder of capture.toml.
+    capture: PathBuf,
+    /// Folder of rig.toml [default: calibration/ in the capture, else beside it].
+    #[arg(long, value_name = "DIR")]
+    calibration: Option<PathBuf>,
+    /// Where the matrix goes; an older one there is replaced.
+    #[arg(long, value_name = "X.rd.zarr", default_value = "matrix.rd.zarr")]
+    out: PathBuf,
+}
 
-pub fn run(_args: Args, _context: &Context) -> Result<()> {
-    todo!()
+pub fn run(args: Args, context: &Context) -> Result<()> {
+    let start = std::time::Instant::now();
+    let options = BuildOptions { calibration: args.calibration };
+    let report = build_matrix(&args.capture, &options, &args.out, &context.progress)?;
+    report.warnings.iter().for_each(|w| context.warn(w));
+    context.done(summary(&report));
+    context.done(format_args!("wrote {} in {:.1} s", args.out.display(), start.elapsed().as_secs_f64()));
+    Ok(())
+}
+
+/// One line that says what was measured.
+pub fn summary(report: &BuildReport) -> String {
+    let drift = report.shots.iter().map(|s| s.drift_px[0].powi(2) + s.drift_px[1].powi(2)).sum::<f64>();
+    let drift_rms = (drift / (2 * report.shots.len().max(1)) as f64).sqrt();
+    let r = &report.registration;
+    format!(
+        "R_d of {}×{} points, {}×{} window from {} photographs; registration RMS {:.3} px camera, {:.3} px projector; drift RMS {drift_rms:.2} px",
+        report.points[0],
+        report.points[1],
+        report.window[0],
+        report.window[1],
+        report.photographs,
+        r.camera_rms_px,
+        r.projector_rms_px,
+    )
 }

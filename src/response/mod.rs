@@ -1,1 +1,9 @@
 //! Extract: for each lit point the window of responses, with variance.
+
+mod extract;
+mod irradiance;
+mod reconstruct;
+
+pub use extract::{LitDot, RowFindings, WindowGrid, extract_row, window_rect};
+pub use irradiance::{Flux, Irradiance, Sensitivity};
+pub use reconstruct::CellWeights;

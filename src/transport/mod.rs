@@ -1,5 +1,7 @@
-//! Matrix: the store R_d(x_i, x_o) on disk.
+//! Matrix: the store R_d(x_i, x_o) on disk, and the way there from a capture.
 
+mod build;
 mod store;
 
+pub use build::{BuildOptions, BuildReport, Overview, build_matrix};
 pub use store::{MatrixHeader, MatrixReader, MatrixWriter, Row, RowBlock, ShotRecord};

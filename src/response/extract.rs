@@ -1,0 +1,197 @@
+//! The window of responses around one lit point.
+
+use super::irradiance::{Flux, Sensitivity};
+use super::reconstruct::CellWeights;
+use crate::capture::{Rect, Window};
+use crate::geometry::{CameraView, Point};
+use crate::radiance::Radiance;
+use crate::transport::Row;
+
+/// A lit dot whose window is to be extracted.
+#[derive(Debug, Clone, Copy)]
+pub struct LitDot {
+    /// Where the light falls (drift included), mm.
+    pub center_mm: Point,
+    /// Standard deviation per axis of that place, mm.
+    pub position_sd_mm: f64,
+    /// What it brings.
+    pub flux: Flux,
+}
+
+/// A window's cells in the photograph.
+#[derive(Debug, Clone)]
+pub struct WindowGrid {
+    samples: [usize; 2],
+    pitch_mm: f64,
+    center_mm: Point,
+    /// Camera px of the cells' corners, row by row.
+    corners_px: Vec<Point>,
+}
+
+/// Pixels beyond a cell that its weights may reach.
+const STENCIL_PX: f64 = 5.0;
+
+impl WindowGrid {
+    /// The cells of a window around `center_mm`.
+    pub fn new(window: &Window, center_mm: Point, view: &CameraView) -> Self {
+        let ([wx, wy], pitch) = (window.samples, window.pitch_mm);
+        let corner = |k: usize, n: usize, c: f64| c + (k as f64 - n as f64 / 2.0) * pitch;
+        let corners_px = (0..=wy)
+            .flat_map(|j| (0..=wx).map(move |i| (i, j)))
+            .map(|(i, j)| view.camera_from_slab([corner(i, wx, center_mm[0]), corner(j, wy, center_mm[1])]))
+            .collect();
+        Self { samples: window.samples, pitch_mm: pitch, center_mm, corners_px }
+    }
+
+    /// Corners of cell (i, j): top left, top right, bottom left, bottom right.
+    fn cell(&self, i: usize, j: usize) -> [Point; 4] {
+        let n = self.samples[0] + 1;
+        [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.corners_px[j * n + i])
+    }
+
+    /// Whether the centre of cell (i, j) lies on a slab of `size_mm`.
+    fn on_slab(&self, i: usize, j: usize, size_mm: Point) -> bool {
+        [i, j].iter().enumerate().all(|(a, &k)| {
+            let v = self.center_mm[a] + (k as f64 - (self.samples[a] / 2) as f64) * self.pitch_mm;
+            v >= 0.0 && v <= size_mm[a]
+        })
+    }
+}
+
+/// The pixels that a window needs, cut to the photograph; `None` when it lies outside altogether.
+pub fn window_rect(grid: &WindowGrid, size_px: [usize; 2]) -> Option<Rect> {
+    let range = |a: usize| {
+        let low = grid.corners_px.iter().map(|p| p[a]).fold(f64::MAX, f64::min) - STENCIL_PX;
+        let high = grid.corners_px.iter().map(|p| p[a]).fold(f64::MIN, f64::max) + STENCIL_PX;
+        let (low, high) = (low.floor().max(0.0), high.ceil().min(size_px[a] as f64 - 1.0));
+        (low <= high).then_some((low as usize, (high - low) as usize + 1))
+    };
+    let ((x, width), (y, height)) = (range(0)?, range(1)?);
+    Some(Rect { x, y, width, height })
+}
+
+/// What [`extract_row`] found besides the row.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct RowFindings {
+    /// Samples outside the slab or the photograph.
+    pub clipped: usize,
+    /// Samples that some saturated pixel spoils.
+    pub saturated: usize,
+}
+
+/// Responses of a window: R = (mean exitance over each cell) / flux, mm⁻², with variance.
+///
+/// `light` is the dot's radiance without ambient light over [`window_rect`]. The variance is that of the pixels, plus that of
+/// the flux (common to the row), plus the lit point's uncertainty times the slope of R.
+///
+/// Not detected: light of other dots in the window, blur of the camera beyond its pixels, specular reflection.
+pub fn extract_row(
+    light: &Radiance,
+    grid: &WindowGrid,
+    dot: &LitDot,
+    sensitivity: &Sensitivity,
+    size_mm: Point,
+    weights: &mut CellWeights,
+) -> (Row, RowFindings) {
+    let [wx, wy] = grid.samples;
+    let n = 3 * wx * wy;
+    let mut row = Row { response: vec![0.0; n], variance: vec![0.0; n], valid: vec![false; n] };
+    let mut findings = RowFindings::default();
+    for j in 0..wy {
+        for i in 0..wx {
+            if !grid.on_slab(i, j, size_mm) {
+                findings.clipped += 1;
+                continue;
+            }
+            weights.set(grid.cell(i, j));
+            let Some(cell) = weighted_mean(light, weights, sensitivity) else {
+                findings.clipped += 1;
+                continue;
+            };
+            findings.saturated += usize::from(cell.valid.contains(&false));
+            for c in 0..3 {
+                let k = 3 * (j * wx + i) + c;
+                if cell.valid[c] {
+                    let r = cell.value[c] / dot.flux.value[c];
+                    let photon = cell.variance[c] / dot.flux.value[c].powi(2);
+                    row.response[k] = r as f32;
+                    row.variance[k] = (photon + r * r * dot.flux.relative_variance[c]) as f32;
+                    row.valid[k] = true;
+                }
+            }
+        }
+    }
+    add_position_variance(&mut row, grid, dot.position_sd_mm);
+    (row, findings)
+}
+
+struct CellMean {
+    value: [f64; 3],
+    variance: [f64; 3],
+    valid: [bool; 3],
+}
+
+fn weighted_mean(light: &Radiance, weights: &CellWeights, sensitivity: &Sensitivity) -> Option<CellMean> {
+    let ([x0, y0], [width, height], w) = weights.get();
+    let rect = light.rect;
+    let inside = |first: isize, size: usize, from: usize, len: usize| {
+        first >= from as isize && first + size as isize <= (from + len) as isize
+    };
+    if !inside(x0, width, rect.x, rect.width) || !inside(y0, height, rect.y, rect.height) {
+        return None;
+    }
+    let (x0, y0) = (x0 as usize, y0 as usize);
+    let mut sum = CellMean { value: [0.0; 3], variance: [0.0; 3], valid: [true; 3] };
+    for j in 0..height {
+        let k = light.at(x0, y0 + j);
+        let row = k..k + 3 * width;
+        let pixels = light.value[row.clone()].as_chunks::<3>().0.iter();
+        let pixels = pixels.zip(light.variance[row.clone()].as_chunks::<3>().0).zip(light.used[row].as_chunks::<3>().0);
+        for (i, ((value, variance), used)) in pixels.enumerate() {
+            let w = w[j * width + i];
+            // Corners of the stencil that no place of the quadrature reached need not be valid.
+            if w == 0.0 {
+                continue;
+            }
+            let w = w * sensitivity.inverse_at(x0 + i, y0 + j);
+            for c in 0..3 {
+                sum.value[c] += f64::from(w * value[c]);
+                sum.variance[c] += f64::from(w * w * variance[c]);
+                sum.valid[c] &= used[c] > 0;
+            }
+        }
+    }
+    Some(sum)
+}
+
+/// Adds sd² |∇R|² to the variance, the slope by central differences where both neighbours are valid.
+fn add_position_variance(row: &mut Row, grid: &WindowGrid, sd_mm: f64) {
+    let [wx, wy] = grid.samples;
+    let slope = |a: Option<usize>, b: Option<usize>, here: usize| {
+        let ok = |k: &Option<usize>| k.filter(|&k| row.valid[k]);
+        let (a, b) = (ok(&a), ok(&b));
+        let steps = a.is_some() as usize + b.is_some() as usize;
+        if steps == 0 {
+            return 0.0;
+        }
+        let (low, high) = (row.response[a.unwrap_or(here)], row.response[b.unwrap_or(here)]);
+        f64::from(high - low) / (steps as f64 * grid.pitch_mm)
+    };
+    let index = |i: usize, j: usize, c: usize| 3 * (j * wx + i) + c;
+    let mut added = vec![0.0f32; row.variance.len()];
+    for j in 0..wy {
+        for i in 0..wx {
+            for c in 0..3 {
+                let k = index(i, j, c);
+                if row.valid[k] {
+                    let x =
+                        slope(i.checked_sub(1).map(|i| index(i, j, c)), (i + 1 < wx).then(|| index(i + 1, j, c)), k);
+                    let y =
+                        slope(j.checked_sub(1).map(|j| index(i, j, c)), (j + 1 < wy).then(|| index(i, j + 1, c)), k);
+                    added[k] = (sd_mm * sd_mm * (x * x + y * y)) as f32;
+                }
+            }
+        }
+    }
+    row.variance.iter_mut().zip(added).for_each(|(v, a)| *v += a);
+}

@@ -1,0 +1,206 @@
+//! The mean of the light over a cell of the slab, from pixels that are themselves means over their squares.
+
+use crate::geometry::Point;
+
+/// Pixels of one polynomial's stencil per axis.
+const STENCIL: usize = 7;
+/// Pixels that a place depends on per axis: the stencils of the two nearest pixels together.
+const TAPS: usize = STENCIL + 1;
+/// Places of the quadrature per pixel and axis.
+const PLACES_PER_PIXEL: f64 = 2.0;
+
+/// Computes, for a quadrilateral of camera pixels, the weights with which pixel values give the mean over it.
+///
+/// Around each pixel the light is taken for the polynomial of degree 6 per axis whose means over the 7 nearest pixels are
+/// their values (reconstruction from cell means, as `Colella1984` does with parabolas), blended smoothly between
+/// neighbouring pixels. Exact for polynomials to degree 6; for a Gaussian of standard deviation 1.5 px under a cell of 3 px
+/// the mean is right to 0.11 %, of 1 px to 0.17 % (tests). Plain overlap areas lose several per cent at a peak.
+#[derive(Debug, Clone)]
+pub struct CellWeights {
+    /// Coefficient k of the weight of tap i, a polynomial in the distance from the stencil's middle pixel.
+    polynomials: [[f64; STENCIL]; STENCIL],
+    /// Gauss–Legendre places in 0 to 1 and weights that add to 1.
+    gauss: Vec<(f64, f64)>,
+    /// First pixel of the weights.
+    origin: [isize; 2],
+    size: [usize; 2],
+    weights: Vec<f32>,
+}
+
+impl CellWeights {
+    /// Weights for cells of about `cell_px` pixels a side.
+    pub fn new(cell_px: f64) -> Self {
+        let places = ((PLACES_PER_PIXEL * cell_px).ceil() as usize).clamp(4, 32);
+        Self {
+            polynomials: polynomials(),
+            gauss: gauss_legendre(places),
+            origin: [0, 0],
+            size: [0, 0],
+            weights: vec![],
+        }
+    }
+
+    /// Sets the weights for the cell with these corners (camera px; top left, top right, bottom left, bottom right).
+    ///
+    /// The cell's interior is mapped bilinearly between them, and the mean is with respect to area on the slab.
+    pub fn set(&mut self, corners: [Point; 4]) {
+        let range = |a: usize| {
+            let v = corners.map(|c| c[a]);
+            let low = v.into_iter().fold(f64::MAX, f64::min);
+            let high = v.into_iter().fold(f64::MIN, f64::max);
+            let first = low.floor() as isize - (STENCIL / 2) as isize;
+            (first, (high.floor() as isize - first + 1) as usize + TAPS - STENCIL / 2 - 1)
+        };
+        let ((x0, width), (y0, height)) = (range(0), range(1));
+        self.origin = [x0, y0];
+        self.size = [width, height];
+        self.weights.clear();
+        self.weights.resize(width * height, 0.0);
+        let [a, b, c, d] = corners;
+        for &(v, wv) in &self.gauss {
+            for &(u, wu) in &self.gauss {
+                let place: Point = std::array::from_fn(|k| {
+                    (1.0 - v) * ((1.0 - u) * a[k] + u * b[k]) + v * ((1.0 - u) * c[k] + u * d[k])
+                });
+                let (px, tx) = self.taps(place[0]);
+                let (py, ty) = self.taps(place[1]);
+                let first = (py - y0) as usize * width + (px - x0) as usize;
+                let w = wu * wv;
+                for (j, ty) in ty.iter().enumerate() {
+                    let row = &mut self.weights[first + j * width..][..TAPS];
+                    for (target, tx) in row.iter_mut().zip(&tx) {
+                        *target += (w * ty * tx) as f32;
+                    }
+                }
+            }
+        }
+    }
+
+    /// First pixel (x, y) of the stencil, width and height, and its weights, row by row.
+    pub fn get(&self) -> ([isize; 2], [usize; 2], &[f32]) {
+        (self.origin, self.size, &self.weights)
+    }
+
+    /// The first pixel that light at `at` depends on, and the weights from there on.
+    fn taps(&self, at: f64) -> (isize, [f64; TAPS]) {
+        let left = at.floor();
+        let t = at - left;
+        let blend = t * t * (3.0 - 2.0 * t);
+        let mut taps = [0.0; TAPS];
+        for (i, polynomial) in self.polynomials.iter().enumerate() {
+            let at = |t: f64| polynomial.iter().rev().fold(0.0, |sum, c| sum * t + c);
+            taps[i] += (1.0 - blend) * at(t);
+            taps[i + 1] += blend * at(t - 1.0);
+        }
+        (left as isize - (STENCIL / 2) as isize, taps)
+    }
+}
+
+/// The polynomials w_i(t) with Σ_i w_i(t) · (mean of x^k over pixel i) = t^k for k below the stencil's size.
+fn polynomials() -> [[f64; STENCIL]; STENCIL] {
+    const N: usize = STENCIL;
+    let mean = |k: usize, i: usize| {
+        let (a, b) = (i as f64 - N as f64 / 2.0, i as f64 - N as f64 / 2.0 + 1.0);
+        (b.powi(k as i32 + 1) - a.powi(k as i32 + 1)) / (k as f64 + 1.0)
+    };
+    // Gauss–Jordan on the small system with the identity beside it; solved to 1e-12, the weights are kept as f32.
+    let mut m: [[f64; 2 * N]; N] =
+        std::array::from_fn(|k| std::array::from_fn(|i| if i < N { mean(k, i) } else { f64::from(i - N == k) }));
+    for c in 0..N {
+        let pivot = (c..N).max_by(|&a, &b| m[a][c].abs().total_cmp(&m[b][c].abs())).unwrap_or(c);
+        m.swap(c, pivot);
+        let p = m[c][c];
+        m[c].iter_mut().for_each(|v| *v /= p);
+        for r in (0..N).filter(|&r| r != c) {
+            let (f, row) = (m[r][c], m[c]);
+            m[r].iter_mut().zip(row).for_each(|(v, w)| *v -= f * w);
+        }
+    }
+    std::array::from_fn(|i| std::array::from_fn(|k| m[i][N + k]))
+}
+
+/// Places in 0 to 1 and weights that add to 1, by Newton on the Legendre polynomial.
+fn gauss_legendre(n: usize) -> Vec<(f64, f64)> {
+    (0..n)
+        .map(|k| {
+            let mut x = (std::f64::consts::PI * (k as f64 + 0.75) / (n as f64 + 0.5)).cos();
+            let mut slope = 1.0;
+            for _ in 0..50 {
+                let (mut p0, mut p1) = (1.0, x);
+                for j in 2..=n {
+                    let j = j as f64;
+                    (p0, p1) = (p1, ((2.0 * j - 1.0) * x * p1 - (j - 1.0) * p0) / j);
+                }
+                slope = n as f64 * (x * p1 - p0) / (x * x - 1.0);
+                let step = p1 / slope;
+                x -= step;
+                if step.abs() < 1e-15 {
+                    break;
+                }
+            }
+            ((x + 1.0) / 2.0, 1.0 / ((1.0 - x * x) * slope * slope))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The weighted sum of pixel means of `antiderivative`'s mixed derivative.
+    fn cell_mean(corners: [Point; 4], cell_px: f64, pixel: impl Fn(f64, f64) -> f64) -> f64 {
+        let mut weights = CellWeights::new(cell_px);
+        weights.set(corners);
+        let ([x0, y0], [width, _], w) = weights.get();
+        w.iter()
+            .enumerate()
+            .map(|(k, w)| f64::from(*w) * pixel((x0 + (k % width) as isize) as f64, (y0 + (k / width) as isize) as f64))
+            .sum()
+    }
+
+    #[test]
+    fn a_polynomial_light_is_integrated_exactly_over_any_square_cell() {
+        // f = x⁴ y³; pixel and cell means of a product are products of means.
+        let mean = |k: i32, a: f64, b: f64| (b.powi(k + 1) - a.powi(k + 1)) / (f64::from(k + 1) * (b - a));
+        let pixel = |x: f64, y: f64| mean(4, x - 0.5, x + 0.5) * mean(3, y - 0.5, y + 0.5);
+        for (x, y, side) in [(0.3, -0.2, 3.1), (-1.4, 0.9, 2.0), (0.5, 0.5, 4.7)] {
+            let corners = [[x, y], [x + side, y], [x, y + side], [x + side, y + side]];
+            let truth = mean(4, x, x + side) * mean(3, y, y + side);
+            // Weights are f32: 1e-7 of the largest pixel in reach.
+            let scale = pixel(x + side + 3.0, y + side + 3.0).abs();
+            assert!((cell_mean(corners, side, pixel) - truth).abs() < 1e-6 * scale);
+        }
+    }
+
+    #[test]
+    fn weights_of_a_turned_cell_add_to_one() {
+        let corners = [[1.3, 0.2], [4.1, 0.9], [0.6, 3.1], [3.4, 3.8]];
+        // 100 f32 additions.
+        assert!((cell_mean(corners, 3.0, |_, _| 1.0) - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_gaussian_peak_is_integrated_to_a_thousandth() {
+        // Series of the error function: terms fall below 1e-17 within 100 for |x| ≤ 4.
+        let erf = |x: f64| {
+            let x = x.clamp(-4.0, 4.0);
+            let (mut term, mut sum) = (x, x);
+            for n in 1..100 {
+                term *= -x * x / f64::from(n);
+                sum += term / f64::from(2 * n + 1);
+            }
+            sum * 2.0 / std::f64::consts::PI.sqrt()
+        };
+        // Standard deviation in px and the error that the documentation states.
+        for (s, stated) in [(1.0f64, 1.7e-3), (1.5, 1.1e-3), (2.0, 3e-4)] {
+            let mean = |a: f64, b: f64| (erf(b / (s * 2f64.sqrt())) - erf(a / (s * 2f64.sqrt()))) / (b - a);
+            for phase in [0.0, 0.17, 0.5, 0.83] {
+                let (a, b) = (-1.5 + phase, 1.5 + phase);
+                let seen = |x: f64| mean(x - 0.5 - phase, x + 0.5 - phase);
+                let found = cell_mean([[a, a], [b, a], [a, b], [b, b]], 3.0, |x, y| seen(x) * seen(y));
+                let truth = mean(-1.5, 1.5).powi(2);
+                assert!((found / truth - 1.0).abs() < stated, "{s} {phase}: {found} {truth}");
+            }
+        }
+    }
+}

@@ -1,0 +1,182 @@
+//! Peak shift and normalization: from rows R'_d(x_i, d) to R''_d on a window that all of them share.
+//!
+//! # Conventions
+//! - A row's `shift` is the offset, in whole samples, at which its peak was found; that sample goes to the centre.
+//! - The common window is larger than the measured one by the largest shift in use on every side, so no sample is
+//!   lost and nothing wraps. What a row did not measure of it is left to [`crate::factor`] to fill.
+
+use super::rows::{RowView, intensity};
+
+/// How many standard deviations a sample must exceed the centre by to be taken for the peak.
+///
+/// Below it the two are equal as far as the measurement can tell, and a shift would turn noise into extra terms:
+/// every noisy row of a homogeneous slab would be moved by a sample.
+const PEAK_SIGMAS: f64 = 3.0;
+
+/// Where one row goes on the common window.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Placement {
+    /// Offset of the peak from the lit point along x and y, samples; [0, 0] when the row is not shifted.
+    pub shift: [i16; 2],
+    /// The row's largest intensity, mm⁻²; 0 when it has no positive peak.
+    pub scale: f64,
+    /// Whether a brighter sample lies further away than a shift may reach.
+    pub limited: bool,
+}
+
+/// A measured window and the larger one that shifted rows share.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Layout {
+    /// Samples that were measured, along x and y.
+    pub window: [usize; 2],
+    /// Samples of the common window, `window` + 2 · the largest shift.
+    pub extended: [usize; 2],
+}
+
+impl Layout {
+    /// Samples of the common window.
+    pub fn len(&self) -> usize {
+        self.extended[0] * self.extended[1]
+    }
+
+    /// Whether the common window has no samples.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Where sample 0 of a window shifted by `shift` falls on the common window, a linear index; the sample (dx, dy)
+    /// is `dx + dy · extended[0]` after it. `None` when the shift is larger than the layout provides for.
+    pub fn start(&self, shift: [i16; 2]) -> Option<usize> {
+        let at = |a: usize| {
+            let reach = (self.extended[a].checked_sub(self.window[a])? / 2) as isize;
+            usize::try_from(reach - isize::from(shift[a])).ok().filter(|&s| s as isize <= 2 * reach)
+        };
+        Some(at(0)? + at(1)? * self.extended[0])
+    }
+
+    /// Calls `each(window_index, extended_index)` for every sample of a window shifted by `shift`.
+    pub fn for_each(&self, shift: [i16; 2], mut each: impl FnMut(usize, usize)) {
+        let Some(start) = self.start(shift) else { return };
+        for dy in 0..self.window[1] {
+            for dx in 0..self.window[0] {
+                each(dx + dy * self.window[0], start + dx + dy * self.extended[0]);
+            }
+        }
+    }
+}
+
+/// Finds a row's peak and scale.
+///
+/// The peak is its brightest measured intensity within `limit` samples of the centre along each axis; of equals the
+/// one nearest to the centre, then the first in reading order. It counts when it exceeds the centre by three
+/// standard deviations of their difference; a centre that was not measured cannot be compared, and the row stays.
+pub fn place(row: RowView<'_>, window: [usize; 2], limit: [usize; 2]) -> Placement {
+    let (values, measured) = intensity(row);
+    let centre = [window[0] / 2, window[1] / 2];
+    let offset = |k: usize| [(k % window[0]) as i64 - centre[0] as i64, (k / window[0]) as i64 - centre[1] as i64];
+    let within = |k: &usize| (0..2).all(|a| offset(*k)[a].unsigned_abs() <= limit[a] as u64);
+    let far = |k: usize| offset(k).iter().map(|o| o * o).sum::<i64>();
+    let brighter = |a: usize, b: usize| values[a] > values[b] || (values[a] == values[b] && far(a) < far(b));
+    let best = |a: usize, b: usize| if brighter(b, a) { b } else { a };
+
+    let candidates = || (0..values.len()).filter(|&k| measured[k]);
+    let Some(largest) = candidates().reduce(best) else { return Placement::default() };
+    if values[largest] <= 0.0 {
+        return Placement::default();
+    }
+    let middle = centre[0] + centre[1] * window[0];
+    let variance = |k: usize| row.variance[3 * k..3 * k + 3].iter().map(|&v| f64::from(v)).sum::<f64>() / 9.0;
+    let exceeds =
+        |k: usize, m: usize| values[k] - values[m] > PEAK_SIGMAS * (variance(k) + variance(m)).max(0.0).sqrt();
+    let mut placement = Placement { scale: values[largest], ..Default::default() };
+    if let Some(peak) = candidates().filter(within).reduce(best).filter(|_| measured[middle]) {
+        if peak != middle && exceeds(peak, middle) {
+            placement.shift = offset(peak).map(|o| o as i16);
+        }
+        placement.limited = limit != [0, 0] && !within(&largest) && exceeds(largest, peak);
+    }
+    placement
+}
+
+/// The common window for rows with these placements.
+pub fn layout(window: [usize; 2], placements: &[Placement]) -> Layout {
+    let reach = |a: usize| placements.iter().map(|p| usize::from(p.shift[a].unsigned_abs())).max().unwrap_or(0);
+    Layout { window, extended: std::array::from_fn(|a| window[a] + 2 * reach(a)) }
+}
+
+/// Writes the normalized, shifted intensity of a row into `values` and where it was measured into `measured`, both on
+/// the common window. Rows without a peak are zeros, and count as not measured.
+pub fn normalized(row: RowView<'_>, placement: &Placement, layout: &Layout, values: &mut [f64], measured: &mut [bool]) {
+    values.fill(0.0);
+    measured.fill(false);
+    if placement.scale <= 0.0 {
+        return;
+    }
+    let (intensity, valid) = intensity(row);
+    layout.for_each(placement.shift, |k, e| {
+        values[e] = intensity[k] / placement.scale;
+        measured[e] = valid[k];
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(window: [usize; 2], bright: &[(usize, usize, f32)], variance: f32) -> (Vec<f32>, Vec<f32>, Vec<u8>) {
+        let n = window[0] * window[1] * 3;
+        let mut response = vec![0.0; n];
+        for &(x, y, v) in bright {
+            let k = 3 * (x + y * window[0]);
+            response[k..k + 3].fill(v);
+        }
+        (response, vec![variance; n], vec![1; n])
+    }
+
+    fn placed(window: [usize; 2], limit: [usize; 2], bright: &[(usize, usize, f32)], variance: f32) -> Placement {
+        let (response, variance, valid) = row(window, bright, variance);
+        place(RowView { response: &response, variance: &variance, valid: &valid }, window, limit)
+    }
+
+    #[test]
+    fn the_peak_goes_to_the_centre_and_equal_peaks_are_decided_by_nearness_then_reading_order() {
+        assert_eq!(placed([9, 9], [4, 4], &[(6, 1, 5.0), (4, 4, 1.0)], 0.0).shift, [2, -3]);
+        assert_eq!(placed([9, 9], [4, 4], &[(1, 4, 5.0), (6, 4, 5.0)], 0.0).shift, [2, 0]);
+        assert_eq!(placed([9, 9], [4, 4], &[(6, 4, 5.0), (2, 4, 5.0)], 0.0).shift, [-2, 0]);
+    }
+
+    #[test]
+    fn a_peak_on_the_rim_beyond_the_limit_is_reported_and_still_sets_the_scale() {
+        let placement = placed([9, 9], [2, 2], &[(0, 0, 7.0), (5, 4, 2.0), (4, 4, 1.0)], 0.0);
+        assert_eq!(placement, Placement { shift: [1, 0], scale: 7.0, limited: true });
+    }
+
+    #[test]
+    fn noise_does_not_move_a_row() {
+        // The neighbour is brighter by 0.1; the difference of two intensities has sd sqrt(2 · 3 · 0.01 / 9) = 0.08.
+        assert_eq!(placed([9, 9], [2, 2], &[(4, 4, 1.0), (5, 4, 1.1)], 0.01).shift, [0, 0]);
+        assert_eq!(placed([9, 9], [2, 2], &[(4, 4, 1.0), (5, 4, 1.1)], 1e-6).shift, [1, 0]);
+    }
+
+    #[test]
+    fn rows_without_a_positive_peak_have_no_scale() {
+        assert_eq!(placed([3, 3], [1, 1], &[], 0.0), Placement::default());
+        assert_eq!(placed([3, 3], [1, 1], &[(1, 1, -1.0)], 0.0), Placement::default());
+    }
+
+    #[test]
+    fn shifted_rows_lose_nothing_and_do_not_wrap() {
+        let window = [5, 3];
+        let layout = layout(window, &[Placement { shift: [2, -1], scale: 1.0, limited: false }, Placement::default()]);
+        assert_eq!(layout.extended, [9, 5]);
+        let (response, variance, valid) = row(window, &[(4, 0, 3.0), (0, 2, 1.0)], 0.0);
+        let view = RowView { response: &response, variance: &variance, valid: &valid };
+        let placement = place(view, window, [2, 1]);
+        assert_eq!(placement.shift, [2, -1]);
+        let (mut values, mut measured) = (vec![9.0; layout.len()], vec![true; layout.len()]);
+        normalized(view, &placement, &layout, &mut values, &mut measured);
+        assert_eq!(values[4 + 2 * 9], 1.0, "the peak is in the middle");
+        assert_eq!(values[4 * 9], 1.0 / 3.0, "the other sample keeps its distance");
+        assert_eq!(measured.iter().filter(|&&m| m).count(), 15);
+    }
+}

@@ -1,0 +1,108 @@
+//! Rows one at a time: views into a block, blocks in order, intensity and gradient.
+
+use super::{MatrixReader, RowBlock};
+use crate::Result;
+
+/// About how many bytes a block of rows may take in memory, decoded.
+const BLOCK_BYTES: usize = 48 << 20;
+
+/// One row of a [`RowBlock`]: three slices `[dy][dx][channel]`.
+#[derive(Debug, Clone, Copy)]
+pub struct RowView<'a> {
+    /// R_d, mm⁻²; 0 where not measured.
+    pub response: &'a [f32],
+    /// Its variance, mm⁻⁴.
+    pub variance: &'a [f32],
+    /// 1 where measured.
+    pub valid: &'a [u8],
+}
+
+impl RowBlock {
+    /// Row `first + k` of the matrix; empty slices when `k` is not below `rows`.
+    pub fn view(&self, k: usize) -> RowView<'_> {
+        let len = self.response.len().checked_div(self.rows).unwrap_or(0);
+        let range = if k < self.rows { k * len..(k + 1) * len } else { 0..0 };
+        RowView {
+            response: &self.response[range.clone()],
+            variance: &self.variance[range.clone()],
+            valid: &self.valid[range],
+        }
+    }
+}
+
+impl MatrixReader {
+    /// Calls `each` with consecutive blocks of rows, in order, each of about 48 MiB.
+    ///
+    /// # Errors
+    /// What [`MatrixReader::read`] or `each` return.
+    pub fn for_each_block(&self, mut each: impl FnMut(RowBlock) -> Result<()>) -> Result<()> {
+        let (rows, step) = (self.header().rows(), self.rows_per_block());
+        for first in (0..rows).step_by(step) {
+            each(self.read(first..(first + step).min(rows))?)?;
+        }
+        Ok(())
+    }
+
+    /// Rows of one block of [`Self::for_each_block`]: whole lines of the grid when they fit.
+    pub fn rows_per_block(&self) -> usize {
+        // response and variance as f32, validity as u8
+        let row_bytes = 9 * self.header().row_len().max(1);
+        let line = self.header().points[0].max(1);
+        let rows = (BLOCK_BYTES / row_bytes).max(1);
+        if rows >= line { rows / line * line } else { rows }
+    }
+}
+
+/// Intensity of one row: the mean of its three channels, and where it was measured (all three were).
+pub fn intensity(row: RowView<'_>) -> (Vec<f64>, Vec<bool>) {
+    let value = |rgb: &[f32]| rgb.iter().map(|&v| f64::from(v)).sum::<f64>() / 3.0;
+    let measured: Vec<bool> = row.valid.chunks_exact(3).map(|v| v.iter().all(|&v| v != 0)).collect();
+    let values = row.response.chunks_exact(3).zip(&measured).map(|(rgb, &m)| if m { value(rgb) } else { 0.0 });
+    (values.collect(), measured)
+}
+
+/// Slope of a window along x and y at every sample, per sample; central differences, one-sided beside samples that
+/// were not measured, 0 where neither neighbour was.
+pub fn gradient(values: &[f64], measured: &[bool], window: [usize; 2]) -> [Vec<f64>; 2] {
+    let [w, h] = window;
+    let slope = |at: usize, before: Option<usize>, after: Option<usize>| {
+        let before = before.filter(|&k| measured[k]);
+        let after = after.filter(|&k| measured[k]);
+        match (before, after) {
+            _ if !measured[at] => 0.0,
+            (Some(b), Some(a)) => (values[a] - values[b]) / 2.0,
+            (Some(b), None) => values[at] - values[b],
+            (None, Some(a)) => values[a] - values[at],
+            (None, None) => 0.0,
+        }
+    };
+    let along_x = |k: usize| slope(k, (k % w > 0).then(|| k - 1), (k % w + 1 < w).then_some(k + 1));
+    let along_y = |k: usize| slope(k, k.checked_sub(w), (k / w + 1 < h).then_some(k + w));
+    [(0..w * h).map(along_x).collect(), (0..w * h).map(along_y).collect()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gradient_of_a_plane_is_its_slope_even_beside_gaps() {
+        let values: Vec<f64> = (0..12).map(|k| 2.0 * (k % 4) as f64 - 3.0 * (k / 4) as f64).collect();
+        let mut measured = vec![true; 12];
+        measured[5] = false;
+        let [gx, gy] = gradient(&values, &measured, [4, 3]);
+        for k in (0..12).filter(|&k| k != 5) {
+            // Sample 4 has the gap on its right and the rim on its left: nothing to difference along x.
+            assert_eq!(gx[k], if k == 4 { 0.0 } else { 2.0 });
+            assert_eq!(gy[k], -3.0);
+        }
+        assert_eq!((gx[5], gy[5]), (0.0, 0.0));
+    }
+
+    #[test]
+    fn intensity_is_the_mean_of_the_channels_where_all_were_measured() {
+        let (response, variance) = ([1.0, 2.0, 6.0, 4.0, 4.0, 4.0], [0.0; 6]);
+        let row = RowView { response: &response, variance: &variance, valid: &[1, 1, 1, 1, 0, 1] };
+        assert_eq!(intensity(row), (vec![3.0, 0.0], vec![true, false]));
+    }
+}
