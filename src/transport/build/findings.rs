@@ -1,0 +1,170 @@
+//! What the shots together say: the header, the warnings, the provenance, the overview.
+
+use super::lattice::{Prepared, ShotResult};
+use super::{BuildReport, Overview};
+use crate::geometry::Point;
+use crate::transport::{MatrixHeader, ShotRecord};
+use crate::{Error, Result, Warning};
+use std::path::Path;
+
+impl Prepared<'_> {
+    /// Fills the header from the shots' results and gathers the findings.
+    pub(super) fn finish(&self, results: Vec<ShotResult>, header: &mut MatrixHeader) -> Result<BuildReport> {
+        let capture = self.shots.capture;
+        let mut warnings = capture.warnings.clone();
+        let mut clipped = (0, 0);
+        let mut bright: Vec<f64> = Vec::new();
+        for (number, (&shot, result)) in self.lattice().iter().zip(&results).enumerate() {
+            let name = capture.manifest.shots[shot].name.clone();
+            let saturated: usize = result.findings.iter().map(|f| f.1.saturated).sum();
+            if saturated > 0 {
+                warnings.push(Warning::SaturatedSamples { shot: name.clone(), samples: saturated });
+            }
+            for (_, f) in result.findings.iter().filter(|f| f.1.clipped > 0) {
+                clipped = (clipped.0 + 1, clipped.1 + f.clipped);
+            }
+            if result.drift.is_none() {
+                warnings.push(Warning::DriftUnmeasured { shot: name.clone() });
+            }
+            bright.extend(&result.albedo_above_one);
+            let sd_mm = self.registration.position_sd_mm.hypot(result.drift.map_or(0.0, |d| d.sd_px / self.px_per_mm));
+            for &(dot, place) in &result.lit {
+                let row = capture.manifest.row_index(dot);
+                header.lit_mm[row] = place;
+                header.position_sd_mm[row] = sd_mm;
+                header.shot_of[row] = Some(number);
+            }
+            let drift_px = result.drift.map_or([0.0; 2], |d| d.camera_px);
+            header.shots.push(ShotRecord { name, drift_px, drift_sd_px: result.drift.map(|d| d.sd_px) });
+        }
+        if clipped.0 > 0 {
+            warnings.push(Warning::ClippedWindow { rows: clipped.0, samples: clipped.1 });
+        }
+        if let Some(largest) = bright.iter().copied().reduce(f64::max) {
+            warnings.push(Warning::AlbedoAboveOne { rows: bright.len(), largest });
+        }
+        if capture.manifest.reference_dots.is_none() {
+            warnings.push(Warning::DriftFromLatticeDots);
+        }
+        self.complete_header(header, &mut warnings);
+        header.provenance = self.provenance()?;
+        header.warnings = warnings.clone();
+        Ok(BuildReport {
+            registration: self.registration.clone(),
+            shots: header.shots.clone(),
+            warnings,
+            photographs: capture.photographs(),
+            points: header.points,
+            window: header.window,
+            overview: self.overview(header)?,
+        })
+    }
+
+    /// Places of unlit points, the lit pitch, and the findings that need all shots together.
+    fn complete_header(&self, header: &mut MatrixHeader, warnings: &mut Vec<Warning>) {
+        let [nx, ny] = header.points;
+        let unlit: Vec<usize> = (0..nx * ny).filter(|&r| header.shot_of[r].is_none()).collect();
+        for &row in &unlit {
+            header.lit_mm[row] = self.nominal_mm([row % nx, row / nx]);
+        }
+        if !unlit.is_empty() {
+            warnings.push(Warning::UnlitPoints { rows: unlit.len() });
+        }
+        let ends = |dot: [usize; 2]| self.nominal_mm(dot);
+        let far = [ends([nx - 1, 0]), ends([0, ny - 1])];
+        let first = ends([0, 0]);
+        for a in 0..2 {
+            if header.points[a] > 1 {
+                let d = [far[a][0] - first[0], far[a][1] - first[1]];
+                header.lit_pitch_mm[a] = d[0].hypot(d[1]) / (header.points[a] - 1) as f64;
+            }
+        }
+        if let Some(spacing_samples) = self.smallest_spacing() {
+            let window_samples = header.window[0].max(header.window[1]);
+            if spacing_samples < window_samples as f64 {
+                warnings.push(Warning::CrossTalk { spacing_samples, window_samples });
+            }
+        }
+        if let Some(outside_mm) = self.outside_board() {
+            warnings.push(Warning::BoardTooSmall { outside_mm });
+        }
+    }
+
+    /// The smallest distance (larger of the two axes) between dots of one shot, in outgoing samples; `None` for single dots.
+    fn smallest_spacing(&self) -> Option<f64> {
+        let grid = &self.shots.capture.manifest.grid;
+        let first = self.nominal_mm([0, 0]);
+        let step = self.nominal_mm([1.min(grid.points[0] - 1), 1.min(grid.points[1] - 1)]);
+        let pitch = self.shots.capture.manifest.window.pitch_mm;
+        let samples: Point = std::array::from_fn(|a| (step[a] - first[a]).abs() / pitch);
+        let nearest = |shot: &usize| {
+            let mut dots = self.dots(*shot).to_vec();
+            dots.sort_unstable();
+            // In sorted order a dot's nearest neighbour is near; looking at 64 finds it on any lattice.
+            let gap = |a: [usize; 2], b: [usize; 2]| {
+                (0..2).map(|k| a[k].abs_diff(b[k]) as f64 * samples[k]).fold(0.0, f64::max)
+            };
+            let pairs =
+                dots.iter().enumerate().flat_map(|(i, &a)| dots[i + 1..].iter().take(64).map(move |&b| gap(a, b)));
+            pairs.reduce(f64::min)
+        };
+        self.lattice().iter().filter_map(nearest).reduce(f64::min)
+    }
+
+    /// How far the slab reaches beyond the board's corners, mm; `None` when it does not by more than a square.
+    fn outside_board(&self) -> Option<f64> {
+        let board = &self.shots.capture.rig.board;
+        let far = board.corner_mm([board.inner_corners[0] - 1, board.inner_corners[1] - 1]);
+        let size = self.shots.capture.manifest.slab.size_mm;
+        let outside = (0..2).map(|a| board.origin_mm[a].max(size[a] - far[a])).fold(0.0, f64::max);
+        (outside > board.square_mm).then_some(outside)
+    }
+
+    fn provenance(&self) -> Result<serde_json::Value> {
+        let capture = self.shots.capture;
+        let hash_file =
+            |p: &Path| Ok::<_, Error>(blake3::hash(&std::fs::read(p).map_err(Error::io("read", p))?).to_string());
+        let mut all = blake3::Hasher::new();
+        for hash in self.shots.hashes.lock().map_err(Error::internal)?.values() {
+            all.update(hash.as_bytes());
+        }
+        let registration = serde_json::to_value(&self.registration).map_err(Error::internal)?;
+        Ok(serde_json::json!({
+            "program": format!("acquire {}", env!("CARGO_PKG_VERSION")),
+            "capture": capture.manifest.name,
+            "photographs": capture.photographs(),
+            "capture_toml_blake3": hash_file(&capture.manifest_path())?,
+            "rig_toml_blake3": hash_file(&capture.rig_path)?,
+            "photographs_blake3": all.finalize().to_string(),
+            "registration": registration,
+        }))
+    }
+
+    fn overview(&self, header: &MatrixHeader) -> Result<Overview> {
+        let manifest = &self.shots.capture.manifest;
+        let lattice = self.lattice();
+        // The shot with most dots, the middle one of these: something to see.
+        let most = lattice.iter().map(|&s| self.dots(s).len()).max().unwrap_or(0);
+        let full: Vec<usize> = (0..lattice.len()).filter(|&k| self.dots(lattice[k]).len() == most).collect();
+        let shot = lattice[full[full.len() / 2]];
+        let camera = |p: Point| self.registration.view.camera_from_slab(p);
+        let half: Point = std::array::from_fn(|a| manifest.window.samples[a] as f64 * manifest.window.pitch_mm / 2.0);
+        let corners = |c: Point| {
+            [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
+                .map(|s| camera([c[0] + s[0] * half[0], c[1] + s[1] * half[1]]))
+        };
+        let lit: Vec<Point> = self.dots(shot).iter().map(|&d| header.lit_mm[manifest.row_index(d)]).collect();
+        let [w, h] = manifest.slab.size_mm;
+        let [nx, ny] = manifest.grid.points;
+        Ok(Overview {
+            shot: manifest.shots[shot].name.clone(),
+            radiance: self.shots.merge_whole(shot)?,
+            exposures: self.shots.capture.brackets[shot].len(),
+            grid_px: (0..nx * ny).map(|r| camera(self.nominal_mm([r % nx, r / nx]))).collect(),
+            lit_px: lit.iter().map(|&p| camera(p)).collect(),
+            windows_px: lit.iter().map(|&p| corners(p)).collect(),
+            reference_dots_px: self.reference_mm().into_iter().map(camera).collect(),
+            slab_px: [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(camera),
+        })
+    }
+}

@@ -1,0 +1,210 @@
+//! The lattice shots: drift, windows, rows.
+
+use super::shots::Shots;
+use crate::capture::{Pattern, Rect};
+use crate::geometry::Point;
+use crate::progress::Progress;
+use crate::radiance::Radiance;
+use crate::registration::{Drift, Registration, measure_drift};
+use crate::response::{CellWeights, Irradiance, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
+use crate::transport::MatrixWriter;
+use crate::{Error, Result};
+use rayon::prelude::*;
+
+/// Pixels around a reference dot's expected place in which it is searched: drift of up to this many pixels is found.
+const DRIFT_SEARCH_PX: f64 = 12.0;
+
+/// Everything that lattice shots are measured against.
+pub(super) struct Prepared<'a> {
+    pub(super) shots: Shots<'a>,
+    pub(super) registration: Registration,
+    pub(super) ambient: Radiance,
+    pub(super) irradiance: Irradiance,
+    pub(super) px_per_mm: f64,
+    pub(super) cell_px: f64,
+}
+
+/// One lattice shot, measured.
+pub(super) struct ShotResult {
+    /// Grid index and place of each dot.
+    pub(super) lit: Vec<([usize; 2], Point)>,
+    pub(super) drift: Option<Drift>,
+    pub(super) findings: Vec<([usize; 2], RowFindings)>,
+    pub(super) albedo_above_one: Vec<f64>,
+}
+
+impl Prepared<'_> {
+    pub(super) fn dots(&self, shot: usize) -> &[[usize; 2]] {
+        match &self.shots.capture.manifest.shots[shot].pattern {
+            Pattern::Lattice { dots } => dots,
+            _ => &[],
+        }
+    }
+
+    pub(super) fn lattice(&self) -> Vec<usize> {
+        self.shots.capture.shots(|p| matches!(p, Pattern::Lattice { .. }))
+    }
+
+    /// Where the pattern puts a dot, mm, without drift.
+    pub(super) fn nominal_mm(&self, dot: [usize; 2]) -> Point {
+        let grid = &self.shots.capture.manifest.grid;
+        self.registration.slab_from_projector.map(grid.dot_projector_px(dot))
+    }
+
+    pub(super) fn reference_mm(&self) -> Vec<Point> {
+        let dots = self.shots.capture.manifest.reference_dots.iter().flat_map(|r| &r.projector_px);
+        dots.map(|&p| self.registration.slab_from_projector.map(p)).collect()
+    }
+
+    /// All lattice shots, in parallel, rows to the writer.
+    pub(super) fn extract(&self, writer: &MatrixWriter, progress: &Progress) -> Result<Vec<ShotResult>> {
+        let shots = self.lattice();
+        let size = self.shots.capture.manifest.slab.size_mm;
+        for &shot in &shots {
+            for &dot in self.dots(shot) {
+                let at = self.nominal_mm(dot);
+                if !(0..2).all(|a| at[a] >= 0.0 && at[a] <= size[a]) {
+                    return Err(Error::DotOutsideSlab {
+                        path: self.shots.capture.manifest_path(),
+                        shot: self.shots.capture.manifest.shots[shot].name.clone(),
+                        dot,
+                        expected: format!("a place on the slab, within {:.2} × {:.2} mm", size[0], size[1]),
+                        found: format!("({:.2}, {:.2}) mm", at[0], at[1]),
+                    });
+                }
+            }
+        }
+        let photographs = shots.iter().map(|&s| self.shots.capture.brackets[s].len()).sum();
+        let stage = progress.stage("extract", photographs);
+        shots
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|shot| {
+                let result = self.extract_shot(shot, writer)?;
+                stage.advance(self.shots.capture.brackets[shot].len());
+                Ok(result)
+            })
+            .collect()
+    }
+
+    fn extract_shot(&self, shot: usize, writer: &MatrixWriter) -> Result<ShotResult> {
+        let manifest = &self.shots.capture.manifest;
+        let size_px = self.shots.capture.rig.camera.size_px;
+        let dots = self.dots(shot);
+        let references = self.reference_mm();
+        let radius_px = self.dot_radius_px();
+        // Rectangles: reference dots, then each window with room for its drift.
+        let mut rects: Vec<Rect> = Vec::new();
+        for &p in &references {
+            let q = self.registration.view.camera_from_slab(p);
+            rects.push(square(q, radius_px + DRIFT_SEARCH_PX, size_px).ok_or_else(|| self.outside_picture(shot))?);
+        }
+        for &dot in dots {
+            let grid = WindowGrid::new(&manifest.window, self.nominal_mm(dot), &self.registration.view);
+            let rect = window_rect(&grid, size_px).ok_or_else(|| self.outside_picture(shot))?;
+            rects.push(grown(rect, DRIFT_SEARCH_PX as usize, size_px));
+        }
+        let mut pictures = self.shots.merge(shot, &rects)?;
+        pictures.iter_mut().for_each(|p| p.subtract(&self.ambient));
+        let windows = pictures.split_off(references.len());
+        let drift = self.drift(dots, &references, pictures, &windows, radius_px);
+        let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
+
+        let mut result = ShotResult { lit: vec![], drift, findings: vec![], albedo_above_one: vec![] };
+        let mut weights = CellWeights::new(self.cell_px);
+        for (&dot, picture) in dots.iter().zip(&windows) {
+            let nominal = self.nominal_mm(dot);
+            let center = [nominal[0] + moved[0], nominal[1] + moved[1]];
+            let grid = WindowGrid::new(&manifest.window, center, &self.registration.view);
+            let lit = self.lit_dot(shot, dot, center, drift)?;
+            let (row, findings) =
+                extract_row(picture, &grid, &lit, self.irradiance.sensitivity(), manifest.slab.size_mm, &mut weights);
+            self.check_peak(shot, dot, center, picture)?;
+            let area = manifest.window.pitch_mm.powi(2);
+            let albedo =
+                (0..3).map(|c| row.response.iter().skip(c).step_by(3).map(|&r| f64::from(r)).sum::<f64>() * area);
+            result.albedo_above_one.extend(albedo.reduce(f64::max).filter(|a| *a > 1.0));
+            writer.put(manifest.row_index(dot), &row)?;
+            result.lit.push((dot, center));
+            result.findings.push((dot, findings));
+        }
+        Ok(result)
+    }
+
+    fn drift(
+        &self,
+        dots: &[[usize; 2]],
+        references: &[Point],
+        pictures: Vec<Radiance>,
+        windows: &[Radiance],
+        radius_px: f64,
+    ) -> Option<Drift> {
+        if !references.is_empty() {
+            let seen: Vec<_> = references.iter().copied().zip(pictures).collect();
+            return measure_drift(&seen, &self.registration, radius_px);
+        }
+        let seen: Vec<_> = dots.iter().map(|&d| self.nominal_mm(d)).zip(windows.iter().cloned()).collect();
+        measure_drift(&seen, &self.registration, radius_px)
+    }
+
+    fn lit_dot(&self, shot: usize, dot: [usize; 2], center: Point, drift: Option<Drift>) -> Result<LitDot> {
+        let grid = &self.shots.capture.manifest.grid;
+        let pixel_mm2 = self.registration.slab_from_projector.area_scale(grid.dot_projector_px(dot));
+        let area_mm2 = pixel_mm2 * (grid.dot_projector_px * grid.dot_projector_px) as f64;
+        let at = self.registration.view.camera_from_slab(center);
+        let flux = self.irradiance.flux(at, area_mm2).ok_or_else(|| {
+            let name = &self.shots.capture.manifest.shots[shot].name;
+            let found = "a saturated, black or missing reference there";
+            let field = format!("shot \"{name}\", dot {dot:?}");
+            Error::field(self.shots.capture.manifest_path(), field, "a measured white reference around the dot", found)
+        })?;
+        let drift_sd = drift.map_or(0.0, |d| d.sd_px / self.px_per_mm);
+        Ok(LitDot { center_mm: center, position_sd_mm: self.registration.position_sd_mm.hypot(drift_sd), flux })
+    }
+
+    /// A dot of whose middle no exposure measured any pixel cannot be used at all.
+    fn check_peak(&self, shot: usize, dot: [usize; 2], center: Point, picture: &Radiance) -> Result<()> {
+        let q = self.registration.view.camera_from_slab(center);
+        let inside = |v: f64, from: usize, len: usize| (v.round().max(from as f64) as usize).min(from + len - 1);
+        let r = picture.rect;
+        let k = picture.at(inside(q[0], r.x, r.width), inside(q[1], r.y, r.height));
+        let bracket = &self.shots.capture.brackets[shot];
+        match bracket.first() {
+            Some(shortest) if picture.used[k..k + 3].contains(&0) => Err(Error::DotSaturated {
+                path: shortest.path.clone(),
+                shot: shortest.shot.clone(),
+                dot,
+                shortest_secs: shortest.exposure_secs,
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    fn dot_radius_px(&self) -> f64 {
+        let grid = &self.shots.capture.manifest.grid;
+        let middle = self.nominal_mm([grid.points[0] / 2, grid.points[1] / 2]);
+        let pixel_mm = self.registration.slab_from_projector.area_scale(grid.dot_projector_px([0, 0])).sqrt();
+        debug_assert!(middle[0].is_finite());
+        0.75 * grid.dot_projector_px as f64 * pixel_mm * self.px_per_mm
+    }
+
+    fn outside_picture(&self, shot: usize) -> Error {
+        self.shots.failed(shot)("a dot lies outside the photograph".into())
+    }
+}
+
+/// The square of half side `radius` around `at`, cut to the photograph; `None` when it lies outside.
+fn square(at: Point, radius: f64, size_px: [usize; 2]) -> Option<Rect> {
+    let range = |a: usize| {
+        let (low, high) = ((at[a] - radius).floor().max(0.0), (at[a] + radius).ceil().min(size_px[a] as f64 - 1.0));
+        (low <= high).then_some((low as usize, (high - low) as usize + 1))
+    };
+    let ((x, width), (y, height)) = (range(0)?, range(1)?);
+    Some(Rect { x, y, width, height })
+}
+
+fn grown(r: Rect, by: usize, size_px: [usize; 2]) -> Rect {
+    let (x, y) = (r.x.saturating_sub(by), r.y.saturating_sub(by));
+    let (right, bottom) = ((r.x + r.width + by).min(size_px[0]), (r.y + r.height + by).min(size_px[1]));
+    Rect { x, y, width: right - x, height: bottom - y }
+}

@@ -1,0 +1,105 @@
+//! From a capture folder to the matrix: the way of the photographs, stage by stage.
+
+mod findings;
+mod lattice;
+mod shots;
+
+use super::{MatrixHeader, MatrixWriter, ShotRecord};
+use crate::capture::Capture;
+use crate::geometry::Point;
+use crate::progress::Progress;
+use crate::radiance::Radiance;
+use crate::registration::Registration;
+use crate::{Result, Warning};
+use shots::Shots;
+use std::path::{Path, PathBuf};
+
+/// Settings of [`build_matrix`].
+#[derive(Debug, Clone, Default)]
+pub struct BuildOptions {
+    /// The folder of `rig.toml`; by default `calibration` in the capture or beside it.
+    pub calibration: Option<PathBuf>,
+}
+
+/// What [`build_matrix`] found besides the matrix.
+#[derive(Debug, Clone)]
+pub struct BuildReport {
+    /// Where everything was.
+    pub registration: Registration,
+    /// Lattice shots with their drift.
+    pub shots: Vec<ShotRecord>,
+    /// Findings.
+    pub warnings: Vec<Warning>,
+    /// Number of photographs.
+    pub photographs: usize,
+    /// Lit points.
+    pub points: [usize; 2],
+    /// Window samples.
+    pub window: [usize; 2],
+    /// The picture of one lattice shot with what was found in it.
+    pub overview: Overview,
+}
+
+/// One merged lattice shot and the registration drawn over it, for people to look at.
+#[derive(Debug, Clone)]
+pub struct Overview {
+    /// The shot's name.
+    pub shot: String,
+    /// Its radiance over the whole photograph.
+    pub radiance: Radiance,
+    /// Number of exposures of the shot.
+    pub exposures: usize,
+    /// Camera px of all lit points (without drift).
+    pub grid_px: Vec<Point>,
+    /// Camera px of the points that this shot lights (drift included).
+    pub lit_px: Vec<Point>,
+    /// Outlines of their windows, four corners each, camera px.
+    pub windows_px: Vec<[Point; 4]>,
+    /// Camera px of the reference dots (without drift).
+    pub reference_dots_px: Vec<Point>,
+    /// The slab's corners, camera px.
+    pub slab_px: [Point; 4],
+}
+
+/// Builds the matrix of the capture in `dir` and writes it to `out` (see [`MatrixWriter`]).
+///
+/// Streams: besides the ambient and white pictures one shot per thread is in memory.
+///
+/// # Errors
+/// Those of [`Capture::open`], of decoding and registration; [`Error::DotOutsideSlab`], [`Error::DotSaturated`]; [`Error::Io`] for `out`.
+/// Nothing appears at `out` then.
+pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &Progress) -> Result<BuildReport> {
+    let capture = {
+        let stage = progress.stage("read", 1);
+        let capture = Capture::open(dir, options.calibration.as_deref())?;
+        stage.advance(1);
+        capture
+    };
+    let mut writer = MatrixWriter::create(out, empty_header(&capture))?;
+    let shots = Shots::new(&capture);
+    let registration = shots.register(progress)?;
+    let prepared = shots.prepare(registration, progress)?;
+    let result = prepared.extract(&writer, progress)?;
+
+    let stage = progress.stage("write", 1);
+    let report = prepared.finish(result, writer.header_mut())?;
+    writer.finish()?;
+    stage.advance(1);
+    Ok(report)
+}
+
+fn empty_header(capture: &Capture) -> MatrixHeader {
+    let m = &capture.manifest;
+    MatrixHeader {
+        points: m.grid.points,
+        window: m.window.samples,
+        pitch_mm: m.window.pitch_mm,
+        lit_pitch_mm: [m.window.pitch_mm; 2],
+        lit_mm: vec![[0.0; 2]; m.grid.len()],
+        position_sd_mm: vec![0.0; m.grid.len()],
+        shot_of: vec![None; m.grid.len()],
+        shots: vec![],
+        warnings: vec![],
+        provenance: serde_json::Value::Null,
+    }
+}
