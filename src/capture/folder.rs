@@ -149,7 +149,8 @@ fn sorted_bracket(mut heads: Vec<Head>, manifest: &Path) -> Result<Vec<Photograp
 
 fn require_shots(manifest: &Manifest, path: &Path) -> Result<()> {
     let count = |of: fn(&Pattern) -> bool| manifest.shots.iter().filter(|s| of(&s.pattern)).count();
-    let once: [(&str, fn(&Pattern) -> bool); 4] = [
+    type Kind = (&'static str, fn(&Pattern) -> bool);
+    let once: [Kind; 4] = [
         ("board", |p| matches!(p, Pattern::Board)),
         ("reference-white", |p| matches!(p, Pattern::ReferenceWhite)),
         ("reference-black", |p| matches!(p, Pattern::ReferenceBlack)),
@@ -160,10 +161,11 @@ fn require_shots(manifest: &Manifest, path: &Path) -> Result<()> {
             return Err(Error::field(path, format!("shots of kind \"{kind}\""), "exactly one", count(of)));
         }
     }
-    for (kind, of) in [
-        ("gray-code", (|p| matches!(p, Pattern::GrayCode { .. })) as fn(&Pattern) -> bool),
+    let several: [Kind; 2] = [
+        ("gray-code", |p| matches!(p, Pattern::GrayCode { .. })),
         ("lattice", |p| matches!(p, Pattern::Lattice { .. })),
-    ] {
+    ];
+    for (kind, of) in several {
         if count(of) == 0 {
             return Err(Error::field(path, format!("shots of kind \"{kind}\""), "at least one", "none"));
         }

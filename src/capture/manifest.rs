@@ -87,7 +87,6 @@ pub struct ReferenceDots {
 
 /// One projected pattern and its photographs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Shot {
     /// A unique name for people and messages.
     pub name: String,
@@ -100,7 +99,7 @@ pub struct Shot {
 
 /// What a shot shows.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case")]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Pattern {
     /// The chessboard of `rig.toml` in the slab's plane, projector white.
     Board,
@@ -197,7 +196,7 @@ impl Manifest {
                 return Err(Error::field(path, "grid.points", "1 to 65536", self.grid.points[a]));
             }
             let w = self.window.samples[a];
-            if w % 2 == 0 || w > 4095 {
+            if w.is_multiple_of(2) || w > 4095 {
                 return Err(Error::field(path, "window.samples", "odd numbers from 1 to 4095", w));
             }
         }

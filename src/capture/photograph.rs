@@ -202,20 +202,26 @@ fn to_rgb<T: Copy>(values: Vec<T>, channels: usize) -> Vec<T> {
 }
 
 impl Pixels {
-    /// A copy of the code values in `rect`, which must lie inside.
-    pub fn crop(&self, rect: Rect) -> Samples {
-        fn rows<T: Copy>(v: &[T], width: usize, r: Rect) -> Vec<T> {
-            (r.y..r.y + r.height).flat_map(|y| &v[3 * (y * width + r.x)..][..3 * r.width]).copied().collect()
-        }
-        match &self.samples {
-            Samples::U8(v) => Samples::U8(rows(v, self.width, rect)),
-            Samples::U16(v) => Samples::U16(rows(v, self.width, rect)),
-            Samples::F32(v) => Samples::F32(rows(v, self.width, rect)),
-        }
-    }
-
     /// The whole picture.
     pub fn rect(&self) -> Rect {
         Rect { x: 0, y: 0, width: self.width, height: self.height }
+    }
+}
+
+impl Samples {
+    /// A copy of the code values in `part` of the rectangle `whole` that these are; `part` must lie inside.
+    pub fn crop(&self, whole: Rect, part: Rect) -> Self {
+        fn rows<T: Copy>(v: &[T], whole: Rect, part: Rect) -> Vec<T> {
+            let mut out = Vec::with_capacity(3 * part.area());
+            for y in part.y - whole.y..part.y - whole.y + part.height {
+                out.extend_from_slice(&v[3 * (y * whole.width + part.x - whole.x)..][..3 * part.width]);
+            }
+            out
+        }
+        match self {
+            Self::U8(v) => Self::U8(rows(v, whole, part)),
+            Self::U16(v) => Self::U16(rows(v, whole, part)),
+            Self::F32(v) => Self::F32(rows(v, whole, part)),
+        }
     }
 }

@@ -30,6 +30,8 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let report = build_matrix(&args.capture, &options, &args.out, &context.progress)?;
     report.warnings.iter().for_each(|w| context.warn(w));
     context.done(summary(&report));
+    let stages: Vec<_> = context.progress.timings().iter().map(|t| format!("{} {:.2} s", t.stage, t.secs)).collect();
+    context.done(stages.join(", "));
     context.done(format_args!("wrote {} in {:.1} s", args.out.display(), start.elapsed().as_secs_f64()));
     Ok(())
 }

@@ -71,28 +71,38 @@ impl Pooled {
     }
 }
 
+/// Samples that are weighed together: their sums stay in the nearest cache.
+const BLOCK: usize = 512;
+
 fn weigh(bracket: &[Exposure], linear: &[Vec<f32>], pooled: &Pooled, sensor: &Sensor, out: &mut Radiance) {
-    let times: Vec<f32> = bracket.iter().map(|e| e.secs as f32).collect();
-    for k in 0..out.value.len() {
-        if out.used[k] == 0 {
-            continue;
+    let (mut estimate, mut bottom) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
+    for start in (0..out.value.len()).step_by(BLOCK) {
+        let block = start..(start + BLOCK).min(out.value.len());
+        let (value, n) = (&mut out.value[block.clone()], block.len());
+        for (k, at) in block.clone().enumerate() {
+            // Nothing measured: 0/0, whose NaN becomes 0 in max.
+            estimate[k] = (pooled.sum_y[at] / pooled.sum_t[at]).max(0.0);
         }
-        let estimate = (pooled.sum_y[k] / pooled.sum_t[k]).max(0.0);
-        let (mut top, mut bottom) = (0.0f32, 0.0f32);
-        for (y, &t) in linear.iter().zip(&times) {
-            let y = y[k];
-            if y.is_finite() {
+        bottom[..n].fill(0.0);
+        for (y, exposure) in linear.iter().zip(bracket) {
+            let t = exposure.secs as f32;
+            let sums = value.iter_mut().zip(&mut bottom).zip(&estimate).zip(&y[block.clone()]);
+            for (((top, bottom), &estimate), &y) in sums {
                 let mut variance = sensor.gain * estimate * t + sensor.floor;
                 if sensor.is_curved() {
                     variance += sensor.rounding(estimate * t);
                 }
-                let w = t / variance;
-                top += w * y;
-                bottom += w * t;
+                let usable = y.is_finite();
+                let w = if usable { t / variance } else { 0.0 };
+                *top += w * if usable { y } else { 0.0 };
+                *bottom += w * t;
             }
         }
-        out.value[k] = top / bottom;
-        out.variance[k] = 1.0 / bottom;
+        let ends = value.iter_mut().zip(&mut out.variance[block.clone()]).zip(&bottom).zip(&out.used[block]);
+        for (((value, variance), &bottom), &used) in ends {
+            *value = if used > 0 { *value / bottom } else { 0.0 };
+            *variance = if used > 0 { 1.0 / bottom } else { 0.0 };
+        }
     }
 }
 

@@ -6,4 +6,4 @@ mod shot;
 
 pub use merge::{Exposure, Radiance, merge};
 pub use sensor::Sensor;
-pub use shot::merge_shot;
+pub use shot::{Bracket, decode_shot};

@@ -4,21 +4,43 @@ use super::{Exposure, Radiance, Sensor, merge};
 use crate::Result;
 use crate::capture::{Photograph, Rect};
 
-/// Decodes a bracket photograph by photograph and merges the pixels in each of `rects`.
+/// A rectangle of a shot, decoded in all its exposures and not yet merged.
+#[derive(Debug, Clone)]
+pub struct Bracket {
+    rect: Rect,
+    exposures: Vec<Exposure>,
+}
+
+impl Bracket {
+    /// Merges the pixels of `part`, which must lie inside the bracket's rectangle.
+    pub fn merge(&self, part: Rect, sensor: &Sensor) -> Radiance {
+        if part == self.rect {
+            return merge(&self.exposures, part, sensor);
+        }
+        let crop = |e: &Exposure| Exposure { samples: e.samples.crop(self.rect, part), secs: e.secs };
+        merge(&self.exposures.iter().map(crop).collect::<Vec<_>>(), part, sensor)
+    }
+
+    /// The rectangle.
+    pub fn rect(&self) -> Rect {
+        self.rect
+    }
+}
+
+/// Decodes a shot photograph by photograph and keeps the pixels in each of `rects`.
 ///
 /// At any time one photograph is held whole, besides the crops. `decoded` is told each file's hash as it is read.
 ///
 /// # Errors
 /// Those of [`Photograph::decode`]; [`crate::Error::BrokenPhotograph`] when the decoded size is not that of the file's head.
-pub fn merge_shot(
-    bracket: &[Photograph],
+pub fn decode_shot(
+    photographs: &[Photograph],
     rects: &[Rect],
     size_px: [usize; 2],
-    sensor: &Sensor,
     decoded: &(dyn Fn(&Photograph, blake3::Hash) + Sync),
-) -> Result<Vec<Radiance>> {
-    let mut crops: Vec<Vec<Exposure>> = vec![Vec::with_capacity(bracket.len()); rects.len()];
-    for photograph in bracket {
+) -> Result<Vec<Bracket>> {
+    let mut brackets: Vec<Bracket> = rects.iter().map(|&rect| Bracket { rect, exposures: vec![] }).collect();
+    for photograph in photographs {
         let pixels = photograph.decode()?;
         decoded(photograph, pixels.hash);
         if [pixels.width, pixels.height] != size_px {
@@ -28,9 +50,11 @@ pub fn merge_shot(
                 reason: format!("{} × {} px were decoded, its head says {size_px:?}", pixels.width, pixels.height),
             });
         }
-        for (crop, &rect) in crops.iter_mut().zip(rects) {
-            crop.push(Exposure { samples: pixels.crop(rect), secs: photograph.effective_secs });
+        let whole = pixels.rect();
+        for bracket in &mut brackets {
+            let samples = pixels.samples.crop(whole, bracket.rect);
+            bracket.exposures.push(Exposure { samples, secs: photograph.effective_secs });
         }
     }
-    Ok(crops.iter().zip(rects).map(|(bracket, &rect)| merge(bracket, rect, sensor)).collect())
+    Ok(brackets)
 }

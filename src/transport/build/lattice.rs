@@ -4,7 +4,7 @@ use super::shots::Shots;
 use crate::capture::{Pattern, Rect};
 use crate::geometry::Point;
 use crate::progress::Progress;
-use crate::radiance::Radiance;
+use crate::radiance::{Bracket, Radiance};
 use crate::registration::{Drift, Registration, measure_drift};
 use crate::response::{CellWeights, Irradiance, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
 use crate::transport::MatrixWriter;
@@ -12,7 +12,7 @@ use crate::{Error, Result};
 use rayon::prelude::*;
 
 /// Pixels around a reference dot's expected place in which it is searched: drift of up to this many pixels is found.
-const DRIFT_SEARCH_PX: f64 = 12.0;
+const DRIFT_SEARCH_PX: f64 = 6.0;
 
 /// Everything that lattice shots are measured against.
 pub(super) struct Prepared<'a> {
@@ -104,22 +104,23 @@ impl Prepared<'_> {
             let rect = window_rect(&grid, size_px).ok_or_else(|| self.outside_picture(shot))?;
             rects.push(grown(rect, DRIFT_SEARCH_PX as usize, size_px));
         }
-        let mut pictures = self.shots.merge(shot, &rects)?;
-        pictures.iter_mut().for_each(|p| p.subtract(&self.ambient));
-        let windows = pictures.split_off(references.len());
-        let drift = self.drift(dots, &references, pictures, &windows, radius_px);
+        let mut references_seen = self.shots.decode(shot, &rects)?;
+        let windows = references_seen.split_off(references.len());
+        let drift = self.drift(dots, &references, &references_seen, &windows, radius_px);
         let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
 
         let mut result = ShotResult { lit: vec![], drift, findings: vec![], albedo_above_one: vec![] };
         let mut weights = CellWeights::new(self.cell_px);
-        for (&dot, picture) in dots.iter().zip(&windows) {
+        for (&dot, bracket) in dots.iter().zip(&windows) {
             let nominal = self.nominal_mm(dot);
             let center = [nominal[0] + moved[0], nominal[1] + moved[1]];
             let grid = WindowGrid::new(&manifest.window, center, &self.registration.view);
             let lit = self.lit_dot(shot, dot, center, drift)?;
+            let needed = window_rect(&grid, size_px).and_then(|r| overlap(r, bracket.rect()));
+            let picture = self.picture(bracket, needed.ok_or_else(|| self.outside_picture(shot))?);
             let (row, findings) =
-                extract_row(picture, &grid, &lit, self.irradiance.sensitivity(), manifest.slab.size_mm, &mut weights);
-            self.check_peak(shot, dot, center, picture)?;
+                extract_row(&picture, &grid, &lit, self.irradiance.sensitivity(), manifest.slab.size_mm, &mut weights);
+            self.check_peak(shot, dot, center, &picture)?;
             let area = manifest.window.pitch_mm.powi(2);
             let albedo =
                 (0..3).map(|c| row.response.iter().skip(c).step_by(3).map(|&r| f64::from(r)).sum::<f64>() * area);
@@ -131,19 +132,27 @@ impl Prepared<'_> {
         Ok(result)
     }
 
+    /// Radiance of a part of a bracket, ambient light subtracted.
+    fn picture(&self, bracket: &Bracket, part: Rect) -> Radiance {
+        let mut picture = bracket.merge(part, &self.shots.sensor);
+        picture.subtract(&self.ambient);
+        picture
+    }
+
     fn drift(
         &self,
         dots: &[[usize; 2]],
         references: &[Point],
-        pictures: Vec<Radiance>,
-        windows: &[Radiance],
+        references_seen: &[Bracket],
+        windows: &[Bracket],
         radius_px: f64,
     ) -> Option<Drift> {
-        if !references.is_empty() {
-            let seen: Vec<_> = references.iter().copied().zip(pictures).collect();
-            return measure_drift(&seen, &self.registration, radius_px);
-        }
-        let seen: Vec<_> = dots.iter().map(|&d| self.nominal_mm(d)).zip(windows.iter().cloned()).collect();
+        let whole = |b: &Bracket| self.picture(b, b.rect());
+        let seen: Vec<(Point, Radiance)> = if references.is_empty() {
+            dots.iter().zip(windows).map(|(&d, b)| (self.nominal_mm(d), whole(b))).collect()
+        } else {
+            references.iter().zip(references_seen).map(|(&p, b)| (p, whole(b))).collect()
+        };
         measure_drift(&seen, &self.registration, radius_px)
     }
 
@@ -207,4 +216,11 @@ fn grown(r: Rect, by: usize, size_px: [usize; 2]) -> Rect {
     let (x, y) = (r.x.saturating_sub(by), r.y.saturating_sub(by));
     let (right, bottom) = ((r.x + r.width + by).min(size_px[0]), (r.y + r.height + by).min(size_px[1]));
     Rect { x, y, width: right - x, height: bottom - y }
+}
+
+/// The pixels that both have; `None` when there are none.
+fn overlap(a: Rect, b: Rect) -> Option<Rect> {
+    let (x, y) = (a.x.max(b.x), a.y.max(b.y));
+    let (right, bottom) = ((a.x + a.width).min(b.x + b.width), (a.y + a.height).min(b.y + b.height));
+    (right > x && bottom > y).then(|| Rect { x, y, width: right - x, height: bottom - y })
 }

@@ -3,7 +3,7 @@
 use super::lattice::Prepared;
 use crate::capture::{Capture, Pattern, Photograph, Rect};
 use crate::progress::{Progress, Stage};
-use crate::radiance::{Radiance, Sensor, merge_shot};
+use crate::radiance::{Bracket, Radiance, Sensor, decode_shot};
 use crate::registration::{BitPair, Registration, register_board, register_projector};
 use crate::response::Irradiance;
 use crate::{Error, Result};
@@ -15,7 +15,7 @@ use std::sync::Mutex;
 /// What decoding any shot needs.
 pub(super) struct Shots<'a> {
     pub(super) capture: &'a Capture,
-    sensor: Sensor,
+    pub(super) sensor: Sensor,
     whole: Rect,
     pub(super) hashes: Mutex<BTreeMap<PathBuf, blake3::Hash>>,
 }
@@ -27,17 +27,20 @@ impl<'a> Shots<'a> {
         Self { capture, sensor: Sensor::new(&capture.rig), whole, hashes: Mutex::default() }
     }
 
-    pub(super) fn merge(&self, shot: usize, rects: &[Rect]) -> Result<Vec<Radiance>> {
+    /// Decodes a shot and keeps the pixels of `rects`.
+    pub(super) fn decode(&self, shot: usize, rects: &[Rect]) -> Result<Vec<Bracket>> {
         let remember = |p: &Photograph, hash| {
             if let Ok(mut hashes) = self.hashes.lock() {
                 hashes.insert(p.path.clone(), hash);
             }
         };
-        merge_shot(&self.capture.brackets[shot], rects, self.capture.rig.camera.size_px, &self.sensor, &remember)
+        decode_shot(&self.capture.brackets[shot], rects, self.capture.rig.camera.size_px, &remember)
     }
 
     pub(super) fn merge_whole(&self, shot: usize) -> Result<Radiance> {
-        self.merge(shot, &[self.whole])?.pop().ok_or_else(|| Error::internal("a shot merged to nothing"))
+        let brackets = self.decode(shot, &[self.whole])?;
+        let bracket = brackets.first().ok_or_else(|| Error::internal("a shot decoded to nothing"))?;
+        Ok(bracket.merge(self.whole, &self.sensor))
     }
 
     fn one(&self, of: fn(&Pattern) -> bool) -> Result<usize> {
