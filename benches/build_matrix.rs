@@ -1,6 +1,7 @@
 //! Time of the whole `build-matrix` against only decoding the same photographs with the same crates, in turn, on all cores.
 //!
-//! `cargo bench --bench build_matrix [-- GRID WINDOW PAIRS]`; prints medians and the ratio pair by pair.
+//! `cargo bench --bench build_matrix [-- CAPTURE_DIR]` (by default a simulated capture of 16×16 points, 31×31 window); prints medians
+//! over five pairs and the median of the pairs' ratios.
 
 use acquire::capture::Capture;
 use acquire::progress::Progress;
@@ -10,12 +11,12 @@ use rayon::prelude::*;
 use std::time::Instant;
 
 fn main() -> acquire::Result<()> {
-    let numbers: Vec<usize> = std::env::args().filter_map(|a| a.parse().ok()).collect();
-    let number = |k: usize, default| numbers.get(k).copied().unwrap_or(default);
-    let (grid, window, pairs) = (number(0, 16), number(1, 31), number(2, 5));
     let folder = tempfile::tempdir().map_err(acquire::Error::io("create", "a temporary folder"))?;
-    let dir = folder.path().join("capture");
-    simulate(&Options { grid, window, ..Options::default() }, &dir, &Progress::silent())?;
+    let named = std::env::args().skip(1).find(|a| !a.starts_with('-')).map(std::path::PathBuf::from);
+    let dir = named.clone().unwrap_or_else(|| folder.path().join("capture"));
+    if named.is_none() {
+        simulate(&Options { grid: 16, window: 31, ..Options::default() }, &dir, &Progress::silent())?;
+    }
     let capture = Capture::open(&dir, None)?;
     println!("{} photographs of {:?} px", capture.photographs(), capture.rig.camera.size_px);
 
@@ -31,7 +32,7 @@ fn main() -> acquire::Result<()> {
     };
     decode()?;
     let mut times = Vec::new();
-    for _ in 0..pairs.max(1) {
+    for _ in 0..5 {
         times.push((decode()?, build()?));
     }
     let median = |mut v: Vec<f64>| {

@@ -1,10 +1,61 @@
 use super::Context;
-use crate::Result;
+use crate::evaluate::{Measures, evaluate};
+use crate::material::Source;
+use crate::transport::MatrixReader;
+use crate::{Error, Result};
+use std::io::Write;
+use std::path::PathBuf;
 
-/// (to be written)
+/// Compare a material or a matrix with a reference matrix.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "\
+Examples:
+  acquire evaluate slab.safetensors slab.rd.zarr            what the factorization lost
+  acquire evaluate slab.rd.zarr truth.rd.zarr --json        what the measurement missed, for a program
 
-pub fn run(_args: Args, _context: &Context) -> Result<()> {
-    todo!()
+docs/metrics.md defines every measure.")]
+pub struct Args {
+    /// A material (*.safetensors) or a matrix (*.rd.zarr).
+    candidate: PathBuf,
+    /// The matrix to compare with.
+    reference: PathBuf,
+    /// Print one JSON object instead of a table.
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: Args, context: &Context) -> Result<()> {
+    let candidate = Source::open(&args.candidate)?;
+    let reference = MatrixReader::open(&args.reference)?;
+    let measures = evaluate(&candidate, &reference, &context.progress)?;
+    let text =
+        if args.json { serde_json::to_string_pretty(&measures).map_err(Error::internal)? } else { table(&measures) };
+    writeln!(std::io::stdout(), "{text}").map_err(Error::io("write", "standard output"))?;
+    context.done(format_args!("{} entries compared", measures.entries));
+    Ok(())
+}
+
+fn table(m: &Measures) -> String {
+    let number = |v: Option<f64>, unit: &str| match v {
+        Some(v) => format!("{v:.5}{unit}"),
+        None => "-".to_owned(),
+    };
+    let rgb = |v: [f64; 3]| format!("{:.4} {:.4} {:.4}", v[0], v[1], v[2]);
+    let lines = [
+        ("rel_rmse", number(m.rel_rmse, "")),
+        ("psnr_db", number(m.psnr_db, " dB")),
+        ("log_rmse", number(m.log_rmse, "")),
+        ("relit_psnr_db", number(m.relit_psnr_db, " dB")),
+        ("bytes_f32", m.bytes_f32.to_string()),
+        ("bytes_file", m.bytes_file.to_string()),
+        ("albedo_max", rgb(m.albedo_max)),
+        ("albedo_mean", rgb(m.albedo_mean)),
+        ("albedo_violations", format!("{} rows", m.albedo_violations)),
+        ("reciprocity", number(m.reciprocity, "")),
+        ("coverage_2sigma", number(m.coverage_2sigma, "")),
+        ("drift_rms_px", number(m.drift_rms_px, " px")),
+        ("position_rms_mm", number(Some(m.position_rms_mm), " mm")),
+        ("position_rms_px", number(m.position_rms_px, " px")),
+    ];
+    lines.map(|(name, value)| format!("{name:<18} {value}")).join("\n")
 }

@@ -1,10 +1,46 @@
 use super::Context;
 use crate::Result;
+use crate::material::{Material, export_exr, export_npz};
+use std::path::PathBuf;
 
-/// (to be written)
+/// Write a material's factors as OpenEXR layers or as a NumPy archive.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "\
+Examples:
+  acquire export slab.safetensors --to npz --out slab.npz     np.load(\"slab.npz\")[\"offset_factors\"]
+  acquire export slab.safetensors --to exr --out slab.exr     one part per map, for any viewer")]
+pub struct Args {
+    /// The material, a file *.safetensors.
+    material: PathBuf,
+    /// What to write.
+    #[arg(long, value_enum)]
+    to: Format,
+    /// The file to write [default: the material's name with the format's extension].
+    #[arg(long, short, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
 
-pub fn run(_args: Args, _context: &Context) -> Result<()> {
-    todo!()
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Format {
+    /// OpenEXR, one part per factor and per power of the colour polynomial.
+    Exr,
+    /// NumPy, every tensor by name.
+    Npz,
+}
+
+pub fn run(args: Args, context: &Context) -> Result<()> {
+    let material = Material::load(&args.material)?;
+    let out = args.out.unwrap_or_else(|| {
+        args.material.with_extension(match args.to {
+            Format::Exr => "exr",
+            Format::Npz => "npz",
+        })
+    });
+    match args.to {
+        Format::Exr => export_exr(&material, &out)?,
+        Format::Npz => export_npz(&material, &out)?,
+    }
+    let h = &material.header;
+    context.done(format_args!("{}: {} terms, colour of degree {}", out.display(), h.terms, h.degree));
+    Ok(())
 }

@@ -1,10 +1,60 @@
 use super::Context;
-use crate::Result;
+use crate::material::{Exitance, Light, Source, relight, write_exitance};
+use crate::{Error, Result};
+use std::path::{Path, PathBuf};
 
-/// (to be written)
+/// Light the slab with an image and write what leaves it.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "\
+Examples:
+  acquire relight slab.safetensors --light spot --out spot.exr
+  acquire relight slab.rd.zarr --light window.png --out window.exr      the measured matrix itself
+  acquire relight slab.safetensors --light point:12,8 --out point.exr   one lit point")]
+pub struct Args {
+    /// A material or a matrix.
+    source: PathBuf,
+    /// Irradiance over the lit area: an image (EXR linear, PNG or JPEG sRGB), or spot, stripes, gradient, uniform,
+    /// point:I,J.
+    #[arg(long, value_name = "LIGHT")]
+    light: String,
+    /// The exitance to write, linear OpenEXR; a tone-mapped PNG goes beside it.
+    #[arg(long, short, value_name = "FILE.exr")]
+    out: PathBuf,
+}
 
-pub fn run(_args: Args, _context: &Context) -> Result<()> {
-    todo!()
+pub fn run(args: Args, context: &Context) -> Result<()> {
+    let png = args.out.with_extension("png");
+    if png == args.out {
+        return Err(Error::Setting {
+            setting: "--out",
+            expected: "an .exr file; the PNG goes beside it".into(),
+            found: args.out.display().to_string(),
+        });
+    }
+    let light = Light::parse(&args.light)?;
+    let source = Source::open(&args.source)?;
+    let flux = light.flux(&source.shape())?;
+    let images = relight(&source, &[flux], &context.progress)?;
+    let Some(exitance) = images.first() else { return Err(Error::internal("no image was made")) };
+    write_exitance(exitance, &args.out)?;
+    let white = exitance.white();
+    write_png(exitance, white, &png)?;
+    context.done(format_args!(
+        "{}: {} × {} samples; {} shows it with exposure {:.4} (white is an exitance of {white:.4})",
+        args.out.display(),
+        exitance.canvas.size[0],
+        exitance.canvas.size[1],
+        png.display(),
+        1.0 / white
+    ));
+    Ok(())
+}
+
+fn write_png(exitance: &Exitance, white: f64, path: &Path) -> Result<()> {
+    let [width, height] = exitance.canvas.size.map(|s| s as u32);
+    let rgb = exitance.tone_mapped(white);
+    let Some(image) = image::RgbImage::from_raw(width, height, rgb) else {
+        return Err(Error::internal("the image has another size than its samples"));
+    };
+    crate::material::write_png(&image, path)
 }

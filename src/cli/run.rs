@@ -1,10 +1,211 @@
 use super::Context;
-use crate::Result;
+use crate::capture::Manifest;
+use crate::evaluate::evaluate;
+use crate::factor::{Factored, Options, factor};
+use crate::material::{Source, export_exr, export_npz};
+use crate::report::{self, Comparison, MaterialSummary, ReportInput, Survey};
+use crate::transport::{BuildOptions, BuildReport, MatrixReader, build_matrix};
+use crate::{Error, Result};
+use std::path::{Path, PathBuf};
 
-/// (to be written)
+/// The whole way: photographs to matrix, material, exports, measures and a report.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "\
+Examples:
+  acquire run captures/ --out results
+  acquire run captures/ --out results --force --terms 15 --degree 7
 
-pub fn run(_args: Args, _context: &Context) -> Result<()> {
-    todo!()
+Writes into RESULTS: matrix.rd.zarr, material.safetensors, material.exr, material.npz, measures.json, report/report.html.
+When the capture has a truth.rd.zarr beside it (a simulated one), the matrix is measured against it.")]
+pub struct Args {
+    /// Folder of capture.toml.
+    capture: PathBuf,
+    /// The folder to make.
+    #[arg(long, short, value_name = "RESULTS")]
+    out: PathBuf,
+    /// Folder of rig.toml [default: calibration/ in the capture, else beside it].
+    #[arg(long, value_name = "DIR")]
+    calibration: Option<PathBuf>,
+    /// Number of terms [default: as many as exceed the measured noise].
+    #[arg(long, value_name = "T")]
+    terms: Option<usize>,
+    /// Degree of the colour polynomial, 0 to 15 [default: as the measured noise supports].
+    #[arg(long, value_name = "P")]
+    degree: Option<usize>,
+    /// Replace earlier results at RESULTS.
+    #[arg(long)]
+    force: bool,
+}
+
+const MATRIX: &str = "matrix.rd.zarr";
+const MATERIAL: &str = "material.safetensors";
+const MEASURES: &str = "measures.json";
+
+pub fn run(args: Args, context: &Context) -> Result<()> {
+    let results = Results::prepare(&args.out, args.force)?;
+    let title = Manifest::read(&args.capture)?.name;
+    let at = |name: &str| results.folder.join(name);
+
+    let options = BuildOptions { calibration: args.calibration };
+    let build = build_matrix(&args.capture, &options, &at(MATRIX), &context.progress)?;
+    build.warnings.iter().for_each(|w| context.warn(w));
+    context.done(super::build_matrix::summary(&build));
+
+    let matrix = MatrixReader::open(&at(MATRIX))?;
+    let options = Options { terms: args.terms, degree: args.degree, ..Options::default() };
+    let factored = factor(&matrix, &options, &context.progress)?;
+    factored.material.save(&at(MATERIAL))?;
+    context.done(&factored.choice);
+    export_exr(&factored.material, &at("material.exr"))?;
+    export_npz(&factored.material, &at("material.npz"))?;
+
+    let comparisons = compare(&args.capture, &results.folder, context)?;
+    write_report(&title, &build, &matrix, &factored, &comparisons, &results.folder, context)?;
+    results.finish()?;
+    for c in &comparisons {
+        context.done(closing_line(c));
+    }
+    context.done(format_args!("results: {}", args.out.display()));
+    context.done(format_args!("report:  {}", args.out.join("report/report.html").display()));
+    Ok(())
+}
+
+fn write_report(
+    title: &str,
+    build: &BuildReport,
+    matrix: &MatrixReader,
+    factored: &Factored,
+    comparisons: &[Comparison],
+    folder: &Path,
+    context: &Context,
+) -> Result<()> {
+    let material = &factored.material;
+    let survey = {
+        let stage = context.progress.stage("survey", matrix.header().rows());
+        Survey::take(matrix, |i| {
+            stage.advance(1);
+            Ok(material.evaluate_row(i))
+        })?
+    };
+    let file = folder.join(MATERIAL);
+    let bytes_file = std::fs::metadata(&file).map_err(Error::io("read", &file))?.len();
+    let summary = MaterialSummary::new(&material.header, bytes_file, Some(factored.choice.clone()));
+    // A material carries the matrix's warnings before its own.
+    let own = material.header.warnings.get(matrix.header().warnings.len()..).unwrap_or_default();
+    let input = ReportInput {
+        title,
+        matrix: matrix.header(),
+        material: &summary,
+        overview: Some(&build.overview),
+        survey: &survey,
+        comparisons,
+        timings: &context.progress.timings(),
+        warnings: own,
+    };
+    report::write(&folder.join("report"), &input)
+}
+
+/// Measures the material against the matrix and, for a simulated capture, the matrix against the truth; writes them.
+fn compare(capture: &Path, folder: &Path, context: &Context) -> Result<Vec<Comparison>> {
+    let matrix = folder.join(MATRIX);
+    let truth = capture.join("truth.rd.zarr");
+    let mut pairs = vec![("material against matrix", folder.join(MATERIAL), &matrix)];
+    if truth.is_dir() {
+        pairs.push(("matrix against truth", matrix.clone(), &truth));
+    }
+    let mut object = serde_json::Map::new();
+    let mut comparisons = Vec::new();
+    for (title, candidate, reference) in pairs {
+        let measures = evaluate(&Source::open(&candidate)?, &MatrixReader::open(reference)?, &context.progress)?;
+        comparisons.push(Comparison::new(title, &measures)?);
+        object.insert(title.replace(' ', "_"), serde_json::to_value(&measures).map_err(Error::internal)?);
+    }
+    let path = folder.join(MEASURES);
+    let text = serde_json::to_string_pretty(&object).map_err(Error::internal)?;
+    std::fs::write(&path, text + "\n").map_err(Error::io("write", &path))?;
+    Ok(comparisons)
+}
+
+/// The line that a person waits for.
+fn closing_line(c: &Comparison) -> String {
+    let percent = c.value("rel_rmse").map(|v| format!("rel_rmse {:.2} %", 100.0 * v));
+    let psnr = c.value("psnr_db").map(|v| format!("psnr {v:.1} dB"));
+    let parts: Vec<String> = percent.into_iter().chain(psnr).collect();
+    format!("{}: {}", c.title, parts.join(", "))
+}
+
+/// The results folder under another name until it is complete.
+struct Results {
+    /// Where the files go for now.
+    folder: PathBuf,
+    /// Removed when the run stops.
+    scratch: tempfile::TempDir,
+    target: PathBuf,
+}
+
+impl Results {
+    /// Checks that `target` may be made, before any work.
+    fn prepare(target: &Path, force: bool) -> Result<Self> {
+        let refuse =
+            |expected: &str, found: String| Err(Error::Setting { setting: "--out", expected: expected.into(), found });
+        let entries = match std::fs::read_dir(target) {
+            Ok(mut entries) => entries.next().is_some(),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => false,
+            Err(e) => return Err(Error::io("create", target)(e)),
+        };
+        if entries && !force {
+            return refuse("a folder that is empty or not there, or --force", format!("files in {}", target.display()));
+        }
+        // Whatever else lies there is not ours to remove.
+        if entries && !target.join(MEASURES).is_file() {
+            return refuse("earlier results to replace", format!("{} without {MEASURES}", target.display()));
+        }
+        let target = std::path::absolute(target).map_err(Error::io("create", target))?;
+        let parent = target.parent().unwrap_or(&target).to_path_buf();
+        std::fs::create_dir_all(&parent).map_err(Error::io("create", &parent))?;
+        let scratch = tempfile::Builder::new()
+            .prefix(".acquire-run-")
+            .tempdir_in(&parent)
+            .map_err(Error::io("create", &target))?;
+        let folder = scratch.path().join("results");
+        std::fs::create_dir(&folder).map_err(Error::io("create", &folder))?;
+        Ok(Self { folder, scratch, target })
+    }
+
+    /// Puts the folder into its place; earlier results leave with the scratch folder.
+    fn finish(self) -> Result<()> {
+        if self.target.exists() {
+            let old = self.scratch.path().join("old");
+            std::fs::rename(&self.target, old).map_err(Error::io("rename", &self.target))?;
+        }
+        std::fs::rename(&self.folder, &self.target).map_err(Error::io("rename", &self.target))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_appear_when_they_are_whole_and_nothing_else_is_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let out = dir.path().join("a/results");
+        let put = |r: &Results, text: &str| std::fs::write(r.folder.join(MEASURES), text).unwrap();
+        drop(Results::prepare(&out, false).unwrap());
+        assert_eq!(std::fs::read_dir(dir.path().join("a")).unwrap().count(), 0, "a stopped run leaves nothing");
+
+        for (force, text) in [(false, "1"), (true, "2")] {
+            let results = Results::prepare(&out, force).unwrap();
+            put(&results, text);
+            results.finish().unwrap();
+            assert_eq!(std::fs::read_to_string(out.join(MEASURES)).unwrap(), text);
+            assert_eq!(std::fs::read_dir(dir.path().join("a")).unwrap().count(), 1);
+        }
+        assert!(Results::prepare(&out, false).is_err());
+
+        let photographs = dir.path().join("photographs");
+        std::fs::create_dir(&photographs).unwrap();
+        std::fs::write(photographs.join("a.jpg"), "x").unwrap();
+        assert!(Results::prepare(&photographs, true).is_err(), "--force replaces results only");
+    }
 }

@@ -1,1 +1,337 @@
-//! Evaluate: the measures of `docs/metrics.md`.
+//! Evaluate: the measures of `docs/metrics.md`, a candidate matrix or material against a reference matrix.
+
+mod reciprocity;
+
+use crate::geometry::Point;
+use crate::material::{Canvas, Exitance, FIXED_SET, Source, splat};
+use crate::progress::Progress;
+use crate::transport::{MatrixHeader, MatrixReader, RowBlock};
+use crate::{Error, Result};
+use rayon::prelude::*;
+use reciprocity::Reciprocity;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Entries above this share of their row's largest reference entry count in `log_rmse`.
+const LOG_ABOVE: f64 = 1e-4;
+/// What a candidate entry is raised to before its logarithm is taken, as a share of the same peak.
+const LOG_FLOOR: f64 = 1e-6;
+
+/// Every measure of a candidate against a reference; `None` where it is not defined, see `docs/metrics.md`.
+///
+/// An entry counts when both the candidate and the reference measured it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Measures {
+    /// Entries compared, over all channels.
+    pub entries: u64,
+    /// ‖R̂−R‖ / ‖R‖; `None` when the reference is zero.
+    pub rel_rmse: Option<f64>,
+    /// 20 log₁₀(max R / RMSE), dB; `None` when the two are equal or the reference is nowhere positive.
+    pub psnr_db: Option<f64>,
+    /// RMS of ln R̂ − ln R over entries above 1e-4 of their row's peak.
+    pub log_rmse: Option<f64>,
+    /// PSNR of the slab under the fixed set of lights, dB; `None` as for `psnr_db`.
+    pub relit_psnr_db: Option<f64>,
+    /// Every stored number of the candidate as 4 bytes.
+    pub bytes_f32: u64,
+    /// Bytes of the candidate on disk.
+    pub bytes_file: u64,
+    /// Largest albedo of a row of the candidate, per channel; a window sees only a part of it.
+    pub albedo_max: [f64; 3],
+    /// Mean albedo of the candidate's rows, per channel.
+    pub albedo_mean: [f64; 3],
+    /// Rows of the candidate with an albedo above one in any channel.
+    pub albedo_violations: u64,
+    /// RMS of R(a,b) − R(b,a) over the RMS of their mean, in the candidate; `None` when no two lit points see each
+    /// other.
+    pub reciprocity: Option<f64>,
+    /// Share of the candidate's entries within two of its standard deviations of the reference; `None` when it has no
+    /// variance. 0.954 is expected of a normal error.
+    pub coverage_2sigma: Option<f64>,
+    /// RMS length of the difference of drift between shots of one name, camera px.
+    pub drift_rms_px: Option<f64>,
+    /// RMS distance between the candidate's lit points and the reference's, mm.
+    pub position_rms_mm: f64,
+    /// The same in camera px, when the candidate's or the reference's provenance says how many make a millimetre.
+    pub position_rms_px: Option<f64>,
+}
+
+/// Sums over entries, of one row or of many.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    entries: u64,
+    error: f64,
+    size: f64,
+    peak: f64,
+    log_error: f64,
+    log_entries: u64,
+    covered: u64,
+    with_variance: u64,
+    albedo: [f64; 3],
+}
+
+/// Compares a candidate with a reference matrix. Reads both once, in blocks.
+///
+/// # Errors
+/// [`Error::Mismatch`] when points, window or pitch differ; those of the readers.
+pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progress) -> Result<Measures> {
+    let shape = candidate.shape();
+    check(candidate, reference)?;
+    let header = reference.header();
+    let fluxes = FIXED_SET.iter().map(|light| light.flux(&shape)).collect::<Result<Vec<_>>>()?;
+    let canvas = Canvas::covering(&shape, candidate.path())?;
+    let black = || vec![Exitance::new(canvas); fluxes.len()];
+    let (mut lit, mut lit_reference) = (black(), black());
+    let mut reciprocity = Reciprocity::new(&shape);
+    let (mut all, mut albedo) = (Sums::default(), Albedo::default());
+    let mut positions = (0.0, 0_u64);
+
+    let stage = progress.stage("evaluate", shape.rows());
+    let step = candidate.rows_per_block();
+    for first in (0..shape.rows()).step_by(step) {
+        let rows = first..(first + step).min(shape.rows());
+        let (mut a, mut b) = (candidate.read(rows.clone())?, reference.read(rows)?);
+        keep_common(&mut a, &mut b);
+        let sums: Vec<Sums> =
+            (0..a.rows).into_par_iter().map(|k| compare(&a, &b, k, shape.pitch_mm, candidate)).collect();
+        for (k, row) in sums.iter().enumerate().filter(|(_, s)| s.entries > 0) {
+            all.add(row);
+            albedo.add(row.albedo);
+            let [p, q] = [shape.lit_mm[first + k], header.lit_mm[first + k]];
+            positions.0 += (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2);
+            positions.1 += 1;
+        }
+        reciprocity.add(&a, &shape);
+        splat(&mut lit, &a, &shape, &fluxes);
+        // The reference is lit on the candidate's grid: a displaced lit point is `position_rms_mm`'s to tell.
+        splat(&mut lit_reference, &b, &shape, &fluxes);
+        stage.advance(a.rows);
+    }
+    let position_rms_mm = (positions.0 / positions.1.max(1) as f64).sqrt();
+    let candidate_header = matrix_header(candidate);
+    Ok(Measures {
+        entries: all.entries,
+        rel_rmse: (all.size > 0.0).then(|| (all.error / all.size).sqrt()),
+        psnr_db: psnr(all.peak, all.error, all.entries),
+        log_rmse: (all.log_entries > 0).then(|| (all.log_error / all.log_entries as f64).sqrt()),
+        relit_psnr_db: relit_psnr(&lit, &lit_reference),
+        bytes_f32: candidate.bytes_f32(),
+        bytes_file: candidate.bytes_file()?,
+        albedo_max: albedo.max,
+        albedo_mean: albedo.sum.map(|s| s / albedo.rows.max(1) as f64),
+        albedo_violations: albedo.violations,
+        reciprocity: reciprocity.relative_rms(),
+        coverage_2sigma: (all.with_variance > 0).then(|| all.covered as f64 / all.with_variance as f64),
+        drift_rms_px: candidate_header.and_then(|h| drift_rms(h, header)),
+        position_rms_mm,
+        position_rms_px: candidate_header
+            .and_then(px_per_mm)
+            .or_else(|| px_per_mm(header))
+            .map(|scale| scale * position_rms_mm),
+    })
+}
+
+fn matrix_header(source: &Source) -> Option<&MatrixHeader> {
+    match source {
+        Source::Matrix(reader) => Some(reader.header()),
+        Source::Material(..) => None,
+    }
+}
+
+/// Camera pixels per millimetre of the slab: as the provenance says, or as a simulation was asked to have.
+fn px_per_mm(header: &MatrixHeader) -> Option<f64> {
+    let number = |pointer: &str| header.provenance.pointer(pointer).and_then(serde_json::Value::as_f64);
+    let simulated = || Some(number("/options/camera_px_per_sample")? / number("/options/pitch_mm")?);
+    number("/camera_px_per_mm").or_else(simulated).filter(|v| v.is_finite() && *v > 0.0)
+}
+
+fn check(candidate: &Source, reference: &MatrixReader) -> Result<()> {
+    let (a, b) = (candidate.shape(), reference.header());
+    let mismatch = |field: &str, a_value: String, b_value: String| {
+        Err(Error::Mismatch {
+            a: candidate.path().to_path_buf(),
+            b: reference.path().to_path_buf(),
+            field: field.to_owned(),
+            a_value,
+            b_value,
+        })
+    };
+    if a.points != b.points {
+        return mismatch("points", format!("{:?}", a.points), format!("{:?}", b.points));
+    }
+    if a.window != b.window {
+        return mismatch("window", format!("{:?}", a.window), format!("{:?}", b.window));
+    }
+    // Both are settings, not measurements: they differ by how they were written, if at all.
+    if (a.pitch_mm - b.pitch_mm).abs() > 1e-6 * b.pitch_mm {
+        return mismatch("pitch_mm", a.pitch_mm.to_string(), b.pitch_mm.to_string());
+    }
+    Ok(())
+}
+
+/// Marks entries that either did not measure as invalid in both, and makes them zero.
+fn keep_common(a: &mut RowBlock, b: &mut RowBlock) {
+    let entries = a.valid.iter_mut().zip(&mut b.valid).zip(a.response.iter_mut().zip(&mut b.response));
+    for ((va, vb), (ra, rb)) in entries {
+        if *va == 0 || *vb == 0 {
+            (*va, *vb, *ra, *rb) = (0, 0, 0.0, 0.0);
+        }
+    }
+}
+
+fn compare(a: &RowBlock, b: &RowBlock, k: usize, pitch_mm: f64, candidate: &Source) -> Sums {
+    let (a, b) = (a.view(k), b.view(k));
+    let measured = matches!(candidate, Source::Matrix(_));
+    let peak = b.response.iter().copied().fold(0.0_f32, f32::max);
+    let peak = f64::from(peak);
+    let mut sums = Sums { peak, ..Sums::default() };
+    for s in (0..b.response.len()).filter(|&s| b.valid[s] != 0) {
+        let (x, y) = (f64::from(a.response[s]), f64::from(b.response[s]));
+        sums.entries += 1;
+        sums.error += (x - y) * (x - y);
+        sums.size += y * y;
+        sums.albedo[s % 3] += x * pitch_mm * pitch_mm;
+        if y > LOG_ABOVE * peak {
+            sums.log_error += (x.max(LOG_FLOOR * peak) / y).ln().powi(2);
+            sums.log_entries += 1;
+        }
+        let variance = f64::from(a.variance[s]);
+        if measured && variance > 0.0 {
+            sums.with_variance += 1;
+            sums.covered += u64::from((x - y).abs() <= 2.0 * variance.sqrt());
+        }
+    }
+    sums
+}
+
+impl Sums {
+    fn add(&mut self, row: &Self) {
+        self.entries += row.entries;
+        self.error += row.error;
+        self.size += row.size;
+        self.peak = self.peak.max(row.peak);
+        self.log_error += row.log_error;
+        self.log_entries += row.log_entries;
+        self.covered += row.covered;
+        self.with_variance += row.with_variance;
+    }
+}
+
+#[derive(Debug, Default)]
+struct Albedo {
+    max: [f64; 3],
+    sum: [f64; 3],
+    rows: u64,
+    violations: u64,
+}
+
+impl Albedo {
+    fn add(&mut self, row: [f64; 3]) {
+        for c in 0..3 {
+            self.max[c] = self.max[c].max(row[c]);
+            self.sum[c] += row[c];
+        }
+        self.rows += 1;
+        self.violations += u64::from(row.iter().any(|&a| a > 1.0));
+    }
+}
+
+/// 20 log₁₀(peak / RMSE).
+fn psnr(peak: f64, error: f64, entries: u64) -> Option<f64> {
+    let rmse = (error / entries.max(1) as f64).sqrt();
+    (peak > 0.0 && rmse > 0.0).then(|| 20.0 * (peak / rmse).log10())
+}
+
+fn relit_psnr(a: &[Exitance], b: &[Exitance]) -> Option<f64> {
+    let (mut error, mut entries, mut peak) = (0.0, 0_u64, 0.0_f64);
+    for (a, b) in a.iter().zip(b) {
+        for (a, b) in a.planes.iter().flatten().zip(b.planes.iter().flatten()) {
+            error += (a - b) * (a - b);
+            peak = peak.max(*b);
+            entries += 1;
+        }
+    }
+    psnr(peak, error, entries)
+}
+
+fn drift_rms(a: &MatrixHeader, b: &MatrixHeader) -> Option<f64> {
+    let by_name: BTreeMap<&str, Point> = b.shots.iter().map(|s| (s.name.as_str(), s.drift_px)).collect();
+    let squares: Vec<f64> = a
+        .shots
+        .iter()
+        .filter_map(|s| by_name.get(s.name.as_str()).map(|d| (s.drift_px, *d)))
+        .map(|(p, q)| (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2))
+        .collect();
+    (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transport::{MatrixWriter, Row, ShotRecord};
+    use std::path::Path;
+
+    /// 3 × 2 points, 3 × 3 window, R = 0.1 · (1 + row) in all entries times `gain`, one entry unmeasured.
+    fn matrix(path: &Path, gain: f32, window: [usize; 2], drift_px: Point, moved_mm: f64) -> MatrixReader {
+        let header = MatrixHeader {
+            points: [3, 2],
+            window,
+            pitch_mm: 0.5,
+            lit_pitch_mm: [0.5, 0.5],
+            lit_mm: (0..6).map(|i| [(i % 3) as f64 * 0.5 + moved_mm, (i / 3) as f64 * 0.5]).collect(),
+            position_sd_mm: vec![0.0; 6],
+            shot_of: vec![Some(0); 6],
+            shots: vec![ShotRecord { name: "a".into(), drift_px, drift_sd_px: None }],
+            warnings: Vec::new(),
+            provenance: serde_json::json!({"camera_px_per_mm": 4.0}),
+        };
+        let writer = MatrixWriter::create(path, header.clone()).unwrap();
+        let n = header.row_len();
+        for i in 0..6 {
+            let mut row = Row {
+                response: vec![gain * 0.1 * (1 + i) as f32; n],
+                variance: vec![1.21e-4; n],
+                valid: vec![true; n],
+            };
+            (row.response[5], row.valid[5]) = (0.0, false);
+            writer.put(i, &row).unwrap();
+        }
+        writer.finish().unwrap();
+        MatrixReader::open(path).unwrap()
+    }
+
+    #[test]
+    fn measures_of_a_scaled_matrix_are_those_worked_out_by_hand() {
+        let folder = tempfile::tempdir().unwrap();
+        let reference = matrix(&folder.path().join("r.rd.zarr"), 1.0, [3, 3], [0.0, 0.0], 0.0);
+        matrix(&folder.path().join("c.rd.zarr"), 1.1, [3, 3], [0.3, 0.4], 0.01);
+        let candidate = Source::open(&folder.path().join("c.rd.zarr")).unwrap();
+        let m = evaluate(&candidate, &reference, &Progress::silent()).unwrap();
+        let near = |found: Option<f64>, expected: f64| (found.unwrap() - expected).abs() < 1e-5 * expected.abs();
+        assert_eq!(m.entries, 6 * 26);
+        assert!(near(m.rel_rmse, 0.1), "{m:?}");
+        // RMSE = 0.1 · √(mean of (0.1 k)², k = 1 … 6) = 0.0389444; peak 0.6
+        assert!(near(m.psnr_db, 20.0 * (0.6_f64 / 0.038_944_4).log10()), "{m:?}");
+        assert!(near(m.log_rmse, 1.1_f64.ln()), "{m:?}");
+        // σ = 0.011: |R̂−R| = 0.01 k ≤ 0.022 in two rows of six
+        assert!(near(m.coverage_2sigma, 1.0 / 3.0), "{m:?}");
+        assert!(near(m.drift_rms_px, 0.5) && near(Some(m.position_rms_mm), 0.01) && near(m.position_rms_px, 0.04));
+        // 9 samples of 0.25 mm² times 0.66; the third channel misses one
+        assert!(near(Some(m.albedo_max[0]), 0.66 * 2.25) && near(Some(m.albedo_max[2]), 0.66 * 2.0), "{m:?}");
+        assert_eq!(m.albedo_violations, 2, "0.1 · 1.1 · k · 2.25 > 1 from k = 5 on");
+        assert_eq!(m.bytes_f32, 4 * 6 * 27);
+    }
+
+    #[test]
+    fn equal_matrices_have_no_psnr_and_other_shapes_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("r.rd.zarr");
+        let reference = matrix(&path, 1.0, [3, 3], [0.0, 0.0], 0.0);
+        let m = evaluate(&Source::open(&path).unwrap(), &reference, &Progress::silent()).unwrap();
+        assert_eq!((m.rel_rmse, m.psnr_db, m.relit_psnr_db), (Some(0.0), None, None));
+        let other = folder.path().join("o.rd.zarr");
+        matrix(&other, 1.0, [5, 3], [0.0, 0.0], 0.0);
+        let refused = evaluate(&Source::open(&other).unwrap(), &reference, &Progress::silent());
+        assert!(matches!(refused, Err(Error::Mismatch { field, .. }) if field == "window"));
+    }
+}

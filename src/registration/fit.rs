@@ -94,6 +94,9 @@ pub struct ViewFit {
     pub sd_px: f64,
 }
 
+/// A distortion term is tried only with this many points for each: few corners fit any curve, and extrapolate it wildly.
+const PAIRS_PER_TERM: usize = 15;
+
 /// Fits homography and lens distortion to pairs (slab mm, camera px); no distortion term that the residuals do not ask for.
 ///
 /// Terms are added while the Bayesian information criterion falls. The lens's centre and focal length are those given.
@@ -109,7 +112,7 @@ pub fn fit_view(pairs: &[(Point, Point)], center_px: Point, focal_px: f64) -> Op
     let n = 2.0 * pairs.len() as f64;
     let mut best: Option<(f64, ViewFit)> = None;
     let mut start = [0.0, 0.0];
-    for terms in 0..=2 {
+    for terms in 0..=(pairs.len() / PAIRS_PER_TERM).min(2) {
         // Given the lens, the homography is linear least squares: only k1 and k2 are searched (variable projection).
         let solve = |k: [f64; 2]| {
             let lens = Lens { center_px, focal_px, k1: k[0], k2: k[1] };

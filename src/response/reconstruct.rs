@@ -6,8 +6,8 @@ use crate::geometry::Point;
 const STENCIL: usize = 7;
 /// Pixels that a place depends on per axis: the stencils of the two nearest pixels together.
 const TAPS: usize = STENCIL + 1;
-/// Places of the quadrature per pixel and axis.
-const PLACES_PER_PIXEL: f64 = 2.0;
+/// Places of the quadrature per axis beyond one for each pixel: what the cell's rim needs, whatever its size.
+const EXTRA_PLACES: f64 = 3.0;
 
 /// Computes, for a quadrilateral of camera pixels, the weights with which pixel values give the mean over it.
 ///
@@ -30,7 +30,7 @@ pub struct CellWeights {
 impl CellWeights {
     /// Weights for cells of about `cell_px` pixels a side.
     pub fn new(cell_px: f64) -> Self {
-        let places = ((PLACES_PER_PIXEL * cell_px).round() as usize).clamp(4, 32);
+        let places = ((cell_px.round() + EXTRA_PLACES) as usize).clamp(4, 32);
         Self {
             table: tap_table(),
             gauss: gauss_legendre(places),

@@ -1,1 +1,219 @@
 //! Simulate: slab transport → projector → camera, to a capture folder with real image files and its truth.
+//!
+//! What a lab would deliver (`capture.toml`, `photos/`, `calibration/rig.toml`) and, beside it, what it cannot know:
+//! `truth.rd.zarr`, the matrix that the photographs show, and `truth.toml`, the geometry and drift.
+//!
+//! # What is simulated
+//! - The slab: steady diffusion per channel in a medium that varies over the plane (`diffusion.rs` says what this
+//!   approximates and where it is wrong). Each lit dot has its own box of voxels, centred on the dot, so that equal
+//!   surroundings give equal responses wherever the dot falls. The exitance is a continuous (C²) field; camera and truth integrate the same.
+//! - The projector: a homography, square pixels with a little blur, a black level, smooth falloff; dots displaced by the shot's drift.
+//! - The frame: opaque, Lambertian. It only masks: the slab continues beneath it and its light there is not returned.
+//! - The camera: a tilted pinhole with radial distortion and vignetting, pixels that average over their area, a sensor
+//!   with photon and read noise, pedestal, rounding and clipping.
+//!
+//! Not simulated: specular reflection, depth of field and lens blur, interreflection, colour crosstalk, fixed pattern noise.
+//! Response units are those of the design: exitance at x_o per unit flux arriving at x_i, mm⁻².
+
+mod diffusion;
+mod material;
+mod multigrid;
+mod options;
+mod photograph;
+mod plan;
+mod render;
+mod scene;
+mod sensor;
+mod studio;
+mod surface;
+#[cfg(test)]
+mod tests;
+
+pub use diffusion::Balance;
+pub use material::{Layout, Medium, Optics};
+pub use options::{FileFormat, MaterialKind, Options};
+
+use crate::{
+    Error, Result,
+    geometry::{CameraView, Homography, Point},
+    progress::Progress,
+    transport::{MatrixHeader, MatrixWriter, ShotRecord},
+};
+use plan::Plan;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+use studio::Studio;
+
+/// What was written.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// Number of shots.
+    pub shots: usize,
+    /// Number of photographs.
+    pub photographs: usize,
+    /// Their width and height, px.
+    pub size_px: [usize; 2],
+    /// Bytes of all photographs.
+    pub photograph_bytes: u64,
+}
+
+/// `truth.toml`: what a lab cannot know.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Truth {
+    /// Sample-to-sensor scale: electrons per second and unit of radiance at the principal point.
+    pub electrons_per_sec_per_radiance: f64,
+    /// Thickness of the transport solver's layers, mm.
+    pub layers_mm: Vec<f64>,
+    /// All options.
+    pub options: Options,
+    /// The material's coefficients and layout.
+    pub medium: Medium,
+    /// The camera's view of the slab, lens included.
+    pub camera_from_slab: CameraView,
+    /// Projector px to slab mm, without drift.
+    pub slab_from_projector: Homography,
+    /// Drift of each lattice shot.
+    pub shots: Vec<ShotTruth>,
+}
+
+/// The drift of one lattice shot.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ShotTruth {
+    /// Its name in `capture.toml`.
+    pub name: String,
+    /// Displacement of its dots, camera px at the slab's centre.
+    pub drift_px: Point,
+    /// The same on the slab, mm.
+    pub drift_mm: Point,
+}
+
+/// Writes a simulated capture to `dir`. The same options give the same bytes, whatever the number of threads.
+///
+/// # Errors
+/// [`Error::Setting`] for options out of range or a `dir` that is not empty (unless `options.force`); [`Error::Io`].
+pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Summary> {
+    options.check()?;
+    refuse_full(dir, options.force)?;
+    let parent = dir.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(parent).map_err(Error::io("create", parent))?;
+    let scratch =
+        tempfile::Builder::new().prefix(".simulate-").tempdir_in(parent).map_err(Error::io("create", parent))?;
+    // One folder deeper, for the permissions of an ordinary folder.
+    let work = scratch.path().join("capture");
+    for folder in [work.clone(), work.join("photos"), work.join("calibration")] {
+        std::fs::create_dir(&folder).map_err(Error::io("create", &folder))?;
+    }
+
+    let stage = progress.stage("light", 2);
+    let studio = Studio::new(options)?;
+    stage.advance(1);
+    let plan = Plan::new(options, &studio);
+    stage.advance(1);
+    drop(stage);
+
+    plan.manifest.write(&work)?;
+    studio.scene.rig(studio.sensor.noise()).write(&work.join("calibration"))?;
+    write_truth(options, &studio, &plan, &work)?;
+    let matrix = MatrixWriter::create(&work.join("truth.rd.zarr"), header(options, &studio, &plan)?)?;
+
+    let bytes = AtomicU64::new(0);
+    let stage = progress.stage("photograph", plan.manifest.shots.len());
+    (0..plan.manifest.shots.len()).into_par_iter().try_for_each(|shot| -> Result<()> {
+        let written = studio.shoot(options, &plan, shot, &work, &matrix)?;
+        bytes.fetch_add(written, Ordering::Relaxed);
+        stage.advance(1);
+        Ok(())
+    })?;
+    drop(stage);
+    matrix.finish()?;
+
+    if dir.exists() {
+        std::fs::remove_dir_all(dir).map_err(Error::io("replace", dir))?;
+    }
+    std::fs::rename(&work, dir).map_err(Error::io("rename", dir))?;
+    Ok(Summary {
+        shots: plan.manifest.shots.len(),
+        photographs: plan.manifest.shots.iter().map(|s| s.photographs.len()).sum(),
+        size_px: studio.scene.camera.size_px,
+        photograph_bytes: bytes.into_inner(),
+    })
+}
+
+fn refuse_full(dir: &Path, force: bool) -> Result<()> {
+    let full = match std::fs::read_dir(dir) {
+        Ok(mut entries) => entries.next().is_some(),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => false,
+        Err(e) => return Err(Error::io("read", dir)(e)),
+    };
+    if full && !force {
+        let expected = "a new or empty folder (or --force to replace it)".into();
+        return Err(Error::Setting { setting: "DIR", expected, found: format!("{} with files in it", dir.display()) });
+    }
+    Ok(())
+}
+
+fn write_truth(options: &Options, studio: &Studio, plan: &Plan, work: &Path) -> Result<()> {
+    let truth = Truth {
+        electrons_per_sec_per_radiance: studio.electrons_per_sec,
+        layers_mm: studio.slab.layers_mm.clone(),
+        options: options.clone(),
+        medium: studio.slab.medium.clone(),
+        camera_from_slab: studio.scene.view,
+        slab_from_projector: studio.scene.slab_from_projector,
+        shots: plan.lattices.clone(),
+    };
+    let path = work.join("truth.toml");
+    let text = toml::to_string(&truth).map_err(Error::internal)?;
+    std::fs::write(&path, text).map_err(Error::io("write", &path))
+}
+
+fn header(options: &Options, studio: &Studio, plan: &Plan) -> Result<MatrixHeader> {
+    let points = studio.scene.grid.points;
+    let mut lit_mm = vec![[0.0; 2]; studio.scene.grid.len()];
+    let mut shot_of = vec![None; lit_mm.len()];
+    for (lattice, shot) in plan.manifest.shots[plan.first_lattice..].iter().enumerate() {
+        for &dot in plan::dots(shot) {
+            let row = plan.manifest.row_index(dot);
+            lit_mm[row] = studio.dot_mm(dot, plan.lattices[lattice].drift_mm);
+            shot_of[row] = Some(lattice);
+        }
+    }
+    // The mean step along each axis, drift left out.
+    let lit_pitch_mm = std::array::from_fn(|a| {
+        let steps = points[a].saturating_sub(1);
+        if steps == 0 {
+            return options.pitch_mm;
+        }
+        let end = std::array::from_fn(|b| if a == b { steps } else { 0 });
+        let (p, q) = (studio.dot_mm([0, 0], [0.0; 2]), studio.dot_mm(end, [0.0; 2]));
+        (q[0] - p[0]).hypot(q[1] - p[1]) / steps as f64
+    });
+    let record = |s: &ShotTruth| ShotRecord { name: s.name.clone(), drift_px: s.drift_px, drift_sd_px: Some(0.0) };
+    Ok(MatrixHeader {
+        points,
+        window: [options.window; 2],
+        pitch_mm: options.pitch_mm,
+        lit_pitch_mm,
+        position_sd_mm: vec![0.0; lit_mm.len()],
+        lit_mm,
+        shot_of,
+        shots: plan.lattices.iter().map(record).collect(),
+        warnings: Vec::new(),
+        provenance: serde_json::json!({
+            "source": "acquire simulate: the truth of a simulated capture",
+            "version": env!("CARGO_PKG_VERSION"),
+            "seed": options.seed,
+            "options": serde_json::to_value(options).map_err(Error::internal)?,
+        }),
+    })
+}
+
+/// A seed from a seed and a number, well mixed (SplitMix64; Steele et al. 2014).
+fn mix_seed(seed: u64, n: u64) -> u64 {
+    let mut z = seed.wrapping_add(n.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}

@@ -76,7 +76,7 @@ pub fn gradient(values: &[f64], measured: &[bool], window: [usize; 2]) -> [Vec<f
             (None, None) => 0.0,
         }
     };
-    let along_x = |k: usize| slope(k, (k % w > 0).then(|| k - 1), (k % w + 1 < w).then_some(k + 1));
+    let along_x = |k: usize| slope(k, (!k.is_multiple_of(w)).then(|| k - 1), (k % w + 1 < w).then_some(k + 1));
     let along_y = |k: usize| slope(k, k.checked_sub(w), (k / w + 1 < h).then_some(k + w));
     [(0..w * h).map(along_x).collect(), (0..w * h).map(along_y).collect()]
 }

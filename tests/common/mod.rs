@@ -33,3 +33,40 @@ pub fn acquire(args: &[&str]) -> (i32, String, String) {
     let text = |b: Vec<u8>| String::from_utf8_lossy(&b).into_owned();
     (output.status.code().unwrap_or(-1), text(output.stdout), text(output.stderr))
 }
+
+/// A matrix against its truth, computed here and not by the code under test.
+#[derive(Debug)]
+pub struct Comparison {
+    /// ‖R − truth‖ / ‖truth‖ over valid entries.
+    pub rel_rmse: f64,
+    /// Share of valid entries within two stated standard deviations of the truth.
+    pub coverage: f64,
+    /// Share of entries that are valid.
+    pub valid: f64,
+    /// RMS error of the shots' drift per axis, px.
+    pub drift_rms_px: f64,
+}
+
+/// Compares two matrices of the same shape entry by entry.
+pub fn compare(measured: &Path, truth: &Path) -> Comparison {
+    use acquire::transport::MatrixReader;
+    let (a, b) = (MatrixReader::open(measured).unwrap(), MatrixReader::open(truth).unwrap());
+    let rows = 0..a.header().rows();
+    let (x, y) = (a.read(rows.clone()).unwrap(), b.read(rows).unwrap());
+    let (mut error, mut norm, mut within, mut valid) = (0.0f64, 0.0f64, 0usize, 0usize);
+    for k in (0..x.response.len()).filter(|&k| x.valid[k] == 1) {
+        let d = f64::from(x.response[k]) - f64::from(y.response[k]);
+        error += d * d;
+        norm += f64::from(y.response[k]).powi(2);
+        within += usize::from(d * d <= 4.0 * f64::from(x.variance[k]));
+        valid += 1;
+    }
+    let shots = a.header().shots.iter().zip(&b.header().shots);
+    let drift: f64 = shots.flat_map(|(a, b)| [0, 1].map(|i| (a.drift_px[i] - b.drift_px[i]).powi(2))).sum();
+    Comparison {
+        rel_rmse: (error / norm).sqrt(),
+        coverage: within as f64 / valid as f64,
+        valid: valid as f64 / x.valid.len() as f64,
+        drift_rms_px: (drift / (2 * a.header().shots.len()) as f64).sqrt(),
+    }
+}

@@ -1,0 +1,32 @@
+# make demo: set-up, release build, and the whole way on a simulated capture.
+# make test: set-up, then the tests; CI=true adds the slow ones, formatting, lints and documentation.
+# SLOW=1 adds the slow tests only.
+
+CARGO ?= cargo
+DEMO  ?= results/demo
+TARGET = $(or $(CARGO_TARGET_DIR),target)
+ACQUIRE = $(TARGET)/release/acquire
+
+.PHONY: demo test check build setup
+
+demo: build
+	rm -rf $(DEMO)
+	mkdir -p $(DEMO)
+	$(ACQUIRE) simulate $(DEMO)/capture --material chessboard-4x4 --grid 24 --window 23 --lit-pitch-mm 1.5 --seed 1
+	$(ACQUIRE) run $(DEMO)/capture --out $(DEMO)/results
+
+# One profile for program and tests, so that OpenCV's bindings are built once.
+test: setup
+	$(CARGO) test --release --locked $(if $(filter true,$(CI))$(SLOW),-- --include-ignored)
+	$(if $(filter true,$(CI)),$(MAKE) check)
+
+check: setup
+	$(CARGO) fmt --check
+	$(CARGO) clippy --release --locked --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --locked --no-deps
+
+build: setup
+	$(CARGO) build --release --locked
+
+setup:
+	@scripts/setup.sh

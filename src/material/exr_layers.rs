@@ -1,0 +1,85 @@
+//! OpenEXR: every map of a material as a layer that any viewer shows, and single images.
+
+use super::file::write_whole;
+use super::{Exitance, Material, legendre};
+use crate::{Error, Result};
+use exr::prelude::{
+    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, ImageAttributes, IntegerBounds, Layer, LayerAttributes,
+    SmallVec, Vec2, WritableImage,
+};
+use std::path::Path;
+
+type FlatLayer = Layer<AnyChannels<FlatSamples>>;
+
+/// Writes one part per map: `f_j` (points), `h_j` (offsets), `color_p` (RGB, powers of the intensity, points) and
+/// `shift` (X, Y, points). The weight g_j is multiplied into f_j.
+///
+/// # Errors
+/// [`Error::Io`], [`Error::Internal`].
+pub fn export_exr(material: &Material, path: &Path) -> Result<()> {
+    let h = &material.header;
+    let (terms, samples, powers) = (h.terms, h.layout().len(), h.degree + 1);
+    let mut layers = Vec::new();
+    for j in 0..terms {
+        let g = material.weights[j];
+        let map = material.incident_factors.iter().skip(j).step_by(terms).map(|f| g * f).collect();
+        layers.push(layer(&format!("f_{j:02}"), h.points, vec![("Y", map)]));
+    }
+    for j in 0..terms {
+        let map = material.offset_factors[j * samples..(j + 1) * samples].to_vec();
+        layers.push(layer(&format!("h_{j:02}"), h.extended, vec![("Y", map)]));
+    }
+    let monomials = monomial_coefficients(material);
+    for p in 0..powers {
+        let channel = |c: usize| monomials.iter().skip(c * powers + p).step_by(3 * powers).map(|&v| v as f32).collect();
+        let maps = vec![("R", channel(0)), ("G", channel(1)), ("B", channel(2))];
+        layers.push(layer(&format!("color_{p:02}"), h.points, maps));
+    }
+    let along = |a: usize| material.shift.iter().map(|s| f32::from(s[a])).collect();
+    layers.push(layer("shift", h.points, vec![("X", along(0)), ("Y", along(1))]));
+    write_layers(path, layers)
+}
+
+/// Writes an exitance as linear RGB.
+///
+/// # Errors
+/// [`Error::Io`], [`Error::Internal`].
+pub fn write_exitance(exitance: &Exitance, path: &Path) -> Result<()> {
+    let plane = |c: usize| exitance.planes[c].iter().map(|&v| v as f32).collect();
+    let maps = vec![("R", plane(0)), ("G", plane(1)), ("B", plane(2))];
+    write_layers(path, vec![layer("exitance", exitance.canvas.size, maps)])
+}
+
+/// β as coefficients of powers of the intensity, \[N, 3, P+1\], lowest power first.
+pub(super) fn monomial_coefficients(material: &Material) -> Vec<f64> {
+    let [low, high] = material.header.intensity_range.map(f64::from);
+    let polynomials = material.color_coefficients.chunks_exact(material.header.degree + 1);
+    polynomials.flat_map(|beta| legendre::monomials(beta, low, high)).collect()
+}
+
+fn layer(name: &str, size: [usize; 2], channels: Vec<(&str, Vec<f32>)>) -> FlatLayer {
+    let channels: SmallVec<[AnyChannel<FlatSamples>; 4]> =
+        channels.into_iter().map(|(name, values)| AnyChannel::new(name, FlatSamples::F32(values))).collect();
+    let attributes = LayerAttributes::named(name);
+    Layer::new((size[0], size[1]), attributes, Encoding::FAST_LOSSLESS, AnyChannels::sort(channels))
+}
+
+fn write_layers(path: &Path, layers: Vec<FlatLayer>) -> Result<()> {
+    // Parts may differ in size, but a file has one display window: the smallest that holds them all.
+    let size = layers.iter().fold(Vec2(1, 1), |s, l| Vec2(s.0.max(l.size.0), s.1.max(l.size.1)));
+    let attributes = ImageAttributes::new(IntegerBounds::from_dimensions(size));
+    let image = Image::from_layers(attributes, layers);
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image.write().to_buffered(&mut bytes).map_err(Error::internal)?;
+    write_whole(path, bytes.get_ref())
+}
+
+/// Writes an 8-bit PNG under a temporary name, then renames it.
+///
+/// # Errors
+/// [`Error::Io`], [`Error::Internal`].
+pub fn write_png(image: &image::RgbImage, path: &Path) -> Result<()> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image.write_to(&mut bytes, image::ImageFormat::Png).map_err(Error::internal)?;
+    write_whole(path, bytes.get_ref())
+}

@@ -1,0 +1,274 @@
+//! The material on disk: a `.safetensors` file, tensors named after the fields of [`Material`], everything else as one
+//! JSON text under the metadata key `acquire`.
+
+use super::{CHANNELS, Material, MaterialHeader};
+use crate::{Error, Result};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::io::Write;
+use std::path::Path;
+
+const FORMAT: u32 = 1;
+const KEY: &str = "acquire";
+
+#[derive(Serialize, Deserialize)]
+struct Metadata {
+    format: u32,
+    #[serde(flatten)]
+    header: MaterialHeader,
+}
+
+impl Material {
+    /// Writes the file beside its name and renames it when complete, replacing an older one.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Internal`] when the material's arrays do not have the lengths its header says.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        self.check().map_err(|(field, expected, found)| {
+            Error::internal(format!("the material has {found} in {field}, expected {expected}"))
+        })?;
+        let h = &self.header;
+        let n = h.rows();
+        let f32s = |v: &[f32]| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+        let lit: Vec<f32> = self.lit_mm.iter().flatten().map(|&v| v as f32).collect();
+        let shift = self.shift.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+        let tensors: Vec<(&str, Dtype, Vec<usize>, Vec<u8>)> = vec![
+            ("weights", Dtype::F32, vec![h.terms], f32s(&self.weights)),
+            ("incident_factors", Dtype::F32, vec![n, h.terms], f32s(&self.incident_factors)),
+            ("offset_factors", Dtype::F32, vec![h.terms, h.extended[1], h.extended[0]], f32s(&self.offset_factors)),
+            ("color_coefficients", Dtype::F32, vec![n, CHANNELS, h.degree + 1], f32s(&self.color_coefficients)),
+            ("shift", Dtype::I16, vec![n, 2], shift),
+            ("lit_mm", Dtype::F32, vec![n, 2], f32s(&lit)),
+        ];
+        let views = tensors
+            .iter()
+            .map(|(name, dtype, shape, data)| Ok((*name, TensorView::new(*dtype, shape.clone(), data)?)))
+            .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
+            .map_err(Error::internal)?;
+        let metadata = Metadata { format: FORMAT, header: h.clone() };
+        let text = serde_json::to_string(&metadata).map_err(Error::internal)?;
+        let bytes = serialize(views, Some(HashMap::from([(KEY.to_owned(), text)]))).map_err(Error::internal)?;
+        write_whole(path, &bytes)
+    }
+
+    /// Reads a material; every length, range and number is checked.
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::BrokenMaterial`].
+    pub fn load(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        decode(&bytes).map_err(|reason| Error::BrokenMaterial { path: path.to_path_buf(), reason })
+    }
+
+    /// Whether the arrays have the lengths that the header says: (field, expected, found) when not.
+    fn check(&self) -> Result<(), (&'static str, usize, usize)> {
+        let h = &self.header;
+        let n = h.rows();
+        let lengths = [
+            ("lit_mm", n, self.lit_mm.len()),
+            ("weights", h.terms, self.weights.len()),
+            ("incident_factors", n * h.terms, self.incident_factors.len()),
+            ("offset_factors", h.terms * h.layout().len(), self.offset_factors.len()),
+            ("color_coefficients", n * CHANNELS * (h.degree + 1), self.color_coefficients.len()),
+            ("shift", n, self.shift.len()),
+        ];
+        match lengths.into_iter().find(|(_, expected, found)| expected != found) {
+            Some(wrong) => Err(wrong),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Writes `bytes` under a temporary name in the folder of `path` and renames the file when it is complete.
+pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut file = tempfile::Builder::new()
+        .prefix(".acquire-")
+        .permissions(permissions())
+        .tempfile_in(folder)
+        .map_err(Error::io("create", path))?;
+    file.write_all(bytes).map_err(Error::io("write", path))?;
+    file.persist(path).map_err(|e| Error::io("rename", path)(e.error))?;
+    Ok(())
+}
+
+/// What `File::create` would ask for; temporary files are otherwise for their owner only.
+fn permissions() -> std::fs::Permissions {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::Permissions::from_mode(0o666)
+}
+
+fn decode(bytes: &[u8]) -> Result<Material, String> {
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| e.to_string())?;
+    let text = metadata.metadata().as_ref().and_then(|m| m.get(KEY)).ok_or("no metadata of acquire")?;
+    let Metadata { format, header } = serde_json::from_str(text).map_err(|e| format!("metadata: {e}"))?;
+    if format != FORMAT {
+        return Err(format!("format: expected {FORMAT}, found {format}"));
+    }
+    check_header(&header)?;
+    let file = SafeTensors::deserialize(bytes).map_err(|e| e.to_string())?;
+    let n = header.rows();
+    let f32s = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {
+        let data = tensor(&file, name, Dtype::F32, shape)?;
+        let values: Vec<f32> = data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+        match values.iter().position(|v| !v.is_finite()) {
+            Some(at) => Err(format!("{name}: expected finite numbers, found {} at {at}", values[at])),
+            None => Ok(values),
+        }
+    };
+    let shift: Vec<i16> = tensor(&file, "shift", Dtype::I16, &[n, 2])?
+        .as_chunks::<2>()
+        .0
+        .iter()
+        .map(|b| i16::from_le_bytes(*b))
+        .collect();
+    let material = Material {
+        lit_mm: f32s("lit_mm", &[n, 2])?.as_chunks::<2>().0.iter().map(|p| p.map(f64::from)).collect(),
+        weights: f32s("weights", &[header.terms])?,
+        incident_factors: f32s("incident_factors", &[n, header.terms])?,
+        offset_factors: f32s("offset_factors", &[header.terms, header.extended[1], header.extended[0]])?,
+        color_coefficients: f32s("color_coefficients", &[n, CHANNELS, header.degree + 1])?,
+        shift: shift.as_chunks::<2>().0.to_vec(),
+        header,
+    };
+    let layout = material.header.layout();
+    match material.shift.iter().position(|&s| layout.start(s).is_none()) {
+        Some(at) => Err(format!("shift: row {at} is moved by {:?}, outside the common window", material.shift[at])),
+        None => Ok(material),
+    }
+}
+
+fn tensor<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&'a [u8], String> {
+    let view = file.tensor(name).map_err(|e| format!("{name}: {e}"))?;
+    if view.dtype() != dtype || view.shape() != shape {
+        return Err(format!("{name}: expected {dtype:?} {shape:?}, found {:?} {:?}", view.dtype(), view.shape()));
+    }
+    Ok(view.data())
+}
+
+/// Bounds that keep every later product and index in range.
+fn check_header(h: &MaterialHeader) -> Result<(), String> {
+    let small = |v: usize| (1..=1 << 20).contains(&v);
+    let sizes = [h.points, h.window, h.extended];
+    if !sizes.as_flattened().iter().all(|&v| small(v)) || !small(h.terms) || h.degree > 64 {
+        return Err("points, window, terms or degree are out of range".into());
+    }
+    let product = [h.points[0], h.points[1], h.terms].iter().try_fold(1_usize, |p, &v| p.checked_mul(v));
+    let offsets = [h.extended[0], h.extended[1], h.terms].iter().try_fold(1_usize, |p, &v| p.checked_mul(v));
+    if product.is_none_or(|p| p > 1 << 40) || offsets.is_none_or(|p| p > 1 << 40) {
+        return Err("the factors would be larger than any memory".into());
+    }
+    for a in 0..2 {
+        let room = h.extended[a].checked_sub(h.window[a]);
+        if room.is_none_or(|r| r % 2 != 0 || r / 2 > i16::MAX as usize) {
+            return Err(format!("extended: window {:?} does not fit {:?} symmetrically", h.window, h.extended));
+        }
+    }
+    let lengths = [h.pitch_mm, h.lit_pitch_mm[0], h.lit_pitch_mm[1]];
+    let [low, high] = h.intensity_range;
+    match lengths.iter().all(|p| p.is_finite() && *p > 0.0) && low.is_finite() && high.is_finite() && low < high {
+        true => Ok(()),
+        false => Err("pitch_mm, lit_pitch_mm or intensity_range are not usable".into()),
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::super::Model;
+    use super::*;
+
+    /// A small material with two terms, shifts and a quadratic colour.
+    pub(crate) fn example() -> Material {
+        let header = MaterialHeader {
+            model: Model::Tucker,
+            points: [3, 2],
+            window: [5, 3],
+            pitch_mm: 0.5,
+            lit_pitch_mm: [1.0, 1.5],
+            extended: [7, 3],
+            terms: 2,
+            degree: 2,
+            intensity_range: [-0.1, 1.0],
+            singular_values: vec![3.0, 1.0, 1e-3],
+            noise_level: 0.01,
+            warnings: Vec::new(),
+            provenance: serde_json::json!({"version": "test"}),
+        };
+        let wave = |n: usize, f: f32| (0..n).map(|k| (f * k as f32).sin()).collect::<Vec<f32>>();
+        Material {
+            lit_mm: (0..6).map(|k| [(k % 3) as f64, (k / 3) as f64 * 1.5]).collect(),
+            weights: vec![3.0, 1.0],
+            incident_factors: wave(12, 0.7),
+            offset_factors: wave(42, 0.3),
+            color_coefficients: wave(54, 1.1),
+            shift: vec![[0, 0], [1, 0], [-1, 0], [0, 0], [1, 0], [0, 0]],
+            header,
+        }
+    }
+
+    #[test]
+    fn what_is_saved_is_what_is_loaded_and_two_files_of_it_are_equal() {
+        let folder = tempfile::tempdir().unwrap();
+        let (a, b) = (folder.path().join("a.safetensors"), folder.path().join("b.safetensors"));
+        let material = example();
+        material.save(&a).unwrap();
+        material.save(&b).unwrap();
+        assert_eq!(Material::load(&a).unwrap(), material);
+        assert_eq!(std::fs::read(&a).unwrap(), std::fs::read(&b).unwrap());
+    }
+
+    #[test]
+    fn a_file_cut_anywhere_or_with_a_flipped_byte_of_its_header_is_refused_or_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.safetensors");
+        example().save(&path).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        for len in 0..bytes.len() {
+            assert!(decode(&bytes[..len]).is_err(), "{len} of {} bytes", bytes.len());
+        }
+        for at in 0..bytes.len() {
+            let mut flipped = bytes.clone();
+            flipped[at] ^= 0x10;
+            if let Ok(material) = decode(&flipped) {
+                assert_eq!(material.evaluate_row(5).len(), material.header.row_len());
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_and_shifts_out_of_range_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.safetensors");
+        let mut material = example();
+        material.weights[1] = f32::NAN;
+        material.save(&path).unwrap();
+        assert!(
+            matches!(Material::load(&path), Err(Error::BrokenMaterial { reason, .. }) if reason.contains("weights"))
+        );
+        let mut material = example();
+        material.shift[3] = [2, 0];
+        material.save(&path).unwrap();
+        assert!(matches!(Material::load(&path), Err(Error::BrokenMaterial { reason, .. }) if reason.contains("row 3")));
+        let mut material = example();
+        material.shift.pop();
+        assert!(matches!(material.save(&path), Err(Error::Internal { .. })));
+    }
+
+    #[test]
+    fn one_response_is_the_same_as_in_its_row() {
+        let material = example();
+        for index in 0..6 {
+            let row = material.evaluate_row(index);
+            for (k, rgb) in row.chunks_exact(3).enumerate() {
+                let offset = [(k % 5) as isize - 2, (k / 5) as isize - 1];
+                assert_eq!(material.response(index, offset).unwrap(), rgb);
+            }
+        }
+        assert_eq!(material.response(0, [3, 0]), None);
+        assert_eq!(material.response(6, [0, 0]), None);
+        assert!(material.evaluate_row(6).is_empty());
+        // 2 weights, 12 + 42 factors, 54 coefficients, 12 shifts, 2 ends of the range
+        assert_eq!(material.bytes_f32(), 4 * 124);
+    }
+}

@@ -1,0 +1,213 @@
+//! Lights: irradiance over the lit area, as an image or as one of the fixed set that `relit_psnr_db` uses.
+//!
+//! # Conventions
+//! - The lit area is the union of the lit cells, `points` × `lit_pitch_mm`; u runs over it along x and v along y, 0 to
+//!   1; row 0 of an image is at the top, v = 0.
+//! - Irradiance is linear, in any unit per mm²; the exitance that comes out is in the same unit.
+
+use super::source::Shape;
+use crate::{Error, Result};
+use std::path::Path;
+
+/// Irradiance over the lit area.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Light {
+    /// A round Gaussian spot in the middle, standard deviation 0.15 of the area's sides.
+    Spot,
+    /// Eight stripes along y, lit and dark in turn, the first lit.
+    Stripes,
+    /// From 0 at the left to 1 at the right.
+    Gradient,
+    /// 1 everywhere.
+    Uniform,
+    /// Unit flux into one lit point (x, y).
+    Point([usize; 2]),
+    /// An image stretched over the lit area.
+    Image(LightImage),
+}
+
+/// Linear irradiance, row 0 at the top.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LightImage {
+    /// Columns and rows.
+    pub size: [usize; 2],
+    /// R, G, B of every pixel.
+    pub rgb: Vec<[f32; 3]>,
+}
+
+/// The fixed set of illuminations of `relit_psnr_db`.
+pub const FIXED_SET: [Light; 4] = [Light::Spot, Light::Stripes, Light::Gradient, Light::Uniform];
+
+impl Light {
+    /// A built-in light by its name, or else an image file (EXR linear; PNG and JPEG decoded from sRGB).
+    ///
+    /// # Errors
+    /// [`Error::Setting`] for a point that cannot be read, [`Error::Io`], [`Error::BrokenImage`].
+    pub fn parse(text: &str) -> Result<Self> {
+        match text {
+            "spot" => Ok(Self::Spot),
+            "stripes" => Ok(Self::Stripes),
+            "gradient" => Ok(Self::Gradient),
+            "uniform" => Ok(Self::Uniform),
+            _ => match text.strip_prefix("point:") {
+                Some(at) => {
+                    let parts: Option<Vec<usize>> = at.split(',').map(|p| p.trim().parse().ok()).collect();
+                    match parts.as_deref() {
+                        Some(&[x, y]) => Ok(Self::Point([x, y])),
+                        _ => Err(setting("point:I,J with two grid indices", text)),
+                    }
+                }
+                None => Ok(Self::Image(LightImage::read(Path::new(text))?)),
+            },
+        }
+    }
+
+    /// Radiant flux that each lit point receives: the mean irradiance over its cell times the cell's area.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] for a point outside the grid.
+    pub fn flux(&self, shape: &Shape<'_>) -> Result<Vec<[f64; 3]>> {
+        let [nx, ny] = shape.points;
+        let area = shape.lit_pitch_mm[0] * shape.lit_pitch_mm[1];
+        if let Self::Point([x, y]) = *self
+            && (x >= nx || y >= ny)
+        {
+            return Err(setting(&format!("a point below {nx},{ny}"), &format!("point:{x},{y}")));
+        }
+        let flux = |index: usize| {
+            let (i, j) = (index % nx, index / nx);
+            let [u, v] = [(i as f64 + 0.5) / nx as f64, (j as f64 + 0.5) / ny as f64];
+            let gray = |value: f64| [value * area; 3];
+            match self {
+                Self::Spot => gray((-((u - 0.5).powi(2) + (v - 0.5).powi(2)) / (2.0 * 0.15 * 0.15)).exp()),
+                Self::Stripes => gray(if (u * 4.0).fract() < 0.5 { 1.0 } else { 0.0 }),
+                Self::Gradient => gray(u),
+                Self::Uniform => gray(1.0),
+                Self::Point(at) => [if *at == [i, j] { 1.0 } else { 0.0 }; 3],
+                Self::Image(image) => image.cell_mean([i, j], [nx, ny]).map(|e| e * area),
+            }
+        };
+        Ok((0..nx * ny).map(flux).collect())
+    }
+}
+
+fn setting(expected: &str, found: &str) -> Error {
+    Error::Setting { setting: "--light", expected: expected.into(), found: found.into() }
+}
+
+impl LightImage {
+    /// Reads an image: EXR as linear irradiance, PNG and JPEG decoded from sRGB.
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::BrokenImage`].
+    pub fn read(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        let broken = |reason: String| Error::BrokenImage { path: path.to_path_buf(), reason };
+        let exr_magic = [0x76, 0x2f, 0x31, 0x01];
+        let image = if bytes.starts_with(&exr_magic) { read_exr(&bytes) } else { read_encoded(&bytes) };
+        let image = image.map_err(broken)?;
+        match image.rgb.iter().flatten().find(|v| !v.is_finite()) {
+            Some(v) => Err(broken(format!("expected finite irradiance, found {v}"))),
+            None => Ok(image),
+        }
+    }
+
+    /// Mean over one cell of a grid stretched over the image, pixels counted by the share that lies in it.
+    fn cell_mean(&self, cell: [usize; 2], cells: [usize; 2]) -> [f64; 3] {
+        let overlaps = |a: usize| {
+            let n = self.size[a];
+            let edge = |k: usize| k as f64 * n as f64 / cells[a] as f64;
+            let (low, high) = (edge(cell[a]), edge(cell[a] + 1));
+            let pixels = low.floor() as usize..(high.ceil() as usize).min(n);
+            pixels
+                .map(|p| (p, (high.min(p as f64 + 1.0) - low.max(p as f64)).max(0.0) / (high - low)))
+                .collect::<Vec<_>>()
+        };
+        let (columns, lines) = (overlaps(0), overlaps(1));
+        let mut sum = [0.0; 3];
+        for &(y, wy) in &lines {
+            for &(x, wx) in &columns {
+                for (s, v) in sum.iter_mut().zip(self.rgb[x + y * self.size[0]]) {
+                    *s += wx * wy * f64::from(v);
+                }
+            }
+        }
+        sum
+    }
+}
+
+fn read_exr(bytes: &[u8]) -> Result<LightImage, String> {
+    use exr::prelude::*;
+    let image = read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .rgb_channels(
+            |size, _| LightImage { size: [size.width(), size.height()], rgb: vec![[0.0; 3]; size.area()] },
+            |image: &mut LightImage, at, (r, g, b): (f32, f32, f32)| {
+                image.rgb[at.x() + at.y() * image.size[0]] = [r, g, b];
+            },
+        )
+        .first_valid_layer()
+        .all_attributes()
+        .from_buffered(std::io::Cursor::new(bytes))
+        .map_err(|e| e.to_string())?;
+    Ok(image.layer_data.channel_data.pixels)
+}
+
+fn read_encoded(bytes: &[u8]) -> Result<LightImage, String> {
+    let image = image::load_from_memory(bytes).map_err(|e| e.to_string())?.into_rgb32f();
+    let size = [image.width() as usize, image.height() as usize];
+    let rgb = image.pixels().map(|p| p.0.map(linear_from_srgb)).collect();
+    Ok(LightImage { size, rgb })
+}
+
+/// Linear value of an sRGB-encoded one, both 0 to 1 (`IEC61966`).
+pub fn linear_from_srgb(v: f32) -> f32 {
+    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+/// sRGB encoding of a linear value, clamped to 0 … 1.
+pub fn srgb_from_linear(v: f32) -> f32 {
+    let v = v.clamp(0.0, 1.0);
+    if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shape(points: [usize; 2]) -> Shape<'static> {
+        Shape { points, window: [1, 1], pitch_mm: 1.0, lit_pitch_mm: [0.5, 2.0], lit_mm: &[] }
+    }
+
+    #[test]
+    fn an_image_keeps_its_total_flux_on_any_grid() {
+        let image = LightImage { size: [7, 5], rgb: (0..35).map(|k| [k as f32, (k * k % 11) as f32, 1.0]).collect() };
+        let mean: Vec<f64> = (0..3).map(|c| image.rgb.iter().map(|p| f64::from(p[c])).sum::<f64>() / 35.0).collect();
+        for points in [[7, 5], [3, 2], [20, 11], [1, 1]] {
+            let flux = Light::Image(image.clone()).flux(&shape(points)).unwrap();
+            for c in 0..3 {
+                let total: f64 = flux.iter().map(|f| f[c]).sum();
+                // The cell is 1 mm²: mean irradiance times the number of cells; rounding of f64.
+                assert!((total - mean[c] * (points[0] * points[1]) as f64).abs() < 1e-10);
+            }
+        }
+    }
+
+    #[test]
+    fn a_point_gets_unit_flux_and_must_be_on_the_grid() {
+        let flux = Light::parse("point:2,1").unwrap().flux(&shape([4, 3])).unwrap();
+        assert_eq!(flux.iter().position(|f| f[0] > 0.0), Some(6));
+        assert_eq!(flux[6], [1.0; 3]);
+        assert!(Light::parse("point:4,1").unwrap().flux(&shape([4, 3])).is_err());
+        assert!(Light::parse("point:4").is_err());
+    }
+
+    #[test]
+    fn srgb_round_trips() {
+        for k in 0..=255 {
+            let v = k as f32 / 255.0;
+            assert!((srgb_from_linear(linear_from_srgb(v)) - v).abs() < 1e-5, "f32 powers: {v}");
+        }
+    }
+}

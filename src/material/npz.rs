@@ -1,0 +1,67 @@
+//! NPZ: a material as NumPy arrays.
+
+use super::file::write_whole;
+use super::{CHANNELS, Material, exr_layers::monomial_coefficients};
+use crate::{Error, Result};
+use npyz::WriterBuilder;
+use std::io::{Cursor, Write};
+use std::path::Path;
+use zip::{ZipWriter, write::SimpleFileOptions};
+
+/// Writes every tensor under its own name, `color_coefficients` in the Legendre basis and `color_monomials` in powers
+/// of the intensity, the scalars of the header as arrays, and the whole header as the text `header_json`.
+///
+/// # Errors
+/// [`Error::Io`], [`Error::Internal`].
+pub fn export_npz(material: &Material, path: &Path) -> Result<()> {
+    let bytes = archive(material).map_err(Error::internal)?;
+    write_whole(path, &bytes)
+}
+
+fn archive(material: &Material) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
+    let h = &material.header;
+    let n = h.rows() as u64;
+    let powers = h.degree as u64 + 1;
+    let [width, height] = h.extended.map(|v| v as u64);
+    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+    let pair = |v: [usize; 2]| v.map(|v| v as f64).to_vec();
+    let lit: Vec<f64> = material.lit_mm.as_flattened().to_vec();
+    let range: Vec<f64> = h.intensity_range.iter().map(|&v| f64::from(v)).collect();
+
+    add(&mut zip, "weights", &[h.terms as u64], &material.weights)?;
+    add(&mut zip, "incident_factors", &[n, h.terms as u64], &material.incident_factors)?;
+    add(&mut zip, "offset_factors", &[h.terms as u64, height, width], &material.offset_factors)?;
+    add(&mut zip, "color_coefficients", &[n, CHANNELS as u64, powers], &material.color_coefficients)?;
+    add(&mut zip, "color_monomials", &[n, CHANNELS as u64, powers], &monomial_coefficients(material))?;
+    add(&mut zip, "shift", &[n, 2], material.shift.as_flattened())?;
+    add(&mut zip, "lit_mm", &[n, 2], &lit)?;
+    add(&mut zip, "points", &[2], &pair(h.points))?;
+    add(&mut zip, "window", &[2], &pair(h.window))?;
+    add(&mut zip, "extended", &[2], &pair(h.extended))?;
+    add(&mut zip, "pitch_mm", &[], &[h.pitch_mm])?;
+    add(&mut zip, "lit_pitch_mm", &[2], &h.lit_pitch_mm)?;
+    add(&mut zip, "intensity_range", &[2], &range)?;
+    add(&mut zip, "singular_values", &[h.singular_values.len() as u64], &h.singular_values)?;
+    add(&mut zip, "noise_level", &[], &[h.noise_level])?;
+    let header = serde_json::to_string(h)?;
+    add(&mut zip, "header_json", &[header.len() as u64], header.as_bytes())?;
+    Ok(zip.finish()?.into_inner())
+}
+
+fn add<T: npyz::Serialize + npyz::AutoSerialize + Copy>(
+    zip: &mut ZipWriter<Cursor<Vec<u8>>>,
+    name: &str,
+    shape: &[u64],
+    values: &[T],
+) -> Result<(), Box<dyn std::error::Error>> {
+    let mut array = Vec::new();
+    let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut array).begin_nd()?;
+    writer.extend(values.iter().copied())?;
+    writer.finish()?;
+    zip.start_file(
+        npyz::npz::file_name_from_array_name(name),
+        SimpleFileOptions::default().large_file(array.len() > 1 << 31),
+    )?;
+    zip.write_all(&array)?;
+    Ok(())
+}

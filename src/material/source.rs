@@ -1,0 +1,128 @@
+//! A matrix or a material, told apart by what is on disk, and read the same way.
+
+use super::{Material, MaterialHeader};
+use crate::geometry::Point;
+use crate::transport::{MatrixReader, RowBlock};
+use crate::{Error, Result};
+use rayon::prelude::*;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// Where rows come from.
+#[derive(Debug)]
+pub enum Source {
+    /// Measured or simulated rows.
+    Matrix(Box<MatrixReader>),
+    /// Rows evaluated from factors.
+    Material(Box<Material>, PathBuf),
+}
+
+/// What both kinds know of their rows.
+#[derive(Debug, Clone, Copy)]
+pub struct Shape<'a> {
+    /// Lit points along x and y.
+    pub points: [usize; 2],
+    /// Outgoing samples of a window along x and y.
+    pub window: [usize; 2],
+    /// Side of an outgoing cell, mm.
+    pub pitch_mm: f64,
+    /// Mean distance of lit points along x and y, mm.
+    pub lit_pitch_mm: Point,
+    /// Where each lit point is, mm.
+    pub lit_mm: &'a [Point],
+}
+
+impl Shape<'_> {
+    /// Number of lit points.
+    pub fn rows(&self) -> usize {
+        self.points[0] * self.points[1]
+    }
+}
+
+impl Source {
+    /// Opens either: a folder is a matrix, a file a material.
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::BrokenMatrix`], [`Error::BrokenMaterial`].
+    pub fn open(path: &Path) -> Result<Self> {
+        let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
+        match kind.is_dir() {
+            true => Ok(Self::Matrix(Box::new(MatrixReader::open(path)?))),
+            false => Ok(Self::Material(Box::new(Material::load(path)?), path.to_path_buf())),
+        }
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Matrix(reader) => reader.path(),
+            Self::Material(_, path) => path,
+        }
+    }
+
+    /// Points, window, pitches.
+    pub fn shape(&self) -> Shape<'_> {
+        match self {
+            Self::Matrix(reader) => {
+                let h = reader.header();
+                Shape {
+                    points: h.points,
+                    window: h.window,
+                    pitch_mm: h.pitch_mm,
+                    lit_pitch_mm: h.lit_pitch_mm,
+                    lit_mm: &h.lit_mm,
+                }
+            }
+            Self::Material(material, _) => {
+                let MaterialHeader { points, window, pitch_mm, lit_pitch_mm, .. } = material.header;
+                Shape { points, window, pitch_mm, lit_pitch_mm, lit_mm: &material.lit_mm }
+            }
+        }
+    }
+
+    /// Consecutive rows. A material's are all valid and have no variance.
+    ///
+    /// # Errors
+    /// Those of [`MatrixReader::read`].
+    pub fn read(&self, rows: Range<usize>) -> Result<RowBlock> {
+        match self {
+            Self::Matrix(reader) => reader.read(rows),
+            Self::Material(material, _) => {
+                let evaluated: Vec<Vec<f32>> = rows.clone().into_par_iter().map(|i| material.evaluate_row(i)).collect();
+                let response = evaluated.concat();
+                let n = response.len();
+                let (variance, valid) = (vec![0.0; n], vec![1; n]);
+                Ok(RowBlock { first: rows.start, rows: rows.len(), response, variance, valid })
+            }
+        }
+    }
+
+    /// Rows of a block of about 48 MiB.
+    pub fn rows_per_block(&self) -> usize {
+        let shape = self.shape();
+        ((48 << 20) / (27 * shape.window[0] * shape.window[1]).max(1)).clamp(1, shape.rows().max(1))
+    }
+
+    /// Bytes on disk, the whole folder of a matrix.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn bytes_file(&self) -> Result<u64> {
+        fn size(path: &Path) -> std::io::Result<u64> {
+            let kind = std::fs::symlink_metadata(path)?;
+            if !kind.is_dir() {
+                return Ok(kind.len());
+            }
+            std::fs::read_dir(path)?.map(|entry| size(&entry?.path())).sum()
+        }
+        size(self.path()).map_err(Error::io("read", self.path()))
+    }
+
+    /// Every stored number as 4 bytes: all responses of a matrix, see [`Material::bytes_f32`] for a material.
+    pub fn bytes_f32(&self) -> u64 {
+        match self {
+            Self::Matrix(reader) => 4 * (reader.header().rows() * reader.header().row_len()) as u64,
+            Self::Material(material, _) => material.bytes_f32(),
+        }
+    }
+}

@@ -1,0 +1,57 @@
+//! One number per lit point, as pictures of the slab: albedo and reconstruction error.
+
+use super::picture::{Picture, data_url};
+use super::rows::bar_scale;
+use super::text::significant;
+use super::{Files, Survey, color};
+use crate::Result;
+use crate::transport::MatrixHeader;
+
+/// Both maps with their scales.
+pub fn section(header: &MatrixHeader, survey: &Survey, files: &mut Files) -> Result<String> {
+    let albedo = Map {
+        values: &survey.albedo,
+        name: "albedo",
+        title: "share of the arriving light that leaves inside the window, mean of the channels",
+        log: false,
+    };
+    // A few rows may be much worse than the rest: a linear scale would show those only.
+    let error = Map {
+        values: &survey.error,
+        name: "error",
+        title: "‖R̂ − R‖ / ‖R‖ of each lit point's row, material against matrix; logarithmic",
+        log: true,
+    };
+    Ok(format!("<div class=\"pair\">{}{}</div>", albedo.figure(header, files)?, error.figure(header, files)?))
+}
+
+struct Map<'a> {
+    values: &'a [Option<f64>],
+    name: &'a str,
+    title: &'a str,
+    log: bool,
+}
+
+impl Map<'_> {
+    fn figure(&self, header: &MatrixHeader, files: &mut Files) -> Result<String> {
+        let [nx, ny] = header.points;
+        let usable = |v: &f64| v.is_finite() && (!self.log || *v > 0.0);
+        let scale = |v: f64| if self.log { v.ln() } else { v };
+        let known = || self.values.iter().copied().flatten().filter(usable).map(scale);
+        let (low, high) = (known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max));
+        if !(low.is_finite() && high.is_finite()) {
+            return Ok(String::new());
+        }
+        let place = |v: f64| if high > low { (scale(v) - low) / (high - low) } else { 0.5 };
+        let at = |x: usize, y: usize| self.values.get(y * nx + x).copied().flatten();
+        let picture = Picture::from_fn(nx, ny, |x, y| at(x, y).map_or(color::INVALID, |v| color::sequential(place(v))));
+        let png = picture.enlarged(320).png()?;
+        let mut out =
+            format!("<figure><img class=\"map\" src=\"{}\" alt=\"{} of every lit point\">", data_url(&png), self.name);
+        let end = |v: f64| significant(if self.log { v.exp() } else { v }, 3);
+        bar_scale(&mut out, color::sequential, [&end(low), &end((low + high) / 2.0), &end(high)], self.title);
+        out.push_str("</figure>");
+        files.push((format!("{}.png", self.name), png));
+        Ok(out)
+    }
+}

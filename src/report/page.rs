@@ -1,0 +1,249 @@
+//! The page itself: sections in the order in which somebody asks.
+
+use super::text::{bytes, escape, seconds, significant};
+use super::{Comparison, Files, ReportInput, figures, maps, rows};
+use crate::Result;
+use std::fmt::Write;
+
+/// Name, what it is, how its number is written.
+type Measure = (&'static str, &'static str, fn(f64) -> String);
+
+/// Measures that the page knows; others are shown by their names alone.
+const MEASURES: [Measure; 15] = [
+    ("rel_rmse", "relative error ‖R̂ − R‖ / ‖R‖", percent),
+    ("psnr_db", "peak signal to noise over all entries and channels", decibel),
+    ("log_rmse", "error of ln R above 10⁻⁴ of each row's peak: the tails", three),
+    ("relit_psnr_db", "the same ratio for the slab under a fixed set of lights", decibel),
+    ("coverage_2sigma", "entries within two standard deviations; 95.4 % is right", percent),
+    ("drift_rms_px", "difference of the shots' drift, camera px", three),
+    ("position_rms_mm", "difference of the lit points' places, mm", three),
+    ("position_rms_px", "the same in camera px", three),
+    ("albedo_max", "largest albedo of a row, R G B; above 1 more leaves than arrives", three),
+    ("albedo_mean", "mean albedo of the rows, R G B", three),
+    ("albedo_violations", "rows with an albedo above 1", whole),
+    ("reciprocity", "R(a,b) − R(b,a) over their mean, RMS", three),
+    ("bytes_f32", "every stored number as four bytes", size),
+    ("bytes_file", "on disk", size),
+    ("entries", "numbers compared", whole),
+];
+
+/// The whole page; the pictures that it embeds are also put into `files`.
+pub fn html(input: &ReportInput, files: &mut Files) -> Result<String> {
+    let mut out = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"><title>{} – acquire</title><style>\n{}{}</style></head><body>\n",
+        escape(input.title),
+        include_str!("chart.css"),
+        include_str!("page.css")
+    );
+    head(&mut out, input);
+    warnings(&mut out, input);
+    photograph(&mut out, input, files)?;
+    drift(&mut out, input, files);
+    if !input.survey.rows.is_empty() {
+        out.push_str("<h2>Rows of the matrix</h2><p class=\"lead\">What leaves around a lit point: as measured, as the material gives it back, the difference, and the difference over the standard deviation of the measurement (pure noise leaves no structure there). Dots are measurements with two standard deviations, lines the material, in the three channels. Grey was not measured.</p>");
+        out.push_str(&rows::section(input.matrix, &input.survey.rows, files)?);
+        out.push_str("<h2>Over the slab</h2><p class=\"lead\">One cell per lit point.</p>");
+        out.push_str(&maps::section(input.matrix, input.survey, files)?);
+    }
+    factorization(&mut out, input, files);
+    measures(&mut out, input.comparisons);
+    timings(&mut out, input);
+    provenance(&mut out, input)?;
+    out.push_str("</body></html>\n");
+    Ok(out)
+}
+
+fn head(out: &mut String, input: &ReportInput) {
+    let (m, material) = (input.matrix, input.material);
+    let psnr = input.comparisons.first().and_then(|c| c.value("psnr_db"));
+    let psnr = psnr.map(|v| format!(", {}", decibel(v))).unwrap_or_default();
+    let _ = write!(
+        out,
+        "<header><p class=\"name\">{}</p><h1>R<sub>d</sub> of {}×{} points, {}×{} window; material {}{psnr}</h1></header><dl class=\"tiles\">",
+        escape(input.title),
+        m.points[0],
+        m.points[1],
+        m.window[0],
+        m.window[1],
+        bytes(material.bytes_file)
+    );
+    let mut tile = |name: &str, value: String, note: String| {
+        let _ = write!(
+            out,
+            "<div><dt>{}</dt><dd>{}<small>{}</small></dd></div>",
+            escape(name),
+            escape(&value),
+            escape(&note)
+        );
+    };
+    for c in input.comparisons {
+        if let Some(v) = c.value("rel_rmse") {
+            tile("relative error", percent(v), c.title.clone());
+        }
+    }
+    let degree = material.degree.map(|d| format!(", degree {d}")).unwrap_or_default();
+    let noun = if material.terms == 1 { "term" } else { "terms" };
+    tile("model", material.model.clone(), format!("{} {noun}{degree}", material.terms));
+    let window_mm = [0, 1].map(|a| m.window[a] as f64 * m.pitch_mm);
+    tile("window", extent_mm(window_mm, 3), format!("cells of {} mm", significant(m.pitch_mm, 3)));
+    tile("lit points", extent_mm(m.lit_pitch_mm, 2), "apart".to_owned());
+    let largest = m.shots.iter().map(|s| s.drift_px[0].hypot(s.drift_px[1])).fold(0.0, f64::max);
+    tile("largest drift", format!("{largest:.2} px"), format!("over {} lattice shots", m.shots.len()));
+    tile("time", seconds(input.timings.iter().map(|t| t.secs).sum()), "all stages".to_owned());
+    out.push_str("</dl>");
+}
+
+fn warnings(out: &mut String, input: &ReportInput) {
+    let all: Vec<_> = input.matrix.warnings.iter().chain(input.warnings).collect();
+    if all.is_empty() {
+        return;
+    }
+    let noun = if all.len() == 1 { "finding" } else { "findings" };
+    let _ = write!(out, "<section class=\"warnings\"><b>{} {noun} about this measurement</b><ul>", all.len());
+    for warning in all {
+        let _ = write!(out, "<li>{}</li>", escape(&warning.to_string()));
+    }
+    out.push_str("</ul></section>");
+}
+
+fn photograph(out: &mut String, input: &ReportInput, files: &mut Files) -> Result<()> {
+    let Some(overview) = input.overview else { return Ok(()) };
+    let name = escape(&overview.shot);
+    let _ = write!(
+        out,
+        "<h2>A shot and what was found in it</h2><p class=\"lead\">Shot “{name}”, its exposures merged, brightness on a logarithmic scale. At the right the surroundings of one window. Grid and reference dots are drawn where the registration puts them, the dots of this shot and their windows with its drift.</p><label class=\"toggle\"><input type=\"checkbox\" id=\"grid\" checked>show the recovered grid</label><div class=\"photos\">{}</div>",
+        figures::shot(input, overview, files)?
+    );
+    out.push_str("<ul class=\"legend\"><li><i style=\"background:#8dff7a\"></i>lit points of the grid</li><li><i style=\"background:#ffe14d\"></i>dots of this shot</li><li><i style=\"background:#6fd3ff\"></i>their windows</li><li><i style=\"background:#ff7ad1\"></i>reference dots</li><li><i style=\"background:#fff;outline:1px solid #999\"></i>rim of the sample</li></ul>");
+    let (img, legend) = figures::exposures(overview, files)?;
+    let _ = write!(
+        out,
+        "<h2>Exposures that measured each pixel</h2><p class=\"lead\">Of the same shot: an exposure counts where it is neither saturated nor dead.</p><div class=\"exposures\">{img}{legend}</div>"
+    );
+    Ok(())
+}
+
+fn drift(out: &mut String, input: &ReportInput, files: &mut Files) {
+    let shots = &input.matrix.shots;
+    if shots.is_empty() {
+        return;
+    }
+    let _ = write!(
+        out,
+        "<h2>Drift</h2><p class=\"lead\">How far the dots of each lattice shot lie from the registered pattern, in camera pixels; it is taken out of the matrix. Arrows: x right, y down as in the photographs, early shots pale. Bars: two standard deviations.</p><div class=\"third\"><figure>{}</figure><figure>{}<ul class=\"legend\"><li><i style=\"background:var(--accent)\"></i>x</li><li><i style=\"background:var(--second)\"></i>y</li></ul></figure></div><details><summary>Numbers</summary><table><tr><th>shot</th><th class=\"n\">x, px</th><th class=\"n\">y, px</th><th class=\"n\">standard deviation, px</th></tr>",
+        figures::drift_compass(shots, files),
+        figures::drift_series(shots, files)
+    );
+    for s in shots {
+        let sd = s.drift_sd_px.map_or("not measured".to_owned(), |v| format!("{v:.4}"));
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td class=\"n\">{:.4}</td><td class=\"n\">{:.4}</td><td class=\"n\">{sd}</td></tr>",
+            escape(&s.name),
+            s.drift_px[0],
+            s.drift_px[1]
+        );
+    }
+    out.push_str("</table></details>");
+}
+
+fn factorization(out: &mut String, input: &ReportInput, files: &mut Files) {
+    let material = input.material;
+    if material.singular_values.is_empty() {
+        return;
+    }
+    let choice = material.choice.as_deref().map(|c| format!("<p class=\"lead\">{}</p>", escape(c))).unwrap_or_default();
+    let _ = write!(
+        out,
+        "<h2>Singular values</h2>{choice}<figure class=\"single\">{}<ul class=\"legend\"><li><i style=\"background:var(--accent)\"></i>kept</li><li><i style=\"border:1.5px solid var(--soft);border-radius:50%\"></i>left out</li><li><i style=\"background:var(--second);height:3px;margin-bottom:3px\"></i>largest value that the measured noise alone would give</li></ul></figure>",
+        figures::singular_values(material, files)
+    );
+}
+
+fn measures(out: &mut String, comparisons: &[Comparison]) {
+    if comparisons.is_empty() {
+        return;
+    }
+    out.push_str("<h2>Measures</h2><table><tr><th>measure</th>");
+    comparisons.iter().for_each(|c| {
+        let _ = write!(out, "<th class=\"n\">{}</th>", escape(&c.title));
+    });
+    out.push_str("</tr>");
+    let known = MEASURES.iter().map(|(name, what, format)| (*name, *what, *format));
+    let unknown = comparisons.iter().flat_map(|c| c.values.keys()).filter(|k| MEASURES.iter().all(|m| m.0 != *k));
+    let unknown: std::collections::BTreeSet<&str> = unknown.map(String::as_str).collect();
+    for (name, what, format) in known.chain(unknown.into_iter().map(|n| (n, "", four as fn(f64) -> String))) {
+        if comparisons.iter().all(|c| !c.values.contains_key(name)) {
+            continue;
+        }
+        let _ = write!(out, "<tr><td><code>{}</code> <small>{what}</small></td>", escape(name));
+        for c in comparisons {
+            let value = c.values.get(name).map(|v| v.iter().map(|v| format(*v)).collect::<Vec<_>>().join(" "));
+            let value = value.unwrap_or_else(|| "–".to_owned());
+            let _ = write!(out, "<td class=\"n\">{}</td>", escape(&value));
+        }
+        out.push_str("</tr>");
+    }
+    out.push_str("</table>");
+}
+
+fn timings(out: &mut String, input: &ReportInput) {
+    let longest = input.timings.iter().map(|t| t.secs).fold(0.0, f64::max);
+    if longest <= 0.0 {
+        return;
+    }
+    out.push_str("<h2>Time per stage</h2><table>");
+    for t in input.timings {
+        let share = 100.0 * t.secs / longest;
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"time\"><i style=\"width:{share:.1}%\"></i></td></tr>",
+            escape(&t.stage),
+            seconds(t.secs)
+        );
+    }
+    out.push_str("</table>");
+}
+
+fn provenance(out: &mut String, input: &ReportInput) -> Result<()> {
+    let text = serde_json::to_string_pretty(&input.matrix.provenance).map_err(crate::Error::internal)?;
+    let _ = write!(
+        out,
+        "<h2>Provenance</h2><p class=\"lead\">Written by acquire {}; how the matrix came to be, as it is kept in the matrix itself.</p><details><summary>Version, options, input hashes</summary><pre>{}</pre></details>",
+        env!("CARGO_PKG_VERSION"),
+        escape(&text)
+    );
+    Ok(())
+}
+
+/// Two lengths in mm, or one when they are the same to so many digits.
+fn extent_mm(mm: [f64; 2], digits: usize) -> String {
+    match mm.map(|v| significant(v, digits)) {
+        [x, y] if x == y => format!("{x} mm"),
+        [x, y] => format!("{x} × {y} mm"),
+    }
+}
+
+fn percent(v: f64) -> String {
+    format!("{} %", significant(100.0 * v, 3))
+}
+
+fn decibel(v: f64) -> String {
+    format!("{v:.1} dB")
+}
+
+fn size(v: f64) -> String {
+    bytes(v as u64)
+}
+
+fn whole(v: f64) -> String {
+    format!("{v:.0}")
+}
+
+fn three(v: f64) -> String {
+    significant(v, 3)
+}
+
+fn four(v: f64) -> String {
+    significant(v, 4)
+}

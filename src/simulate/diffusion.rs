@@ -1,0 +1,212 @@
+//! Steady diffusion in a heterogeneous slab: −∇·(D∇φ) + σ_a φ = q per channel, D = 1/(3(σ_a + σ'_s)).
+//!
+//! Finite volumes on voxels that are square over the plane and thin near the surface, with the harmonic mean of D
+//! between neighbours.
+//!
+//! # Boundaries
+//! Light that meets the inside of the top or bottom is reflected in part: φ − 2AD ∂φ/∂n = 0 with A = (1 + F_dr)/(1 − F_dr)
+//! (Groenhuis et al. 1983; n points inwards). The net flux through the surface is then D ∂φ/∂n = φ_s/(2A), and as nothing
+//! comes in, this is what escapes: the exitance. From a cell centre dz/2 deep it is φ/(dz/(2D) + 2A), which is how
+//! both the operator and the exitance have it, so that energy balances to the solver's tolerance. At the sides of the
+//! voxel box the field is taken to decay as the slab's slowest mode does, exp(−κr): D ∂φ/∂n = −Dκφ.
+//!
+//! # Source
+//! Of each unit of flux that arrives, 1 − F enters (Fresnel at normal incidence) and is scattered once, isotropically,
+//! along its first path: q(z) = (1 − F) σ'_s exp(−σ'_t z). The absorbed share of the first collisions and what
+//! crosses the slab unscattered are lost, as they should be.
+//!
+//! # Where diffusion is wrong
+//! Within about one transport mean free path 1/σ'_t of the lit point (single scattering and direction are not in it: peaks come
+//! out too low and too round), for media that absorb as much as they scatter, and for slabs only a few mean free
+//! paths thick. The truth of a simulated capture is this model's answer, not nature's.
+
+use super::{
+    material::{Medium, boundary_factor, normal_reflectance},
+    multigrid::{Columns, Convergence, Multigrid},
+};
+use crate::geometry::Point;
+
+/// A box of voxels in slab coordinates.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Domain {
+    /// The box's first corner, mm.
+    pub corner_mm: Point,
+    /// Side of a voxel over the plane, mm.
+    pub voxel_mm: f64,
+    /// Voxels along x and y.
+    pub voxels: [usize; 2],
+}
+
+impl Domain {
+    /// First corner of voxel `[x, y]`, mm.
+    pub fn voxel_corner_mm(&self, voxel: [usize; 2]) -> Point {
+        std::array::from_fn(|a| self.corner_mm[a] + voxel[a] as f64 * self.voxel_mm)
+    }
+
+    /// Number of columns.
+    pub fn columns(&self) -> usize {
+        self.voxels[0] * self.voxels[1]
+    }
+}
+
+/// The slab as the solver sees it.
+#[derive(Debug, Clone)]
+pub(super) struct Slab {
+    pub medium: Medium,
+    /// Thickness of the layers from the top, mm.
+    pub layers_mm: Vec<f64>,
+    /// When to stop: residual over first residual.
+    pub tolerance: f64,
+}
+
+/// Where the light of a solution went, per unit of flux that arrived at the surface.
+#[derive(Debug, Clone, Copy)]
+pub struct Balance {
+    /// What entered and was scattered once: the source of the diffusion equation.
+    pub source: f64,
+    /// Left through the top.
+    pub top: f64,
+    /// Left through the bottom.
+    pub bottom: f64,
+    /// Left through the sides of the box.
+    pub sides: f64,
+    /// Absorbed.
+    pub absorbed: f64,
+}
+
+/// Layers that grow by a quarter from `first_mm` to at most `most_mm`, scaled to fill `thickness_mm`.
+pub(super) fn graded_layers(thickness_mm: f64, first_mm: f64, most_mm: f64) -> Vec<f64> {
+    let (mut layers, mut sum, mut next) = (Vec::new(), 0.0, first_mm);
+    while sum < thickness_mm {
+        layers.push(next);
+        sum += next;
+        next = (1.25 * next).min(most_mm);
+    }
+    layers.iter_mut().for_each(|t| *t *= thickness_mm / sum);
+    layers
+}
+
+/// The exitance through the top of each column, mm⁻², for a flux that arrives at each column's top.
+#[derive(Debug)]
+pub(super) struct Solution {
+    pub exitance: Vec<f32>,
+    pub convergence: Convergence,
+    pub balance: Option<Balance>,
+}
+
+impl Slab {
+    /// Coefficients (σ'_s, σ_a) of every column, from the exact share of the media in it.
+    fn coefficients(&self, domain: &Domain, shares: &[f64], channel: usize) -> Vec<(f64, f64)> {
+        debug_assert_eq!(shares.len(), domain.columns());
+        shares.iter().map(|&share| self.medium.coefficients(share, channel)).collect()
+    }
+
+    /// Share of the second medium in every column.
+    pub fn shares(&self, domain: &Domain) -> Vec<f64> {
+        let cell = |i: usize| domain.voxel_corner_mm([i % domain.voxels[0], i / domain.voxels[0]]);
+        (0..domain.columns()).map(|i| self.medium.share_of_second(cell(i), domain.voxel_mm)).collect()
+    }
+
+    /// Solves for `flux` arriving at the columns (row-major).
+    pub fn solve(&self, domain: &Domain, shares: &[f64], flux: &[f64], channel: usize, balance: bool) -> Solution {
+        let coefficients = self.coefficients(domain, shares, channel);
+        let (columns, sides) = self.operator(domain, &coefficients);
+        let top = columns.top.clone();
+        let bottom = columns.bottom.clone();
+        let mut multigrid = Multigrid::new(columns, &self.layers_mm);
+        let source = self.source(&multigrid, &coefficients, flux);
+        let (fluence, convergence) = multigrid.solve(&source, self.tolerance, 100);
+        let voxels = multigrid.voxels(&fluence);
+        let area = domain.voxel_mm * domain.voxel_mm;
+        let exitance = voxels.iter().zip(&top).map(|(phi, g)| phi * g / area as f32).collect();
+        let balance = balance.then(|| {
+            let plane = domain.columns();
+            let total = |map: &[f32], voxels: &[f32]| -> f64 {
+                map.iter().zip(voxels).map(|(g, phi)| f64::from(*g) * f64::from(*phi)).sum()
+            };
+            let mut absorbed = 0.0;
+            let mut sideways = 0.0;
+            for (layer, &dz) in voxels.chunks(plane).zip(&self.layers_mm) {
+                for ((phi, c), side) in layer.iter().zip(&coefficients).zip(&sides) {
+                    absorbed += f64::from(*phi) * c.1 * area * dz;
+                    sideways += f64::from(*phi) * side * dz;
+                }
+            }
+            Balance {
+                source: multigrid.voxels(&source).iter().map(|&q| f64::from(q)).sum(),
+                top: total(&top, voxels),
+                bottom: total(&bottom, &voxels[voxels.len() - plane..]),
+                sides: sideways,
+                absorbed,
+            }
+        });
+        Solution { exitance, convergence, balance }
+    }
+
+    /// The operator's maps, and the conductance through the sides per mm of depth.
+    fn operator(&self, domain: &Domain, coefficients: &[(f64, f64)]) -> (Columns, Vec<f64>) {
+        let [nx, ny] = domain.voxels;
+        let h = domain.voxel_mm;
+        let a = boundary_factor(self.medium.refractive_index);
+        let thickness: f64 = self.layers_mm.iter().sum();
+        let diffusion: Vec<f64> = coefficients.iter().map(|(s, a)| 1.0 / (3.0 * (s + a))).collect();
+        let join = |i: usize, j: usize| 2.0 * diffusion[i] * diffusion[j] / (diffusion[i] + diffusion[j]);
+        let through = |dz: f64| -> Vec<f32> {
+            diffusion.iter().map(|d| (h * h / (dz / (2.0 * d) + 2.0 * a)) as f32).collect()
+        };
+        let mut west = vec![0.0; nx * ny];
+        let mut north = vec![0.0; nx * ny];
+        let mut sides = vec![0.0; nx * ny];
+        for i in 0..nx * ny {
+            let (x, y) = (i % nx, i / nx);
+            if x > 0 {
+                west[i] = join(i, i - 1) as f32;
+            }
+            if y > 0 {
+                north[i] = join(i, i - nx) as f32;
+            }
+            let open = [x == 0, x + 1 == nx, y == 0, y + 1 == ny].iter().filter(|&&side| side).count();
+            if open > 0 {
+                let d = diffusion[i];
+                let slowest = std::f64::consts::PI / (thickness + 4.0 * a * d);
+                let kappa = (slowest * slowest + coefficients[i].1 / d).sqrt();
+                sides[i] = open as f64 * h / (h / (2.0 * d) + 1.0 / (d * kappa));
+            }
+        }
+        let loss = coefficients.iter().zip(&sides).map(|((_, absorption), side)| (absorption * h * h + side) as f32);
+        let columns = Columns {
+            nx,
+            ny,
+            west,
+            north,
+            loss: loss.collect(),
+            vertical: diffusion.iter().map(|d| (d * h * h) as f32).collect(),
+            top: through(self.layers_mm[0]),
+            bottom: through(self.layers_mm[self.layers_mm.len() - 1]),
+        };
+        (columns, sides)
+    }
+
+    /// First scattering, integrated over each voxel's depth.
+    fn source(&self, multigrid: &Multigrid, coefficients: &[(f64, f64)], flux: &[f64]) -> Vec<f32> {
+        let enters = 1.0 - normal_reflectance(self.medium.refractive_index);
+        let mut source = multigrid.zeros();
+        let plane = flux.len();
+        let voxels = multigrid.voxels_mut(&mut source);
+        for (i, (&flux, &(scattering, absorption))) in flux.iter().zip(coefficients).enumerate() {
+            if flux == 0.0 {
+                continue;
+            }
+            let extinction = scattering + absorption;
+            let mut remains = 1.0;
+            let mut depth = 0.0;
+            for (k, &dz) in self.layers_mm.iter().enumerate() {
+                depth += dz;
+                let after = (-extinction * depth).exp();
+                voxels[k * plane + i] = (flux * enters * scattering / extinction * (remains - after)) as f32;
+                remains = after;
+            }
+        }
+        source
+    }
+}

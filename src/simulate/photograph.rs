@@ -1,0 +1,120 @@
+//! Image files as a camera writes them: pixels and EXIF.
+
+use super::FileFormat;
+use crate::{Error, Result};
+use exif::{Field, In, Rational, Tag, Value, experimental::Writer};
+use image::ImageEncoder;
+use std::path::Path;
+
+/// An exposure time as EXIF holds it: a fraction of whole numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct ExposureTime {
+    pub numerator: u32,
+    pub denominator: u32,
+}
+
+impl ExposureTime {
+    /// 1/`denominator` s.
+    pub fn one_over(denominator: u32) -> Self {
+        Self { numerator: 1, denominator: denominator.max(1) }
+    }
+
+    /// This time made longer by `stops`: exact for whole stops, else to a millionth of a second.
+    pub fn longer(self, stops: f64) -> Self {
+        if stops.fract() == 0.0 && (0.0..=20.0).contains(&stops) {
+            let numerator = self.numerator << stops as u32;
+            let common = gcd(numerator, self.denominator);
+            return Self { numerator: numerator / common, denominator: self.denominator / common };
+        }
+        Self { numerator: (self.secs() * stops.exp2() * 1e6).round() as u32, denominator: 1_000_000 }
+    }
+
+    /// Seconds.
+    pub fn secs(self) -> f64 {
+        f64::from(self.numerator) / f64::from(self.denominator)
+    }
+}
+
+fn gcd(a: u32, b: u32) -> u32 {
+    if b == 0 { a.max(1) } else { gcd(b, a % b) }
+}
+
+/// Writes interleaved RGB code values. `taken_secs` counts from the capture's first photograph.
+pub(super) fn write(
+    path: &Path,
+    format: FileFormat,
+    size_px: [usize; 2],
+    codes: &[u16],
+    exposure: ExposureTime,
+    taken_secs: usize,
+) -> Result<u64> {
+    let exif = exif_block(exposure, taken_secs)?;
+    let [width, height] = size_px.map(|s| s as u32);
+    let mut bytes = Vec::with_capacity(codes.len() * 2 + 1024);
+    match format {
+        FileFormat::Png => {
+            let mut info = png::Info::with_size(width, height);
+            info.color_type = png::ColorType::Rgb;
+            info.bit_depth = png::BitDepth::Sixteen;
+            info.exif_metadata = Some(exif.into());
+            let mut encoder = png::Encoder::with_info(&mut bytes, info).map_err(Error::internal)?;
+            // Noise does not compress and this decodes fastest; Up turns pedestal and black into runs.
+            encoder.set_compression(png::Compression::Fastest);
+            encoder.set_filter(png::Filter::Up);
+            let mut writer = encoder.write_header().map_err(Error::internal)?;
+            let data: Vec<u8> = codes.iter().flat_map(|c| c.to_be_bytes()).collect();
+            writer.write_image_data(&data).map_err(Error::internal)?;
+            writer.finish().map_err(Error::internal)?;
+        }
+        FileFormat::Jpeg => {
+            let data: Vec<u8> = codes.iter().map(|&c| c.min(255) as u8).collect();
+            let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 95);
+            encoder.set_exif_metadata(exif).map_err(Error::internal)?;
+            encoder.write_image(&data, width, height, image::ExtendedColorType::Rgb8).map_err(Error::internal)?;
+        }
+    }
+    std::fs::write(path, &bytes).map_err(Error::io("write", path))?;
+    Ok(bytes.len() as u64)
+}
+
+/// The TIFF block of EXIF.
+fn exif_block(exposure: ExposureTime, taken_secs: usize) -> Result<Vec<u8>> {
+    let (day, hour) = (1 + taken_secs / 86_400, taken_secs / 3600 % 24);
+    let taken = format!("2026:01:{day:02} {hour:02}:{:02}:{:02}", taken_secs / 60 % 60, taken_secs % 60);
+    let ascii = |text: &str| Value::Ascii(vec![text.as_bytes().to_vec()]);
+    let rational = |num: u32, denom: u32| Value::Rational(vec![Rational { num, denom }]);
+    let fields = [
+        (Tag::Make, ascii("acquire")),
+        (Tag::Model, ascii("acquire simulate")),
+        (Tag::ExposureTime, rational(exposure.numerator, exposure.denominator)),
+        (Tag::FNumber, rational(8, 1)),
+        (Tag::PhotographicSensitivity, Value::Short(vec![100])),
+        (Tag::DateTimeOriginal, ascii(&taken)),
+    ]
+    .map(|(tag, value)| Field { tag, ifd_num: In::PRIMARY, value });
+    let mut writer = Writer::new();
+    fields.iter().for_each(|field| writer.push_field(field));
+    let mut block = std::io::Cursor::new(Vec::new());
+    writer.write(&mut block, false).map_err(Error::internal)?;
+    Ok(block.into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exposure_times_stay_exact_and_are_found_in_both_formats() {
+        let time = ExposureTime::one_over(256).longer(4.0);
+        assert_eq!(time, ExposureTime { numerator: 1, denominator: 16 });
+        let dir = tempfile::tempdir().unwrap();
+        for (format, name) in [(FileFormat::Png, "a.png"), (FileFormat::Jpeg, "a.jpg")] {
+            let path = dir.path().join(name);
+            write(&path, format, [8, 4], &[100; 96], time, 3700).unwrap();
+            let mut file = std::io::BufReader::new(std::fs::File::open(&path).unwrap());
+            let exif = exif::Reader::new().read_from_container(&mut file).unwrap();
+            let field = exif.get_field(Tag::ExposureTime, In::PRIMARY).unwrap();
+            assert!(matches!(&field.value, Value::Rational(v) if v[0].num == 1 && v[0].denom == 16));
+        }
+    }
+}

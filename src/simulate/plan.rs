@@ -1,0 +1,84 @@
+//! The list of shots: what `capture.toml` says, with exposures and drift.
+
+use super::{FileFormat, Options, ShotTruth, photograph::ExposureTime, scene::drift_walk, studio::Studio};
+use crate::capture::{Axis, FORMAT, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Window};
+
+/// Projector px of the narrowest Gray stripes: narrower ones blur together.
+const NARROWEST_STRIPE_PX: u32 = 8;
+
+/// The shots of a capture; lattice shots come last.
+#[derive(Debug)]
+pub(super) struct Plan {
+    pub manifest: Manifest,
+    pub first_lattice: usize,
+    pub lattices: Vec<ShotTruth>,
+}
+
+impl Plan {
+    /// Lists all shots.
+    pub fn new(options: &Options, studio: &Studio) -> Self {
+        let scene = &studio.scene;
+        let mut patterns = vec![
+            ("board".to_owned(), Pattern::Board),
+            ("reference-white".to_owned(), Pattern::ReferenceWhite),
+            ("reference-black".to_owned(), Pattern::ReferenceBlack),
+            ("sample-black".to_owned(), Pattern::SampleBlack),
+        ];
+        for (axis, letter, size) in [(Axis::X, 'x', scene.projector.size_px[0]), (Axis::Y, 'y', scene.projector.size_px[1])] {
+            let bits = usize::BITS - (size.max(2) - 1).leading_zeros();
+            for bit in (0..bits).rev().filter(|&bit| 2 << bit >= NARROWEST_STRIPE_PX) {
+                for inverse in [false, true] {
+                    let name = format!("gray-{letter}-{bit:02}{}", if inverse { "-inverse" } else { "" });
+                    patterns.push((name, Pattern::GrayCode { axis, bit, inverse }));
+                }
+            }
+        }
+        let first_lattice = patterns.len();
+        let spacing = options.spacing().min(options.grid);
+        for phase in 0..spacing * spacing {
+            let every = |start: usize| (start..options.grid).step_by(spacing);
+            let dots = every(phase / spacing).flat_map(|y| every(phase % spacing).map(move |x| [x, y])).collect();
+            patterns.push((format!("lattice-{phase:04}"), Pattern::Lattice { dots }));
+        }
+        let lattices = drift_walk(patterns.len() - first_lattice, options.drift_px, options.seed)
+            .into_iter()
+            .zip(&patterns[first_lattice..])
+            .map(|(drift_px, (name, _))| ShotTruth { name: name.clone(), drift_px, drift_mm: scene.drift_mm(drift_px) })
+            .collect();
+        let shots = patterns.into_iter().map(|(name, pattern)| shot(options, studio, name, pattern)).collect();
+        let manifest = Manifest {
+            format: FORMAT,
+            name: format!("simulated {:?}", options.material).to_lowercase(),
+            slab: Slab { size_mm: scene.slab_size_mm },
+            grid: scene.grid.clone(),
+            window: Window { samples: [options.window; 2], pitch_mm: options.pitch_mm },
+            reference_dots: Some(ReferenceDots { projector_px: scene.reference_dots.clone() }),
+            shots,
+        };
+        Self { manifest, first_lattice, lattices }
+    }
+}
+
+fn shot(options: &Options, studio: &Studio, name: String, pattern: Pattern) -> Shot {
+    let extension = match options.format {
+        FileFormat::Png => "png",
+        FileFormat::Jpeg => "jpg",
+    };
+    let photographs = (0..studio.bracket(options, &pattern).len())
+        .map(|n| PhotographEntry { file: format!("photos/{name}_{n}.{extension}"), exposure_secs: None })
+        .collect();
+    Shot { name, pattern, photographs }
+}
+
+/// The dots of a lattice shot, none for any other.
+pub(super) fn dots(shot: &Shot) -> &[[usize; 2]] {
+    match &shot.pattern {
+        Pattern::Lattice { dots } => dots,
+        _ => &[],
+    }
+}
+
+/// Exposures from the shortest, each longer by `stops`.
+pub(super) fn bracket(shortest: ExposureTime, count: usize, stops: f64) -> Vec<ExposureTime> {
+    (0..count).map(|n| shortest.longer(n as f64 * stops)).collect()
+}

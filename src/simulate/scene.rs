@@ -1,0 +1,308 @@
+//! The bench: projector, camera, frame and board around the slab, and how far each lattice shot has drifted.
+
+use super::{Options, mix_seed};
+use crate::{
+    Error, Result,
+    capture::{Board, Camera, Grid, Projector, ResponseCurve, Rig, WhiteReference},
+    geometry::{CameraView, Homography, Lens, Point},
+};
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64Mcg;
+
+/// Width of the opaque frame, in outgoing pitches.
+const FRAME_PITCHES: f64 = 7.0;
+/// Albedo of the frame: its dots are about as bright as those on the sample, so that one bracket suits both.
+pub(super) const FRAME_ALBEDO: f64 = 0.06;
+/// What is seen around the frame, camera px.
+const IMAGE_MARGIN_PX: f64 = 10.0;
+/// Turn of the projector about its axis, degrees, and its keystone: change of scale over the lit area.
+const PROJECTOR_TURN_DEG: f64 = 0.5;
+const KEYSTONE: [f64; 2] = [0.015, -0.010];
+/// Tilt and turn of the camera, degrees.
+const CAMERA_TILT_DEG: f64 = 5.0;
+const CAMERA_TURN_DEG: f64 = 0.7;
+/// The lens, and the sensitivity lost at the corner.
+const LENS_K: [f64; 2] = [-0.05, 0.01];
+const CORNER_VIGNETTING: f64 = -0.15;
+/// Irradiance lost at the corner of the frame, and the projector's colour.
+const FALLOFF: f64 = 0.12;
+const PROJECTOR_COLOR: [f64; 3] = [1.0, 0.95, 0.85];
+
+/// Everything that does not change from shot to shot.
+#[derive(Debug, Clone)]
+pub(super) struct Scene {
+    pub slab_size_mm: Point,
+    pub frame_mm: f64,
+    pub grid: Grid,
+    /// Centre and side of the area that the nominal grid covers, half a lit pitch around it included.
+    pub lit_origin_mm: Point,
+    pub lit_side_mm: f64,
+    pub slab_from_projector: Homography,
+    pub projector_from_slab: Homography,
+    pub projector: Projector,
+    pub view: CameraView,
+    pub camera: Camera,
+    pub board: Board,
+    pub reference_dots: Vec<Point>,
+    pub white: WhiteReference,
+}
+
+impl Scene {
+    /// Builds the bench around the lit points.
+    pub fn new(options: &Options) -> Result<Self> {
+        let lit = options.lit_pitch_mm();
+        let centered = projector_view(options);
+        let half = 0.5 * (options.grid as f64 - 1.0) * options.step_projector_px as f64;
+        let corners = [[-half, -half], [half, -half], [-half, half], [half, half]].map(|p| centered.map(p));
+        // Drift reaches about three times its root mean square; a third of a pitch more for rounding by anyone.
+        let px_mm = options.pitch_mm / options.camera_px_per_sample;
+        let border = (0.5 * options.window as f64 + 0.35) * options.pitch_mm + 3.5 * options.drift_px * px_mm;
+        let low: Point = std::array::from_fn(|a| fold(&corners, a, f64::min) - border);
+        let slab_size_mm = std::array::from_fn(|a| fold(&corners, a, f64::max) + border - low[a]);
+        let frame_mm = FRAME_PITCHES * options.pitch_mm;
+        let outline = outline(slab_size_mm, frame_mm);
+
+        // Projector pixels: centred ones moved so that the picture and a margin around it begin at 0.
+        let shift = Homography::similarity(1.0, [-low[0], -low[1]]);
+        let back = shift.after(&centered).inverse().ok_or_else(|| Error::internal("projector view is singular"))?;
+        let lit_px = outline.map(|p| back.map(p));
+        let margin = (IMAGE_MARGIN_PX + 4.0) * options.step_projector_px as f64 * options.pitch_mm
+            / (lit * options.camera_px_per_sample);
+        let offset: Point = std::array::from_fn(|a| (margin - fold(&lit_px, a, f64::min)).ceil());
+        // An even dot is centred between pixels; an odd one on a pixel.
+        let parity = |v: f64| if options.dot_projector_px.is_multiple_of(2) { v.floor() + 0.5 } else { v.round() };
+        let origin: Point = std::array::from_fn(|a| parity(offset[a] - half));
+        let center = origin.map(|o| o + half);
+        let size_px = std::array::from_fn(|a| {
+            let last = fold(&lit_px, a, f64::max) + center[a] + margin;
+            (last as usize + 1).next_multiple_of(16)
+        });
+        let to_centered = Homography::similarity(1.0, [-center[0], -center[1]]);
+        let slab_from_projector = shift.after(&centered.after(&to_centered));
+        let projector_from_slab =
+            slab_from_projector.inverse().ok_or_else(|| Error::internal("projector view is singular"))?;
+        let step = options.step_projector_px as f64;
+        let grid = Grid {
+            points: [options.grid; 2],
+            origin_projector_px: origin,
+            step_projector_px: [step, step],
+            dot_projector_px: options.dot_projector_px,
+        };
+        let (view, camera) = camera(options, slab_size_mm, frame_mm);
+        let middle = slab_from_projector.map(center);
+        let lit_side_mm = options.grid as f64 * lit;
+        let mut scene = Self {
+            slab_size_mm,
+            frame_mm,
+            grid,
+            lit_origin_mm: middle.map(|m| m - 0.5 * lit_side_mm),
+            lit_side_mm,
+            slab_from_projector,
+            projector_from_slab,
+            projector: Projector { size_px },
+            view,
+            board: board(slab_size_mm, frame_mm, &camera),
+            camera,
+            reference_dots: Vec::new(),
+            white: WhiteReference { reflectance: [0.99; 3] },
+        };
+        scene.reference_dots = scene.reference_dots(parity);
+        Ok(scene)
+    }
+
+    /// The rig file: what a lab would know. The lens is not in it.
+    pub fn rig(&self, noise: crate::capture::Noise) -> Rig {
+        Rig {
+            format: crate::capture::FORMAT,
+            camera: self.camera.clone(),
+            noise,
+            projector: self.projector.clone(),
+            board: self.board.clone(),
+            white_reference: self.white.clone(),
+        }
+    }
+
+    /// The middle of the slab, mm.
+    pub fn center_mm(&self) -> Point {
+        self.slab_size_mm.map(|s| 0.5 * s)
+    }
+
+    /// Whether `p` (mm) is on the sample.
+    pub fn on_sample(&self, p: Point) -> bool {
+        (0..2).all(|a| p[a] >= 0.0 && p[a] <= self.slab_size_mm[a])
+    }
+
+    /// Whether `p` (mm) is on the sample or its frame.
+    pub fn on_frame_or_sample(&self, p: Point) -> bool {
+        (0..2).all(|a| p[a] >= -self.frame_mm && p[a] <= self.slab_size_mm[a] + self.frame_mm)
+    }
+
+    /// Irradiance of projector white at `p` (mm): smooth, brightest a little beside the centre, arbitrary unit.
+    pub fn white_irradiance(&self, p: Point) -> [f64; 3] {
+        let reach: f64 = self.slab_size_mm.iter().map(|s| (0.5 * s + self.frame_mm).powi(2)).sum();
+        let r2: f64 = (0..2).map(|a| (p[a] - (0.48 + 0.05 * a as f64) * self.slab_size_mm[a]).powi(2)).sum();
+        let falloff = 1.0 - FALLOFF * r2 / reach;
+        PROJECTOR_COLOR.map(|c| c * falloff)
+    }
+
+    /// Displacement on the slab (mm) that moves the picture of its centre by `drift_px`.
+    pub fn drift_mm(&self, drift_px: Point) -> Point {
+        let j = self.view.jacobian(self.center_mm());
+        let det = j[0][0] * j[1][1] - j[0][1] * j[1][0];
+        [
+            (j[1][1] * drift_px[0] - j[0][1] * drift_px[1]) / det,
+            (j[0][0] * drift_px[1] - j[1][0] * drift_px[0]) / det,
+        ]
+    }
+
+    /// Two dots on each side of the frame.
+    fn reference_dots(&self, snap: impl Fn(f64) -> f64) -> Vec<Point> {
+        let (w, h, f) = (self.slab_size_mm[0], self.slab_size_mm[1], 0.5 * self.frame_mm);
+        let along = [0.2, 0.8];
+        let sides = along.iter().flat_map(|&t| [[t * w, -f], [t * w, h + f], [-f, t * h], [w + f, t * h]]);
+        sides.map(|p| self.projector_from_slab.map(p).map(&snap)).collect()
+    }
+}
+
+/// A slow random walk, one step per lattice shot: camera px, root mean square length `rms_px`.
+pub(super) fn drift_walk(shots: usize, rms_px: f64, seed: u64) -> Vec<Point> {
+    const MEMORY: f64 = 0.95;
+    let mut rng = Pcg64Mcg::seed_from_u64(mix_seed(seed, 0xd21f7));
+    let mut at = [0.0; 2];
+    let mut walk = Vec::with_capacity(shots);
+    for shot in 0..shots {
+        let step: Point = std::array::from_fn(|_| StandardNormal.sample(&mut rng));
+        let (keep, move_by) = if shot == 0 { (0.0, 1.0) } else { (MEMORY, (1.0 - MEMORY * MEMORY).sqrt()) };
+        at = std::array::from_fn(|a| keep * at[a] + move_by * step[a]);
+        walk.push(at);
+    }
+    let mean_square = walk.iter().map(|p| p[0] * p[0] + p[1] * p[1]).sum::<f64>() / shots.max(1) as f64;
+    let scale = if mean_square > 0.0 { rms_px / mean_square.sqrt() } else { 0.0 };
+    // No shot beyond 3.4 times the root mean square, so that every window stays on the sample.
+    walk.iter()
+        .map(|p| {
+            let length = p[0].hypot(p[1]) * scale;
+            let limit = if length > 3.4 * rms_px { 3.4 * rms_px / length } else { 1.0 };
+            p.map(|v| v * scale * limit)
+        })
+        .collect()
+}
+
+fn fold(points: &[Point], axis: usize, pick: fn(f64, f64) -> f64) -> f64 {
+    points.iter().map(|p| p[axis]).reduce(pick).unwrap_or(0.0)
+}
+
+/// The outer corners of the frame.
+fn outline(size: Point, frame: f64) -> [Point; 4] {
+    let (x0, x1, y0, y1) = (-frame, size[0] + frame, -frame, size[1] + frame);
+    [[x0, y0], [x1, y0], [x0, y1], [x1, y1]]
+}
+
+/// Projector px about the grid's centre to slab mm about the slab's centre.
+fn projector_view(options: &Options) -> Homography {
+    let scale = options.lit_pitch_mm() / options.step_projector_px as f64;
+    let (sin, cos) = PROJECTOR_TURN_DEG.to_radians().sin_cos();
+    let extent = options.grid.max(2) as f64 * options.step_projector_px as f64;
+    let [gx, gy] = KEYSTONE.map(|k| k / extent);
+    Homography { matrix: [[scale * cos, -scale * sin, 0.0], [scale * sin, scale * cos, 0.0], [gx, gy, 1.0]] }
+}
+
+/// A pinhole turned and tilted over the slab's centre, its lens, and an image just large enough for slab and frame.
+fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera) {
+    let px_per_mm = options.camera_px_per_sample / options.pitch_mm;
+    let extent_px = size.map(|s| (s + 2.0 * frame) * px_per_mm);
+    let focal_px = (2.0 * extent_px[0].max(extent_px[1])).round();
+    let distance_mm = focal_px / px_per_mm;
+    let (sin_t, cos_t) = CAMERA_TILT_DEG.to_radians().sin_cos();
+    let (sin_r, cos_r) = CAMERA_TURN_DEG.to_radians().sin_cos();
+    // R = Rx(tilt) · Rz(turn); a point of the plane is (x, y, 0) about the slab's centre.
+    let columns = [[cos_r, -sin_r, 0.0], [cos_t * sin_r, cos_t * cos_r, 0.0], [sin_t * sin_r, sin_t * cos_r, distance_mm]];
+    let pinhole = Homography {
+        matrix: std::array::from_fn(|i| columns[i].map(|v| if i < 2 { focal_px * v } else { v })),
+    };
+    let about_center = pinhole.after(&Homography::similarity(1.0, [-0.5 * size[0], -0.5 * size[1]]));
+    // The centre of distortion is not quite where the rig believes the principal point to be.
+    let off = [1.3, -0.9];
+    let mut view = CameraView {
+        ideal_from_slab: about_center,
+        lens: Lens { center_px: off, focal_px, k1: LENS_K[0], k2: LENS_K[1] },
+    };
+    let edge: Vec<Point> = (0..=40)
+        .flat_map(|i| {
+            let t = f64::from(i) / 40.0;
+            let [a, b, c, d] = outline(size, frame);
+            let between = |p: Point, q: Point| [p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])];
+            [between(a, b), between(c, d), between(a, c), between(b, d)]
+        })
+        .map(|p| view.camera_from_slab(p))
+        .collect();
+    let shift: Point = std::array::from_fn(|a| (IMAGE_MARGIN_PX - fold(&edge, a, f64::min)).round());
+    let size_px: [usize; 2] =
+        std::array::from_fn(|a| (fold(&edge, a, f64::max) + shift[a] + IMAGE_MARGIN_PX).ceil() as usize + 1);
+    view.ideal_from_slab = Homography::similarity(1.0, shift).after(&view.ideal_from_slab);
+    view.lens.center_px = [off[0] + shift[0], off[1] + shift[1]];
+    let principal_px = size_px.map(|s| 0.5 * (s as f64 - 1.0));
+    let nominal_focal_px = (1.01 * focal_px).round();
+    let corner2 = (principal_px[0].powi(2) + principal_px[1].powi(2)) / nominal_focal_px.powi(2);
+    let camera = Camera {
+        size_px,
+        focal_px: nominal_focal_px,
+        principal_px,
+        response: match options.format {
+            super::FileFormat::Png => ResponseCurve::Linear,
+            super::FileFormat::Jpeg => ResponseCurve::Srgb,
+        },
+        vignetting: vec![1.2 * CORNER_VIGNETTING / corner2, -0.2 * CORNER_VIGNETTING / (corner2 * corner2)],
+    };
+    (view, camera)
+}
+
+/// A board over slab and frame: squares of at least some 11 camera px (OpenCV finds them down to about 8), one even and one odd number of inner corners.
+fn board(size: Point, frame: f64, camera: &Camera) -> Board {
+    let extent: Point = size.map(|s| s + 2.0 * frame);
+    let px = camera.size_px[0].min(camera.size_px[1]) as f64 - 2.0 * IMAGE_MARGIN_PX;
+    let squares = ((px / 11.0).floor() as usize).clamp(6, 14);
+    let square_mm = extent[0].min(extent[1]) / (squares as f64 + 0.4);
+    let inner_corners = [squares - 1, squares - 2];
+    let origin_mm = std::array::from_fn(|a| {
+        -frame + 0.5 * (extent[a] - (inner_corners[a] as f64 - 1.0) * square_mm)
+    });
+    Board { inner_corners, square_mm, origin_mm }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_window_lies_on_the_sample_and_the_picture_holds_the_frame() {
+        let options = Options { grid: 8, window: 9, lit_pitch_mm: Some(1.1), ..Options::default() };
+        let scene = Scene::new(&options).unwrap();
+        for dot in [[0, 0], [7, 0], [0, 7], [7, 7]] {
+            let p = scene.slab_from_projector.map(scene.grid.dot_projector_px(dot));
+            let half = 4.5 * options.pitch_mm;
+            assert!(scene.on_sample([p[0] - half, p[1] - half]) && scene.on_sample([p[0] + half, p[1] + half]));
+        }
+        for p in outline(scene.slab_size_mm, scene.frame_mm) {
+            let q = scene.view.camera_from_slab(p);
+            assert!((0..2).all(|a| q[a] > 8.0 && q[a] < scene.camera.size_px[a] as f64 - 9.0), "{q:?}");
+            let r = scene.projector_from_slab.map(p);
+            assert!((0..2).all(|a| r[a] > 8.0 && r[a] < scene.projector.size_px[a] as f64 - 9.0), "{r:?}");
+        }
+        assert_eq!(scene.reference_dots.len(), 8);
+        assert!(scene.reference_dots.iter().flatten().all(|v| v.fract() == 0.0));
+    }
+
+    #[test]
+    fn drift_has_the_length_that_was_asked_for() {
+        let walk = drift_walk(400, 0.5, 7);
+        let rms = (walk.iter().map(|p| p[0] * p[0] + p[1] * p[1]).sum::<f64>() / 400.0).sqrt();
+        // The limit on single shots may shorten it by a little.
+        assert!((rms - 0.5).abs() < 0.01, "{rms}");
+        let scene = Scene::new(&Options::default()).unwrap();
+        let (c, mm) = (scene.center_mm(), scene.drift_mm([0.3, -0.4]));
+        let (a, b) = (scene.view.camera_from_slab(c), scene.view.camera_from_slab([c[0] + mm[0], c[1] + mm[1]]));
+        assert!((b[0] - a[0] - 0.3).abs() < 1e-4 && (b[1] - a[1] + 0.4).abs() < 1e-4);
+    }
+}

@@ -1,0 +1,198 @@
+//! The transport solver against an analytic solution, and the laws that it must keep.
+
+use super::{
+    FileFormat, MaterialKind, Options,
+    diffusion::{Balance, Domain, Slab, graded_layers},
+    material::{Medium, boundary_factor, normal_reflectance},
+    multigrid::{Columns, Multigrid},
+    render::footprint,
+    studio::Studio,
+    surface::Field,
+};
+use crate::geometry::{Homography, Point};
+use std::f64::consts::PI;
+
+const THICKNESS_MM: f64 = 4.0;
+/// Projector px on the slab, mm, and the dot's side, px.
+const PX_MM: f64 = 0.125;
+const DOT_PX: usize = 3;
+
+fn slab(kind: MaterialKind, voxel_mm: f64) -> Slab {
+    Slab {
+        medium: Medium::new(kind, [-8.0, -8.0], 16.0, 1),
+        layers_mm: graded_layers(THICKNESS_MM, voxel_mm / 3.0, 1.4 * voxel_mm),
+        tolerance: 1e-6,
+    }
+}
+
+fn domain(voxel_mm: f64, voxels: usize, center: Point) -> Domain {
+    Domain { corner_mm: center.map(|c| c - 0.5 * voxels as f64 * voxel_mm), voxel_mm, voxels: [voxels; 2] }
+}
+
+/// The exitance of a dot at `center`, red in all channels, and where its light went.
+fn respond(slab: &Slab, domain: &Domain, center: Point) -> (Field, Balance) {
+    let view = Homography::similarity(PX_MM, center);
+    let flux = footprint(domain, &view, [0.0, 0.0], center, DOT_PX);
+    let solution = slab.solve(domain, &slab.shares(domain), &flux, 0, true);
+    assert!(solution.convergence.residual < slab.tolerance);
+    assert!(solution.convergence.iterations < 20, "{} iterations", solution.convergence.iterations);
+    let exitance = &solution.exitance[..];
+    let field = Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [exitance; 3]);
+    (field, solution.balance.unwrap())
+}
+
+/// The same slab by Hankel transform: the one-dimensional problem of each radial frequency has a closed form.
+///
+/// −Dφ'' + (σ_a + Dk²)φ = q(z), φ = z_b φ' on top, φ = −z_b φ' below (z_b = 2AD). With u(z) = sinh λz + z_b λ cosh λz and
+/// λ² = k² + σ_a/D, a source at z' sends u(d − z')/(u(d) + z_b u'(d)) of itself out through the top. Depths and
+/// frequencies are summed by the midpoint rule; the square dot is a Gaussian of its second moment.
+fn analytic_exitance(medium: &Medium, radii_mm: &[f64]) -> Vec<f64> {
+    let (scattering, absorption) = medium.coefficients(0.0, 0);
+    let extinction = scattering + absorption;
+    let diffusion = 1.0 / (3.0 * extinction);
+    let z_b = 2.0 * boundary_factor(medium.refractive_index) * diffusion;
+    let enters = 1.0 - normal_reflectance(medium.refractive_index);
+    let (depths, frequencies, step) = (400, 4000, 0.01);
+    let dz = THICKNESS_MM / f64::from(depths);
+    let side = DOT_PX as f64 * PX_MM;
+    let variance = side * side / 12.0 + (super::render::PROJECTOR_BLUR_PX * PX_MM).powi(2);
+    let mut sums = vec![0.0; radii_mm.len()];
+    for n in 0..frequencies {
+        let k = (f64::from(n) + 0.5) * step;
+        let lambda = (k * k + absorption / diffusion).sqrt();
+        // u and u' over e^(λd)/2, so that nothing overflows.
+        let u = |z: f64| {
+            let (grow, decay) = ((lambda * (z - THICKNESS_MM)).exp(), (-lambda * (z + THICKNESS_MM)).exp());
+            (grow - decay) + z_b * lambda * (grow + decay)
+        };
+        let decay = (-2.0 * lambda * THICKNESS_MM).exp();
+        let slope = lambda * (1.0 + decay) + z_b * lambda * lambda * (1.0 - decay);
+        let leaves = (0..depths).map(|i| {
+            let z = (f64::from(i) + 0.5) * dz;
+            enters * scattering * (-extinction * z).exp() * dz * u(THICKNESS_MM - z)
+        });
+        let spectrum = leaves.sum::<f64>() / (u(THICKNESS_MM) + z_b * slope) * (-0.5 * k * k * variance).exp();
+        for (sum, r) in sums.iter_mut().zip(radii_mm) {
+            *sum += spectrum * bessel_j0(k * r) * k * step / (2.0 * PI);
+        }
+    }
+    sums
+}
+
+/// J₀ by its integral; the trapezoidal rule converges geometrically once it has more points than x.
+fn bessel_j0(x: f64) -> f64 {
+    let n = 24 + x as usize;
+    (0..n).map(|i| (x * (PI * (i as f64 + 0.5) / n as f64).sin()).cos()).sum::<f64>() / n as f64
+}
+
+/// Largest relative error along x at 1, 1.5, … 4 mm.
+fn analytic_error(voxel_mm: f64, voxels: usize) -> f64 {
+    let slab = slab(MaterialKind::Homogeneous, voxel_mm);
+    let (field, _) = respond(&slab, &domain(voxel_mm, voxels, [0.0, 0.0]), [0.0, 0.0]);
+    let radii: Vec<f64> = (2..=8).map(|i| 0.5 * f64::from(i)).collect();
+    let exact = analytic_exitance(&slab.medium, &radii);
+    let errors = radii.iter().zip(&exact).map(|(&r, e)| (f64::from(field.at([r, 0.0])[0]) / e - 1.0).abs());
+    errors.fold(0.0, f64::max)
+}
+
+#[test]
+fn a_homogeneous_slab_agrees_with_the_analytic_solution_and_refinement_converges() {
+    let (default, fine) = (analytic_error(0.25, 80), analytic_error(0.125, 160));
+    println!("relative error against the Hankel solution: {default:.4} at 0.25 mm, {fine:.4} at 0.125 mm");
+    assert!(default < 0.02 && fine < 0.008, "{default} {fine}");
+    assert!(fine < 0.5 * default);
+}
+
+#[test]
+fn the_sides_of_the_box_do_not_shape_the_window() {
+    let slab = slab(MaterialKind::Homogeneous, 0.25);
+    let (small, _) = respond(&slab, &domain(0.25, 48, [0.0, 0.0]), [0.0, 0.0]);
+    let (large, _) = respond(&slab, &domain(0.25, 128, [0.0, 0.0]), [0.0, 0.0]);
+    let (a, b) = (small.cell_means([0.0; 2], [15, 15], 0.5), large.cell_means([0.0; 2], [15, 15], 0.5));
+    let worst = a.iter().zip(&b).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f32::max);
+    println!("largest relative change of a window of 15 when its box grows: {worst:.4}");
+    // Four pitches of margin: the corner cells feel the box by under 2 %, at 2e-3 of the peak.
+    assert!(worst < 0.02, "{worst}");
+}
+
+#[test]
+fn energy_balances() {
+    for kind in [MaterialKind::Homogeneous, MaterialKind::Chessboard4x4, MaterialKind::Marble] {
+        let slab = slab(kind, 0.25);
+        let (_, b) = respond(&slab, &domain(0.25, 64, [0.7, -0.3]), [0.7, -0.3]);
+        let spent = b.top + b.bottom + b.sides + b.absorbed;
+        // The residual's sum: the solver's tolerance (1e-6, Euclidean) times the root of the voxels it may add up over.
+        assert!((spent / b.source - 1.0).abs() < 2e-5, "{kind:?}: {spent} of {}", b.source);
+        let most = 1.0 - normal_reflectance(slab.medium.refractive_index);
+        assert!(b.source < most && b.source > 0.9 * most);
+    }
+}
+
+/// A point source in one voxel is seen in another as the other way round: the operator is symmetric, across edges of
+/// materials too. (R_d itself need not be: its source spreads along depth, its detector is the surface.)
+#[test]
+fn point_sources_and_detectors_are_reciprocal() {
+    let (nx, ny, layers) = (24, 24, [0.1, 0.2, 0.3, 0.4]);
+    let wobble = |i: usize| 1.0 + 0.9 * ((i * 7919 % 101) as f32 / 101.0 - 0.5);
+    let map = |f: &dyn Fn(usize) -> f32| (0..nx * ny).map(f).collect::<Vec<f32>>();
+    let columns = Columns {
+        nx,
+        ny,
+        west: map(&|i| if i % nx == 0 { 0.0 } else { wobble(i) }),
+        north: map(&|i| if i < nx { 0.0 } else { wobble(i + 3) }),
+        loss: map(&|i| 0.01 * wobble(i + 5)),
+        vertical: map(&|i| 0.05 * wobble(i + 8)),
+        top: map(&|i| 0.02 * wobble(i + 13)),
+        bottom: map(&|i| 0.02 * wobble(i + 21)),
+    };
+    let mut multigrid = Multigrid::new(columns, &layers);
+    let (a, b) = (5 * nx + 7, nx * ny + 14 * nx + 12);
+    let mut seen = |from: usize, at: usize| {
+        let mut source = multigrid.zeros();
+        multigrid.voxels_mut(&mut source)[from] = 1.0;
+        let (x, _) = multigrid.solve(&source, 1e-6, 60);
+        multigrid.voxels(&x)[at]
+    };
+    let (there, back) = (seen(a, b), seen(b, a));
+    assert!(there > 0.0 && (there / back - 1.0).abs() < 1e-3, "{there} {back}");
+}
+
+#[test]
+fn the_response_moves_with_its_dot() {
+    let options = Options { grid: 4, window: 9, material: MaterialKind::Homogeneous, ..Options::default() };
+    let studio = Studio::new(&options).unwrap();
+    let means = |drift: Point| {
+        let field = studio.dot_field(&options, [1, 2], drift);
+        field.cell_means(studio.dot_mm([1, 2], drift), [9, 9], options.pitch_mm)
+    };
+    let still = means([0.0, 0.0]);
+    for drift in [[0.013, 0.0], [0.1, -0.07], [0.125, 0.125]] {
+        // Homogeneous: the window goes with the dot, to the rounding of f32 solves.
+        let worst = still.iter().zip(means(drift)).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f32::max);
+        assert!(worst < 1e-4, "{drift:?}: {worst}");
+    }
+    // Over a chessboard the change is smooth: halving the step halves it.
+    let options = Options { material: MaterialKind::Chessboard8x8, ..options };
+    let studio = Studio::new(&options).unwrap();
+    let peak = |x: f64| {
+        let field = studio.dot_field(&options, [1, 2], [x, 0.0]);
+        f64::from(field.cell_means(studio.dot_mm([1, 2], [x, 0.0]), [1, 1], options.pitch_mm)[0])
+    };
+    let steps: Vec<f64> = (0..9).map(|i| peak(0.02 * f64::from(i))).collect();
+    for triple in steps.windows(3) {
+        let bend = (triple[2] - 2.0 * triple[1] + triple[0]).abs();
+        assert!(bend < 2e-3 * triple[1], "{steps:?}");
+    }
+}
+
+#[test]
+fn defaults_are_sound_and_bad_options_are_named() {
+    Options::default().check().unwrap();
+    let even = Options { window: 8, ..Options::default() };
+    assert!(even.check().unwrap_err().to_string().contains("--window"));
+    let wide = Options { dot_projector_px: 9, ..Options::default() };
+    assert!(wide.check().unwrap_err().to_string().contains("--dot-projector-px"));
+    assert_eq!(Options { window: 31, ..Options::default() }.spacing(), 47);
+    let text = toml::to_string(&Options { format: FileFormat::Jpeg, ..Options::default() }).unwrap();
+    assert_eq!(toml::from_str::<Options>(&text).unwrap().format, FileFormat::Jpeg);
+}

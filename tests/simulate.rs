@@ -1,0 +1,110 @@
+//! Simulated captures: what is written reads back, is the same for any number of threads, and is replaced only when asked.
+
+use acquire::{
+    capture::{Manifest, Pattern, Rig},
+    progress::Progress,
+    simulate::{FileFormat, MaterialKind, Options, Truth, simulate},
+    transport::MatrixReader,
+};
+use std::path::Path;
+
+fn tiny() -> Options {
+    Options { material: MaterialKind::Chessboard4x4, grid: 3, window: 5, exposures: 2, ..Options::default() }
+}
+
+/// All files below `dir` with their bytes, sorted by name.
+fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut found = Vec::new();
+    let mut folders = vec![dir.to_path_buf()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(dir).unwrap().display().to_string();
+                found.push((name, std::fs::read(&path).unwrap()));
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn one_and_two_threads_write_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let path = dir.path().join(format!("threads-{threads}"));
+        pool.install(|| simulate(&tiny(), &path, &Progress::silent())).unwrap();
+        files(&path)
+    };
+    let (one, two) = (write(1), write(2));
+    assert_eq!(one.len(), two.len());
+    for (a, b) in one.iter().zip(&two) {
+        assert_eq!(a.0, b.0);
+        assert!(a.1 == b.1, "{} differs", a.0);
+    }
+}
+
+#[test]
+fn the_capture_and_its_truth_read_back() {
+    let dir = tempfile::tempdir().unwrap();
+    for (format, extension) in [(FileFormat::Png, "png"), (FileFormat::Jpeg, "jpg")] {
+        let path = dir.path().join(extension);
+        let options = Options { format, spacing: Some(2), ..tiny() };
+        let summary = simulate(&options, &path, &Progress::silent()).unwrap();
+        let manifest = Manifest::read(&path).unwrap();
+        let rig = Rig::read(&Rig::find(&path, None).unwrap()).unwrap();
+        assert_eq!(rig.camera.size_px, summary.size_px);
+        assert_eq!(manifest.shots.len(), summary.shots);
+        let mut lit = 0;
+        for shot in &manifest.shots {
+            if let Pattern::Lattice { dots } = &shot.pattern {
+                lit += dots.len();
+            }
+            for photograph in &shot.photographs {
+                let size = image::image_dimensions(path.join(&photograph.file)).unwrap();
+                assert_eq!([size.0 as usize, size.1 as usize], rig.camera.size_px);
+            }
+        }
+        assert_eq!(lit, 9, "every point is lit once");
+
+        let truth: Truth = toml::from_str(&std::fs::read_to_string(path.join("truth.toml")).unwrap()).unwrap();
+        assert_eq!(truth.options, options);
+        let matrix = MatrixReader::open(&path.join("truth.rd.zarr")).unwrap();
+        let header = matrix.header();
+        assert_eq!((header.points, header.window), ([3, 3], [5, 5]));
+        assert_eq!(header.shots.len(), 4);
+        assert!(header.shot_of.iter().all(Option::is_some));
+        let block = matrix.read(0..9).unwrap();
+        assert!(block.response.iter().all(|&r| r > 0.0) && block.valid.iter().all(|&v| v == 1));
+        for row in block.response.chunks(header.row_len()) {
+            // A part of the albedo: no more leaves than arrives.
+            let albedo: f32 = row.iter().step_by(3).sum::<f32>() * (header.pitch_mm * header.pitch_mm) as f32;
+            assert!(albedo > 0.1 && albedo < 1.0, "{albedo}");
+        }
+        // The lit point is where the projector's map and the shot's drift put it.
+        let shot = header.shot_of[4].unwrap();
+        let mapped = truth.slab_from_projector.map(manifest.grid.dot_projector_px([1, 1]));
+        for a in 0..2 {
+            assert!((header.lit_mm[4][a] - mapped[a] - truth.shots[shot].drift_mm[a]).abs() < 1e-12);
+        }
+    }
+}
+
+#[test]
+fn a_folder_with_files_is_replaced_only_when_asked() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("capture");
+    std::fs::create_dir(&path).unwrap();
+    std::fs::write(path.join("precious.txt"), "keep").unwrap();
+    let options = Options { grid: 1, window: 3, exposures: 1, ..Options::default() };
+    let error = simulate(&options, &path, &Progress::silent()).unwrap_err();
+    assert!(error.to_string().contains("--force"), "{error}");
+    assert!(path.join("precious.txt").exists());
+    simulate(&Options { force: true, ..options }, &path, &Progress::silent()).unwrap();
+    assert!(path.join("capture.toml").exists() && !path.join("precious.txt").exists());
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "nothing is left beside the capture");
+}
