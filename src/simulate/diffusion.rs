@@ -24,7 +24,10 @@ use super::{
     material::{Medium, boundary_factor, normal_reflectance},
     multigrid::{Columns, Convergence, Multigrid},
 };
-use crate::geometry::Point;
+use crate::{Error, Result, geometry::Point};
+
+/// A solve takes 6 to 9 iterations; one that takes this many has failed.
+const MOST_ITERATIONS: usize = 60;
 
 /// A box of voxels in slab coordinates.
 #[derive(Debug, Clone, Copy)]
@@ -74,6 +77,13 @@ pub struct Balance {
     pub absorbed: f64,
 }
 
+impl Balance {
+    /// What left or was absorbed: as much as the source, to the solver's tolerance.
+    pub fn spent(&self) -> f64 {
+        self.top + self.bottom + self.sides + self.absorbed
+    }
+}
+
 /// Layers that grow by a quarter from `first_mm` to at most `most_mm`, scaled to fill `thickness_mm`.
 pub(super) fn graded_layers(thickness_mm: f64, first_mm: f64, most_mm: f64) -> Vec<f64> {
     let (mut layers, mut sum, mut next) = (Vec::new(), 0.0, first_mm);
@@ -86,61 +96,81 @@ pub(super) fn graded_layers(thickness_mm: f64, first_mm: f64, most_mm: f64) -> V
     layers
 }
 
-/// The exitance through the top of each column, mm⁻², for a flux that arrives at each column's top.
+/// A solved slab.
 #[derive(Debug)]
 pub(super) struct Solution {
-    pub exitance: Vec<f32>,
-    pub convergence: Convergence,
-    pub balance: Option<Balance>,
+    fluence: Vec<f32>,
+    area_mm2: f64,
+    top: Vec<f32>,
+    bottom: Vec<f32>,
+    sides: Vec<f64>,
+    coefficients: Vec<(f64, f64)>,
+    layers_mm: Vec<f64>,
+    source: f64,
+}
+
+impl Solution {
+    /// The exitance through the top of each column, per mm² of slab for the unit of the flux.
+    pub fn exitance(&self) -> Vec<f32> {
+        let area = self.area_mm2 as f32;
+        self.fluence.iter().zip(&self.top).map(|(phi, g)| phi * g / area).collect()
+    }
+
+    /// Where the light went.
+    pub fn balance(&self) -> Balance {
+        let through = |map: &[f32], layer: &[f32]| -> f64 {
+            map.iter().zip(layer).map(|(g, phi)| f64::from(*g) * f64::from(*phi)).sum()
+        };
+        let (mut absorbed, mut sides) = (0.0, 0.0);
+        for (layer, &dz) in self.fluence.chunks(self.top.len()).zip(&self.layers_mm) {
+            for ((phi, (_, absorption)), side) in layer.iter().zip(&self.coefficients).zip(&self.sides) {
+                absorbed += f64::from(*phi) * absorption * self.area_mm2 * dz;
+                sides += f64::from(*phi) * side * dz;
+            }
+        }
+        let deepest = &self.fluence[self.fluence.len() - self.top.len()..];
+        Balance {
+            source: self.source,
+            top: through(&self.top, &self.fluence),
+            bottom: through(&self.bottom, deepest),
+            sides,
+            absorbed,
+        }
+    }
 }
 
 impl Slab {
-    /// Coefficients (σ'_s, σ_a) of every column, from the exact share of the media in it.
-    fn coefficients(&self, domain: &Domain, shares: &[f64], channel: usize) -> Vec<(f64, f64)> {
-        debug_assert_eq!(shares.len(), domain.columns());
-        shares.iter().map(|&share| self.medium.coefficients(share, channel)).collect()
-    }
-
     /// Share of the second medium in every column.
     pub fn shares(&self, domain: &Domain) -> Vec<f64> {
         let cell = |i: usize| domain.voxel_corner_mm([i % domain.voxels[0], i / domain.voxels[0]]);
         (0..domain.columns()).map(|i| self.medium.share_of_second(cell(i), domain.voxel_mm)).collect()
     }
 
-    /// Solves for `flux` arriving at the columns (row-major).
-    pub fn solve(&self, domain: &Domain, shares: &[f64], flux: &[f64], channel: usize, balance: bool) -> Solution {
-        let coefficients = self.coefficients(domain, shares, channel);
+    /// Solves for `flux` arriving at the columns (row-major), `shares` from [`Self::shares`].
+    pub fn solve(&self, domain: &Domain, shares: &[f64], flux: &[f64], channel: usize) -> Result<Solution> {
+        let coefficients: Vec<_> = shares.iter().map(|&share| self.medium.coefficients(share, channel)).collect();
         let (columns, sides) = self.operator(domain, &coefficients);
-        let top = columns.top.clone();
-        let bottom = columns.bottom.clone();
+        let (top, bottom) = (columns.top.clone(), columns.bottom.clone());
         let mut multigrid = Multigrid::new(columns, &self.layers_mm);
         let source = self.source(&multigrid, &coefficients, flux);
-        let (fluence, convergence) = multigrid.solve(&source, self.tolerance, 100);
-        let voxels = multigrid.voxels(&fluence);
-        let area = domain.voxel_mm * domain.voxel_mm;
-        let exitance = voxels.iter().zip(&top).map(|(phi, g)| phi * g / area as f32).collect();
-        let balance = balance.then(|| {
-            let plane = domain.columns();
-            let total = |map: &[f32], voxels: &[f32]| -> f64 {
-                map.iter().zip(voxels).map(|(g, phi)| f64::from(*g) * f64::from(*phi)).sum()
-            };
-            let mut absorbed = 0.0;
-            let mut sideways = 0.0;
-            for (layer, &dz) in voxels.chunks(plane).zip(&self.layers_mm) {
-                for ((phi, c), side) in layer.iter().zip(&coefficients).zip(&sides) {
-                    absorbed += f64::from(*phi) * c.1 * area * dz;
-                    sideways += f64::from(*phi) * side * dz;
-                }
-            }
-            Balance {
-                source: multigrid.voxels(&source).iter().map(|&q| f64::from(q)).sum(),
-                top: total(&top, voxels),
-                bottom: total(&bottom, &voxels[voxels.len() - plane..]),
-                sides: sideways,
-                absorbed,
-            }
-        });
-        Solution { exitance, convergence, balance }
+        let (fluence, convergence) = multigrid.solve(&source, self.tolerance, MOST_ITERATIONS);
+        let solution = Solution {
+            fluence: multigrid.voxels(&fluence).to_vec(),
+            area_mm2: domain.voxel_mm * domain.voxel_mm,
+            top,
+            bottom,
+            sides,
+            coefficients,
+            layers_mm: self.layers_mm.clone(),
+            source: multigrid.voxels(&source).iter().map(|&q| f64::from(q)).sum(),
+        };
+        let (balance, Convergence { iterations, residual }) = (solution.balance(), convergence);
+        // Light that is missing from the books is a solve that failed, whatever its residual says.
+        if !((balance.spent() - balance.source).abs() <= 1e-3 * balance.source) {
+            let what = format!("transport: {balance:?} after {iterations} iterations, residual {residual:.1e}");
+            return Err(Error::internal(what));
+        }
+        Ok(solution)
     }
 
     /// The operator's maps, and the conductance through the sides per mm of depth.
@@ -151,9 +181,8 @@ impl Slab {
         let thickness: f64 = self.layers_mm.iter().sum();
         let diffusion: Vec<f64> = coefficients.iter().map(|(s, a)| 1.0 / (3.0 * (s + a))).collect();
         let join = |i: usize, j: usize| 2.0 * diffusion[i] * diffusion[j] / (diffusion[i] + diffusion[j]);
-        let through = |dz: f64| -> Vec<f32> {
-            diffusion.iter().map(|d| (h * h / (dz / (2.0 * d) + 2.0 * a)) as f32).collect()
-        };
+        let through =
+            |dz: f64| -> Vec<f32> { diffusion.iter().map(|d| (h * h / (dz / (2.0 * d) + 2.0 * a)) as f32).collect() };
         let mut west = vec![0.0; nx * ny];
         let mut north = vec![0.0; nx * ny];
         let mut sides = vec![0.0; nx * ny];

@@ -31,11 +31,11 @@ impl Columns {
         let (nx, ny) = (self.nx / 2, self.ny / 2);
         let sum = |map: &[f32]| -> Vec<f32> {
             let cell = |i: usize| 2 * (i / nx) * self.nx + 2 * (i % nx);
-            (0..nx * ny).map(|i| cell(i)).map(|f| map[f] + map[f + 1] + map[f + self.nx] + map[f + self.nx + 1]).collect()
+            (0..nx * ny).map(cell).map(|f| map[f] + map[f + 1] + map[f + self.nx] + map[f + self.nx + 1]).collect()
         };
         let face = |map: &[f32], beside: usize| -> Vec<f32> {
             let cell = |i: usize| 2 * (i / nx) * self.nx + 2 * (i % nx);
-            (0..nx * ny).map(|i| cell(i)).map(|f| 0.5 * (map[f] + map[f + beside])).collect()
+            (0..nx * ny).map(cell).map(|f| 0.5 * (map[f] + map[f + beside])).collect()
         };
         Self {
             nx,
@@ -88,7 +88,7 @@ impl Multigrid {
         let thickness: Vec<f32> = thickness_mm.iter().map(|&t| t as f32).collect();
         let link: Vec<f32> = thickness_mm.windows(2).map(|t| (2.0 / (t[0] + t[1])) as f32).collect();
         let mut levels = vec![Level::new(&columns, &thickness, &link)];
-        while columns.nx % 2 == 0 && columns.ny % 2 == 0 && columns.nx.min(columns.ny) >= 10 {
+        while columns.nx.is_multiple_of(2) && columns.ny.is_multiple_of(2) && columns.nx.min(columns.ny) >= 10 {
             columns = columns.coarsen();
             levels.push(Level::new(&columns, &thickness, &link));
         }
@@ -132,13 +132,11 @@ impl Multigrid {
             direction.iter_mut().zip(z).for_each(|(p, z)| *p = z + beta * *p);
             self.levels[0].stencil(&self.thickness, &self.link, &direction, &mut image, |_, ax| ax, &[]);
             let alpha = (rho / dot(&direction, &image)) as f32;
-            let mut square = 0.0;
             for (((x, r), p), q) in x.iter_mut().zip(&mut residual).zip(&direction).zip(&image) {
                 *x += alpha * p;
                 *r -= alpha * q;
             }
-            square += dot(&residual, &residual);
-            convergence = Convergence { iterations: iteration, residual: square.sqrt() / start };
+            convergence = Convergence { iterations: iteration, residual: dot(&residual, &residual).sqrt() / start };
             if convergence.residual < tolerance {
                 break;
             }
@@ -180,9 +178,8 @@ impl Level {
         west.push(0.0);
         let mut north = columns.north.clone();
         north.resize(plane + nx, 0.0);
-        let lateral: Vec<f32> = (0..plane)
-            .map(|i| west[i] + west[i + 1] + north[i] + north[i + nx] + columns.loss[i])
-            .collect();
+        let lateral: Vec<f32> =
+            (0..plane).map(|i| west[i] + west[i + 1] + north[i] + north[i + nx] + columns.loss[i]).collect();
         let mut diagonal = vec![0.0; plane * nz];
         let mut inverse_pivot = vec![0.0; plane * nz];
         for k in 0..nz {
@@ -331,7 +328,8 @@ fn restrict(fine: &Level, coarse: &mut Level, nz: usize) {
         for y in 0..coarse.ny {
             let line = |fy: usize| &from[fy * fine.nx..(fy + 1) * fine.nx];
             let (outer_a, outer_b) = (line((2 * y).saturating_sub(1)), line((2 * y + 2).min(fine.ny - 1)));
-            for (((r, a), (b, c)), d) in row.iter_mut().zip(outer_a).zip(line(2 * y).iter().zip(line(2 * y + 1))).zip(outer_b)
+            for (((r, a), (b, c)), d) in
+                row.iter_mut().zip(outer_a).zip(line(2 * y).iter().zip(line(2 * y + 1))).zip(outer_b)
             {
                 *r = 0.75 * (b + c) + 0.25 * (a + d);
             }

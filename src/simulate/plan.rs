@@ -24,7 +24,9 @@ impl Plan {
             ("reference-black".to_owned(), Pattern::ReferenceBlack),
             ("sample-black".to_owned(), Pattern::SampleBlack),
         ];
-        for (axis, letter, size) in [(Axis::X, 'x', scene.projector.size_px[0]), (Axis::Y, 'y', scene.projector.size_px[1])] {
+        for (axis, letter, size) in
+            [(Axis::X, 'x', scene.projector.size_px[0]), (Axis::Y, 'y', scene.projector.size_px[1])]
+        {
             let bits = usize::BITS - (size.max(2) - 1).leading_zeros();
             for bit in (0..bits).rev().filter(|&bit| 2 << bit >= NARROWEST_STRIPE_PX) {
                 for inverse in [false, true] {

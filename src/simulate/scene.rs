@@ -35,7 +35,7 @@ pub(super) struct Scene {
     pub slab_size_mm: Point,
     pub frame_mm: f64,
     pub grid: Grid,
-    /// Centre and side of the area that the nominal grid covers, half a lit pitch around it included.
+    /// First corner and side of the area that the nominal grid covers, half a lit pitch around it included.
     pub lit_origin_mm: Point,
     pub lit_side_mm: f64,
     pub slab_from_projector: Homography,
@@ -51,63 +51,35 @@ pub(super) struct Scene {
 impl Scene {
     /// Builds the bench around the lit points.
     pub fn new(options: &Options) -> Result<Self> {
-        let lit = options.lit_pitch_mm();
         let centered = projector_view(options);
         let half = 0.5 * (options.grid as f64 - 1.0) * options.step_projector_px as f64;
         let corners = [[-half, -half], [half, -half], [-half, half], [half, half]].map(|p| centered.map(p));
-        // Drift reaches about three times its root mean square; a third of a pitch more for rounding by anyone.
+        // Drift reaches 3.4 times its root mean square; a third of a pitch more for rounding by anyone.
         let px_mm = options.pitch_mm / options.camera_px_per_sample;
         let border = (0.5 * options.window as f64 + 0.35) * options.pitch_mm + 3.5 * options.drift_px * px_mm;
         let low: Point = std::array::from_fn(|a| fold(&corners, a, f64::min) - border);
         let slab_size_mm = std::array::from_fn(|a| fold(&corners, a, f64::max) + border - low[a]);
         let frame_mm = FRAME_PITCHES * options.pitch_mm;
-        let outline = outline(slab_size_mm, frame_mm);
-
-        // Projector pixels: centred ones moved so that the picture and a margin around it begin at 0.
-        let shift = Homography::similarity(1.0, [-low[0], -low[1]]);
-        let back = shift.after(&centered).inverse().ok_or_else(|| Error::internal("projector view is singular"))?;
-        let lit_px = outline.map(|p| back.map(p));
-        let margin = (IMAGE_MARGIN_PX + 4.0) * options.step_projector_px as f64 * options.pitch_mm
-            / (lit * options.camera_px_per_sample);
-        let offset: Point = std::array::from_fn(|a| (margin - fold(&lit_px, a, f64::min)).ceil());
-        // An even dot is centred between pixels; an odd one on a pixel.
-        let parity = |v: f64| if options.dot_projector_px.is_multiple_of(2) { v.floor() + 0.5 } else { v.round() };
-        let origin: Point = std::array::from_fn(|a| parity(offset[a] - half));
-        let center = origin.map(|o| o + half);
-        let size_px = std::array::from_fn(|a| {
-            let last = fold(&lit_px, a, f64::max) + center[a] + margin;
-            (last as usize + 1).next_multiple_of(16)
-        });
-        let to_centered = Homography::similarity(1.0, [-center[0], -center[1]]);
-        let slab_from_projector = shift.after(&centered.after(&to_centered));
-        let projector_from_slab =
-            slab_from_projector.inverse().ok_or_else(|| Error::internal("projector view is singular"))?;
-        let step = options.step_projector_px as f64;
-        let grid = Grid {
-            points: [options.grid; 2],
-            origin_projector_px: origin,
-            step_projector_px: [step, step],
-            dot_projector_px: options.dot_projector_px,
-        };
+        let slab_from_centered = Homography::similarity(1.0, low.map(|v| -v)).after(&centered);
+        let raster = Raster::around(options, &slab_from_centered, &outline(slab_size_mm, frame_mm))?;
         let (view, camera) = camera(options, slab_size_mm, frame_mm);
-        let middle = slab_from_projector.map(center);
-        let lit_side_mm = options.grid as f64 * lit;
+        let lit_side_mm = options.grid as f64 * options.lit_pitch_mm();
         let mut scene = Self {
             slab_size_mm,
             frame_mm,
-            grid,
-            lit_origin_mm: middle.map(|m| m - 0.5 * lit_side_mm),
+            grid: raster.grid,
+            lit_origin_mm: low.map(|v| -v - 0.5 * lit_side_mm),
             lit_side_mm,
-            slab_from_projector,
-            projector_from_slab,
-            projector: Projector { size_px },
+            slab_from_projector: raster.slab_from_projector,
+            projector_from_slab: raster.projector_from_slab,
+            projector: Projector { size_px: raster.size_px },
             view,
             board: board(slab_size_mm, frame_mm, &camera),
             camera,
             reference_dots: Vec::new(),
             white: WhiteReference { reflectance: [0.99; 3] },
         };
-        scene.reference_dots = scene.reference_dots(parity);
+        scene.reference_dots = scene.reference_dots(options);
         Ok(scene)
     }
 
@@ -150,19 +122,56 @@ impl Scene {
     pub fn drift_mm(&self, drift_px: Point) -> Point {
         let j = self.view.jacobian(self.center_mm());
         let det = j[0][0] * j[1][1] - j[0][1] * j[1][0];
-        [
-            (j[1][1] * drift_px[0] - j[0][1] * drift_px[1]) / det,
-            (j[0][0] * drift_px[1] - j[1][0] * drift_px[0]) / det,
-        ]
+        [(j[1][1] * drift_px[0] - j[0][1] * drift_px[1]) / det, (j[0][0] * drift_px[1] - j[1][0] * drift_px[0]) / det]
     }
 
     /// Two dots on each side of the frame.
-    fn reference_dots(&self, snap: impl Fn(f64) -> f64) -> Vec<Point> {
+    fn reference_dots(&self, options: &Options) -> Vec<Point> {
         let (w, h, f) = (self.slab_size_mm[0], self.slab_size_mm[1], 0.5 * self.frame_mm);
         let along = [0.2, 0.8];
         let sides = along.iter().flat_map(|&t| [[t * w, -f], [t * w, h + f], [-f, t * h], [w + f, t * h]]);
-        sides.map(|p| self.projector_from_slab.map(p).map(&snap)).collect()
+        sides.map(|p| self.projector_from_slab.map(p).map(|v| whole_dot(options, v))).collect()
     }
+}
+
+/// The projector's pixels, numbered from the corner of a raster that is just large enough.
+struct Raster {
+    size_px: [usize; 2],
+    grid: Grid,
+    slab_from_projector: Homography,
+    projector_from_slab: Homography,
+}
+
+impl Raster {
+    /// Covers `outline` (mm) and what the camera sees around it. Centred pixels count from the middle of the grid.
+    fn around(options: &Options, slab_from_centered: &Homography, outline: &[Point]) -> Result<Self> {
+        let invert = |h: &Homography| h.inverse().ok_or_else(|| Error::internal("the projector's view is singular"));
+        let centered_from_slab = invert(slab_from_centered)?;
+        let lit: Vec<Point> = outline.iter().map(|&p| centered_from_slab.map(p)).collect();
+        let step = options.step_projector_px as f64;
+        let px_per_camera_px = step * options.pitch_mm / (options.lit_pitch_mm() * options.camera_px_per_sample);
+        let margin = (IMAGE_MARGIN_PX + 4.0) * px_per_camera_px;
+        let half = 0.5 * (options.grid as f64 - 1.0) * step;
+        let origin: Point =
+            std::array::from_fn(|a| whole_dot(options, (margin - fold(&lit, a, f64::min) - half).ceil()));
+        let center = origin.map(|o| o + half);
+        let size_px =
+            std::array::from_fn(|a| ((fold(&lit, a, f64::max) + center[a] + margin) as usize + 1).next_multiple_of(16));
+        let grid = Grid {
+            points: [options.grid; 2],
+            origin_projector_px: origin,
+            step_projector_px: [step, step],
+            dot_projector_px: options.dot_projector_px,
+        };
+        let slab_from_projector = slab_from_centered.after(&Homography::similarity(1.0, center.map(|c| -c)));
+        let projector_from_slab = invert(&slab_from_projector)?;
+        Ok(Self { size_px, grid, slab_from_projector, projector_from_slab })
+    }
+}
+
+/// The nearest centre of a dot of whole pixels: on a pixel for an odd side, between two for an even one.
+fn whole_dot(options: &Options, px: f64) -> f64 {
+    if options.dot_projector_px.is_multiple_of(2) { px.floor() + 0.5 } else { px.round() }
 }
 
 /// A slow random walk, one step per lattice shot: camera px, root mean square length `rms_px`.
@@ -217,10 +226,10 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera) {
     let (sin_t, cos_t) = CAMERA_TILT_DEG.to_radians().sin_cos();
     let (sin_r, cos_r) = CAMERA_TURN_DEG.to_radians().sin_cos();
     // R = Rx(tilt) · Rz(turn); a point of the plane is (x, y, 0) about the slab's centre.
-    let columns = [[cos_r, -sin_r, 0.0], [cos_t * sin_r, cos_t * cos_r, 0.0], [sin_t * sin_r, sin_t * cos_r, distance_mm]];
-    let pinhole = Homography {
-        matrix: std::array::from_fn(|i| columns[i].map(|v| if i < 2 { focal_px * v } else { v })),
-    };
+    let columns =
+        [[cos_r, -sin_r, 0.0], [cos_t * sin_r, cos_t * cos_r, 0.0], [sin_t * sin_r, sin_t * cos_r, distance_mm]];
+    let pinhole =
+        Homography { matrix: std::array::from_fn(|i| columns[i].map(|v| if i < 2 { focal_px * v } else { v })) };
     let about_center = pinhole.after(&Homography::similarity(1.0, [-0.5 * size[0], -0.5 * size[1]]));
     // The centre of distortion is not quite where the rig believes the principal point to be.
     let off = [1.3, -0.9];
@@ -265,9 +274,7 @@ fn board(size: Point, frame: f64, camera: &Camera) -> Board {
     let squares = ((px / 11.0).floor() as usize).clamp(6, 14);
     let square_mm = extent[0].min(extent[1]) / (squares as f64 + 0.4);
     let inner_corners = [squares - 1, squares - 2];
-    let origin_mm = std::array::from_fn(|a| {
-        -frame + 0.5 * (extent[a] - (inner_corners[a] as f64 - 1.0) * square_mm)
-    });
+    let origin_mm = std::array::from_fn(|a| -frame + 0.5 * (extent[a] - (inner_corners[a] as f64 - 1.0) * square_mm));
     Board { inner_corners, square_mm, origin_mm }
 }
 

@@ -74,8 +74,8 @@ impl Studio {
             slab,
             pixels,
         };
-        studio.dark_sample = studio.render_dark_sample(options);
-        studio.set_sensitivity(options);
+        studio.dark_sample = studio.render_dark_sample(options)?;
+        studio.set_sensitivity(options)?;
         Ok(studio)
     }
 
@@ -139,9 +139,9 @@ impl Studio {
             }
             Pattern::ReferenceWhite => self.pixels.picture(|p| white(p, 1.0)),
             Pattern::ReferenceBlack => self.pixels.picture(|p| white(p, 0.0)),
-            Pattern::GrayCode { axis, bit, inverse } => self
-                .pixels
-                .picture(|p| white(p, gray_code(axis, bit, inverse, scene.projector_from_slab.map(p)))),
+            Pattern::GrayCode { axis, bit, inverse } => {
+                self.pixels.picture(|p| white(p, gray_code(axis, bit, inverse, scene.projector_from_slab.map(p))))
+            }
             Pattern::SampleBlack | Pattern::Lattice { .. } => self.dark_sample.clone(),
         }
     }
@@ -159,7 +159,7 @@ impl Studio {
         // A few dots at a time: their order in the sum is fixed, and memory is bounded.
         for group in dots.chunks(16) {
             let solve = |&dot: &[usize; 2]| {
-                let (field, flux) = self.dot(options, dot, drift_mm);
+                let (field, flux) = self.dot(options, dot, drift_mm)?;
                 let center = self.dot_mm(dot, drift_mm);
                 let response = field.cell_means(center, [options.window; 2], options.pitch_mm);
                 let (variance, valid) = (vec![0.0; response.len()], vec![true; response.len()]);
@@ -178,7 +178,7 @@ impl Studio {
     }
 
     /// The exitance of one dot per unit of its flux, and its flux under full white.
-    fn dot(&self, options: &Options, dot: [usize; 2], drift_mm: Point) -> (Field, [f64; 3]) {
+    fn dot(&self, options: &Options, dot: [usize; 2], drift_mm: Point) -> Result<(Field, [f64; 3])> {
         let dot_px = self.scene.grid.dot_projector_px(dot);
         let center = self.dot_mm(dot, drift_mm);
         let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
@@ -190,19 +190,19 @@ impl Studio {
         let side = self.scene.grid.dot_projector_px;
         let share = footprint(&domain, &self.scene.slab_from_projector, dot_px, center, side);
         let area_mm2 = (side * side) as f64 * self.scene.slab_from_projector.area_scale(dot_px);
-        (self.solve(&domain, [&share; 3]), self.scene.white_irradiance(center).map(|e| e * area_mm2))
+        Ok((self.solve(&domain, [&share; 3])?, self.scene.white_irradiance(center).map(|e| e * area_mm2)))
     }
 
     /// The exitance for flux arriving at the columns of `domain`, per channel.
-    fn solve(&self, domain: &Domain, flux: [&[f64]; 3]) -> Field {
+    fn solve(&self, domain: &Domain, flux: [&[f64]; 3]) -> Result<Field> {
         let shares = self.slab.shares(domain);
-        let channel = |c: usize| self.slab.solve(domain, &shares, flux[c], c, false).exitance;
-        let [red, green, blue] = [0, 1, 2].map(channel);
-        Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&red, &green, &blue])
+        let channel = |c: usize| Ok(self.slab.solve(domain, &shares, flux[c], c)?.exitance());
+        let [red, green, blue] = [channel(0)?, channel(1)?, channel(2)?];
+        Ok(Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&red, &green, &blue]))
     }
 
     /// Sample and frame under the projector's black and the ambient light.
-    fn render_dark_sample(&self, options: &Options) -> Picture {
+    fn render_dark_sample(&self, options: &Options) -> Result<Picture> {
         let scene = &self.scene;
         let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
         let margin = SLAB_MARGIN_PITCHES * options.pitch_mm;
@@ -221,8 +221,8 @@ impl Studio {
             let light = irradiance(corner.map(|c| c + 0.5 * voxel_mm));
             flux.iter_mut().zip(light).for_each(|(flux, e)| flux[i] = e * area);
         }
-        let field = self.solve(&domain, [&flux[0], &flux[1], &flux[2]]);
-        self.pixels.picture(|p| {
+        let field = self.solve(&domain, [&flux[0], &flux[1], &flux[2]])?;
+        Ok(self.pixels.picture(|p| {
             if scene.on_sample(p) {
                 field.at(p).map(f64::from)
             } else if scene.on_frame_or_sample(p) {
@@ -230,32 +230,33 @@ impl Studio {
             } else {
                 [0.0; 3]
             }
-        })
+        }))
     }
 
     /// Sets the sensitivity so that the brightest of some dots reaches [`BRIGHTEST`] in the shortest exposure.
-    fn set_sensitivity(&mut self, options: &Options) {
+    fn set_sensitivity(&mut self, options: &Options) -> Result<()> {
         let pilots = PILOTS.min(options.grid);
         let place = |n: usize| ((2 * n + 1) * options.grid) / (2 * pilots);
         let peak = |n: usize| {
             let dot = [place(n % pilots), place(n / pilots)];
-            let (field, flux) = self.dot(options, dot, [0.0; 2]);
+            let (field, flux) = self.dot(options, dot, [0.0; 2])?;
             let px_mm = options.pitch_mm / options.camera_px_per_sample;
             let means = field.cell_means(self.dot_mm(dot, [0.0; 2]), [5, 5], px_mm);
-            means.iter().enumerate().map(|(i, m)| f64::from(*m) * flux[i % 3]).fold(0.0, f64::max)
+            Ok(means.iter().enumerate().map(|(i, m)| f64::from(*m) * flux[i % 3]).fold(0.0, f64::max))
         };
-        let peaks: Vec<f64> = (0..pilots * pilots).into_par_iter().map(peak).collect();
+        let peaks: Vec<f64> = (0..pilots * pilots).into_par_iter().map(peak).collect::<Result<_>>()?;
         let brightest = peaks.into_iter().fold(FRAME_ALBEDO, f64::max);
         let wanted = BRIGHTEST * self.sensor.full_range_electrons();
         self.electrons_per_sec = wanted * f64::from(SHORTEST_PER_SEC) * PI / brightest;
         // The longer of two exposures of white reaches the same share; white is 1 at its brightest.
         let longer_per_sec = self.electrons_per_sec / PI / wanted;
         self.white_shortest = ExposureTime::one_over((4.0 * longer_per_sec).ceil() as u32);
+        Ok(())
     }
 
     /// What [`Self::dot`] is made of, for tests.
     #[cfg(test)]
     pub fn dot_field(&self, options: &Options, dot: [usize; 2], drift_mm: Point) -> Field {
-        self.dot(options, dot, drift_mm).0
+        self.dot(options, dot, drift_mm).unwrap().0
     }
 }

@@ -33,12 +33,10 @@ fn domain(voxel_mm: f64, voxels: usize, center: Point) -> Domain {
 fn respond(slab: &Slab, domain: &Domain, center: Point) -> (Field, Balance) {
     let view = Homography::similarity(PX_MM, center);
     let flux = footprint(domain, &view, [0.0, 0.0], center, DOT_PX);
-    let solution = slab.solve(domain, &slab.shares(domain), &flux, 0, true);
-    assert!(solution.convergence.residual < slab.tolerance);
-    assert!(solution.convergence.iterations < 20, "{} iterations", solution.convergence.iterations);
-    let exitance = &solution.exitance[..];
-    let field = Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [exitance; 3]);
-    (field, solution.balance.unwrap())
+    let solution = slab.solve(domain, &slab.shares(domain), &flux, 0).unwrap();
+    let exitance = solution.exitance();
+    let field = Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&exitance; 3]);
+    (field, solution.balance())
 }
 
 /// The same slab by Hankel transform: the one-dimensional problem of each radial frequency has a closed form.
@@ -120,7 +118,7 @@ fn energy_balances() {
     for kind in [MaterialKind::Homogeneous, MaterialKind::Chessboard4x4, MaterialKind::Marble] {
         let slab = slab(kind, 0.25);
         let (_, b) = respond(&slab, &domain(0.25, 64, [0.7, -0.3]), [0.7, -0.3]);
-        let spent = b.top + b.bottom + b.sides + b.absorbed;
+        let spent = b.spent();
         // The residual's sum: the solver's tolerance (1e-6, Euclidean) times the root of the voxels it may add up over.
         assert!((spent / b.source - 1.0).abs() < 2e-5, "{kind:?}: {spent} of {}", b.source);
         let most = 1.0 - normal_reflectance(slab.medium.refractive_index);
@@ -150,7 +148,8 @@ fn point_sources_and_detectors_are_reciprocal() {
     let mut seen = |from: usize, at: usize| {
         let mut source = multigrid.zeros();
         multigrid.voxels_mut(&mut source)[from] = 1.0;
-        let (x, _) = multigrid.solve(&source, 1e-6, 60);
+        let (x, convergence) = multigrid.solve(&source, 1e-6, 60);
+        assert!(convergence.iterations < 20, "{convergence:?}");
         multigrid.voxels(&x)[at]
     };
     let (there, back) = (seen(a, b), seen(b, a));
@@ -171,8 +170,8 @@ fn the_response_moves_with_its_dot() {
         let worst = still.iter().zip(means(drift)).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f32::max);
         assert!(worst < 1e-4, "{drift:?}: {worst}");
     }
-    // Over a chessboard the change is smooth: halving the step halves it.
-    let options = Options { material: MaterialKind::Chessboard8x8, ..options };
+    // Over a chessboard of 1 mm squares, towards an edge, the peak changes smoothly: second differences stay small.
+    let options = Options { material: MaterialKind::Chessboard8x8, grid: 16, ..options };
     let studio = Studio::new(&options).unwrap();
     let peak = |x: f64| {
         let field = studio.dot_field(&options, [1, 2], [x, 0.0]);
@@ -181,7 +180,7 @@ fn the_response_moves_with_its_dot() {
     let steps: Vec<f64> = (0..9).map(|i| peak(0.02 * f64::from(i))).collect();
     for triple in steps.windows(3) {
         let bend = (triple[2] - 2.0 * triple[1] + triple[0]).abs();
-        assert!(bend < 2e-3 * triple[1], "{steps:?}");
+        assert!(bend < 2e-3 * triple[1], "{bend} {steps:?}");
     }
 }
 

@@ -66,7 +66,7 @@ pub struct Overview {
 /// Streams: besides the ambient and white pictures one shot per thread is in memory.
 ///
 /// # Errors
-/// Those of [`Capture::open`], of decoding and registration; [`Error::DotOutsideSlab`], [`Error::DotSaturated`]; [`Error::Io`] for `out`.
+/// Those of [`Capture::open`], of decoding and registration; [`crate::Error::DotOutsideSlab`], [`crate::Error::DotSaturated`]; [`crate::Error::Io`] for `out`.
 /// Nothing appears at `out` then.
 pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &Progress) -> Result<BuildReport> {
     let capture = {
