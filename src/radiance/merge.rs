@@ -39,70 +39,71 @@ const PREDICTED_SHARE: f32 = 0.9;
 pub fn merge(bracket: &[Exposure], rect: Rect, sensor: &Sensor) -> Radiance {
     let n = 3 * rect.area();
     let mut out = Radiance { rect, value: vec![0.0; n], variance: vec![0.0; n], used: vec![0; n] };
-    let mut pooled = Pooled { sum_y: vec![0.0; n], sum_t: vec![0.0; n] };
-    let mut linear: Vec<Vec<f32>> = Vec::with_capacity(bracket.len());
-    for exposure in bracket {
-        let mut y = Vec::with_capacity(n);
-        sensor.linearize(&exposure.samples, &mut y);
-        pooled.add(&mut y, exposure.secs as f32, sensor.range(), &mut out.used);
-        linear.push(y);
+    let mut linear = vec![[0.0f32; BLOCK]; bracket.len()];
+    let values = out.value.chunks_mut(BLOCK).zip(out.variance.chunks_mut(BLOCK)).zip(out.used.chunks_mut(BLOCK));
+    for (k, ((value, variance), used)) in values.enumerate() {
+        let n = value.len();
+        for (y, exposure) in linear.iter_mut().zip(bracket) {
+            sensor.linearize(&exposure.samples, k * BLOCK, &mut y[..n]);
+        }
+        let estimate = pool(bracket, &mut linear, sensor.range(), used);
+        weigh(bracket, &linear, &estimate, sensor, value, variance);
     }
-    weigh(bracket, &linear, &pooled, sensor, &mut out);
     out
 }
 
-struct Pooled {
-    sum_y: Vec<f32>,
-    sum_t: Vec<f32>,
-}
+/// Samples that are merged together: all their exposures stay in the nearest cache.
+const BLOCK: usize = 512;
 
-impl Pooled {
-    /// Adds an exposure's usable samples and marks the others in `y` as +∞.
-    fn add(&mut self, y: &mut [f32], t: f32, range: f32, used: &mut [u8]) {
-        for (((y, sum_y), sum_t), used) in y.iter_mut().zip(&mut self.sum_y).zip(&mut self.sum_t).zip(used) {
+/// Σy/Σt over each sample's usable exposures; the others are marked as +∞ in `linear`. Counts the usable ones.
+///
+/// Written without branches so that it is vectorized.
+fn pool(bracket: &[Exposure], linear: &mut [[f32; BLOCK]], range: f32, used: &mut [u8]) -> [f32; BLOCK] {
+    let (mut sum_y, mut sum_t) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
+    for (y, exposure) in linear.iter_mut().zip(bracket) {
+        let t = exposure.secs as f32;
+        let sums = y.iter_mut().zip(&mut sum_y).zip(&mut sum_t).zip(&mut *used);
+        for (((y, sum_y), sum_t), used) in sums {
+            // With nothing pooled yet both sides are 0, and nothing is predicted.
             let predicted_high = *sum_y * t > PREDICTED_SHARE * range * *sum_t;
-            let usable = y.is_finite() && !(predicted_high && *used > 0);
-            // Written without branches so that it runs at memory speed.
+            let usable = y.is_finite() & !predicted_high;
             *sum_y += if usable { *y } else { 0.0 };
             *sum_t += if usable { t } else { 0.0 };
             *used += u8::from(usable);
             *y = if usable { *y } else { f32::INFINITY };
         }
     }
+    // Nothing measured: 0/0, whose NaN becomes 0 in max.
+    std::array::from_fn(|k| (sum_y[k] / sum_t[k]).max(0.0))
 }
 
-/// Samples that are weighed together: their sums stay in the nearest cache.
-const BLOCK: usize = 512;
-
-fn weigh(bracket: &[Exposure], linear: &[Vec<f32>], pooled: &Pooled, sensor: &Sensor, out: &mut Radiance) {
-    let (mut estimate, mut bottom) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
-    for start in (0..out.value.len()).step_by(BLOCK) {
-        let block = start..(start + BLOCK).min(out.value.len());
-        let (value, n) = (&mut out.value[block.clone()], block.len());
-        for (k, at) in block.clone().enumerate() {
-            // Nothing measured: 0/0, whose NaN becomes 0 in max.
-            estimate[k] = (pooled.sum_y[at] / pooled.sum_t[at]).max(0.0);
-        }
-        bottom[..n].fill(0.0);
-        for (y, exposure) in linear.iter().zip(bracket) {
-            let t = exposure.secs as f32;
-            let sums = value.iter_mut().zip(&mut bottom).zip(&estimate).zip(&y[block.clone()]);
-            for (((top, bottom), &estimate), &y) in sums {
-                let mut variance = sensor.gain * estimate * t + sensor.floor;
-                if sensor.is_curved() {
-                    variance += sensor.rounding(estimate * t);
-                }
-                let usable = y.is_finite();
-                let w = if usable { t / variance } else { 0.0 };
-                *top += w * if usable { y } else { 0.0 };
-                *bottom += w * t;
+fn weigh(
+    bracket: &[Exposure],
+    linear: &[[f32; BLOCK]],
+    estimate: &[f32; BLOCK],
+    sensor: &Sensor,
+    value: &mut [f32],
+    variance: &mut [f32],
+) {
+    let mut bottom = [0.0f32; BLOCK];
+    for (y, exposure) in linear.iter().zip(bracket) {
+        let t = exposure.secs as f32;
+        let sums = value.iter_mut().zip(&mut bottom).zip(estimate).zip(y);
+        for (((top, bottom), &estimate), &y) in sums {
+            let mut variance = sensor.gain * estimate * t + sensor.floor;
+            if sensor.is_curved() {
+                variance += sensor.rounding(estimate * t);
             }
+            let usable = y.is_finite();
+            let w = if usable { t / variance } else { 0.0 };
+            *top += w * if usable { y } else { 0.0 };
+            *bottom += w * t;
         }
-        let ends = value.iter_mut().zip(&mut out.variance[block.clone()]).zip(&bottom).zip(&out.used[block]);
-        for (((value, variance), &bottom), &used) in ends {
-            *value = if used > 0 { *value / bottom } else { 0.0 };
-            *variance = if used > 0 { 1.0 / bottom } else { 0.0 };
-        }
+    }
+    for ((value, variance), &bottom) in value.iter_mut().zip(variance).zip(&bottom) {
+        let measured = bottom > 0.0;
+        *value = if measured { *value / bottom } else { 0.0 };
+        *variance = if measured { 1.0 / bottom } else { 0.0 };
     }
 }
 

@@ -38,24 +38,20 @@ impl Sensor {
         }
     }
 
-    /// Linear code values above black; saturated ones as +∞.
-    pub(super) fn linearize(&self, samples: &Samples, out: &mut Vec<f32>) {
-        out.clear();
+    /// Linear code values above black of `samples[first..]`, as many as `out` holds; saturated ones as +∞.
+    pub(super) fn linearize(&self, samples: &Samples, first: usize, out: &mut [f32]) {
+        fn each<T: Copy>(from: &[T], first: usize, out: &mut [f32], f: impl Fn(T) -> f32) {
+            out.iter_mut().zip(&from[first..]).for_each(|(o, &v)| *o = f(v));
+        }
         let mark = |code: f32| if code >= self.saturation { f32::INFINITY } else { code - self.black };
         match (samples, &self.table) {
-            (Samples::U8(v), Some(t)) => {
-                out.extend(v.iter().map(|&c| mark(t[usize::from(c)])));
-            }
-            (Samples::U16(v), Some(t)) => {
-                // 16-bit files of an encoded response: interpolate the curve between its 8-bit nodes.
-                out.extend(v.iter().map(|&c| mark(interpolate(t, f32::from(c) / 257.0))));
-            }
-            (Samples::U8(v), None) => out.extend(v.iter().map(|&c| mark(f32::from(c)))),
-            (Samples::U16(v), None) => out.extend(v.iter().map(|&c| mark(f32::from(c)))),
-            (Samples::F32(v), _) => {
-                // NaN and infinities of a float file were measured by nothing.
-                out.extend(v.iter().map(|&c| if c.is_finite() { mark(c) } else { f32::INFINITY }));
-            }
+            (Samples::U8(v), Some(t)) => each(v, first, out, |c| mark(t[usize::from(c)])),
+            // 16-bit files of an encoded response: interpolate the curve between its 8-bit nodes.
+            (Samples::U16(v), Some(t)) => each(v, first, out, |c| mark(interpolate(t, f32::from(c) / 257.0))),
+            (Samples::U8(v), None) => each(v, first, out, |c| mark(f32::from(c))),
+            (Samples::U16(v), None) => each(v, first, out, |c| mark(f32::from(c))),
+            // NaN and infinities of a float file were measured by nothing.
+            (Samples::F32(v), _) => each(v, first, out, |c| if c.is_finite() { mark(c) } else { f32::INFINITY }),
         }
     }
 

@@ -31,13 +31,7 @@ impl CellWeights {
     /// Weights for cells of about `cell_px` pixels a side.
     pub fn new(cell_px: f64) -> Self {
         let places = ((cell_px.round() + EXTRA_PLACES) as usize).clamp(4, 32);
-        Self {
-            table: tap_table(),
-            gauss: gauss_legendre(places),
-            origin: [0, 0],
-            size: [0, 0],
-            weights: vec![],
-        }
+        Self { table: tap_table(), gauss: gauss_legendre(places), origin: [0, 0], size: [0, 0], weights: vec![] }
     }
 
     /// Sets the weights for the cell with these corners (camera px; top left, top right, bottom left, bottom right).

@@ -128,7 +128,7 @@ fn square_wave_integral(t: f64) -> f64 {
     if phase < 1.0 { phase } else { 2.0 - phase }
 }
 
-/// Share of vein at `p` (in units of the coarsest wavelength): thin where five octaves of noise pass through zero.
+/// Share of vein at `p` (in units of the coarsest wavelength): thin where four octaves of noise pass through zero.
 fn vein(seed: u64, p: [f64; 2]) -> f64 {
     let (mut sum, mut scale, mut amplitude) = (0.0, 1.0, 1.0);
     for octave in 0..4 {

@@ -62,7 +62,7 @@ pub struct Summary {
 /// `truth.toml`: what a lab cannot know.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Truth {
-    /// Sample-to-sensor scale: electrons per second and unit of radiance at the principal point.
+    /// Scale of the sensor: electrons per second and unit of radiance at the principal point.
     pub electrons_per_sec_per_radiance: f64,
     /// Thickness of the transport solver's layers, mm.
     pub layers_mm: Vec<f64>,
