@@ -28,6 +28,8 @@ pub struct WindowGrid {
     corners_px: Vec<Point>,
 }
 
+/// Cells around the lit point that get the finer quadrature; further out the response is smooth over a cell.
+const NEAR_SAMPLES: usize = 3;
 /// Pixels beyond a cell that its weights may reach.
 const STENCIL_PX: f64 = 5.0;
 
@@ -47,6 +49,11 @@ impl WindowGrid {
     fn cell(&self, i: usize, j: usize) -> [Point; 4] {
         let n = self.samples[0] + 1;
         [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.corners_px[j * n + i])
+    }
+
+    /// Whether cell (i, j) is so near to the lit point that the light may change within pixels there.
+    fn is_near(&self, i: usize, j: usize) -> bool {
+        i.abs_diff(self.samples[0] / 2).max(j.abs_diff(self.samples[1] / 2)) <= NEAR_SAMPLES
     }
 
     /// Whether the centre of cell (i, j) lies on a slab of `size_mm`.
@@ -103,7 +110,7 @@ pub fn extract_row(
                 findings.clipped += 1;
                 continue;
             }
-            weights.set(grid.cell(i, j));
+            weights.set(grid.cell(i, j), grid.is_near(i, j));
             let Some(cell) = weighted_mean(light, weights, sensitivity) else {
                 findings.clipped += 1;
                 continue;

@@ -58,9 +58,16 @@ impl<'a> Shots<'a> {
         let codes = self.capture.shots(|p| matches!(p, Pattern::GrayCode { .. }));
         let stage = progress.stage("register", 1 + codes.len());
         let board = self.one(|p| matches!(p, Pattern::Board))?;
-        let camera = register_board(&self.merge_whole(board)?, &self.capture.rig).map_err(self.failed(board))?;
-        stage.advance(1);
-        let pairs = self.bit_pairs(&codes, &stage)?;
+        // Finding the board's corners runs on one core: the other decodes stripes meanwhile.
+        let (camera, pairs) = rayon::join(
+            || {
+                let picture = self.merge_whole(board)?;
+                stage.advance(1);
+                register_board(&picture, &self.capture.rig).map_err(self.failed(board))
+            },
+            || self.bit_pairs(&codes, &stage),
+        );
+        let (camera, pairs) = (camera?, pairs?);
         let first = codes[0];
         let projector =
             register_projector(&pairs, self.capture.rig.camera.size_px, &camera.view).map_err(self.failed(first))?;
