@@ -7,7 +7,7 @@
 //! | `valid` u8 | the same | 1 measured, 0 not (the response is then 0) |
 //! | `x_i_mm`, `y_i_mm` f64 | y_i, x_i | where the light really fell, mm |
 //! | `position_sd_mm` f64 | y_i, x_i | standard deviation of that place per axis, mm |
-//! | `dx_mm`, `dy_mm` f64 | dx; dy | offset of the cell's centre from the lit point, mm |
+//! | `dx`, `dy` f64 | dx; dy | offset of the cell's centre from the lit point, mm |
 //! | `shot` i32 | y_i, x_i | number of the shot that lit it, an index into the attribute `shots` |
 //!
 //! Everything else is in the group's attributes, see [`MatrixHeader`].
@@ -204,9 +204,7 @@ impl MatrixWriter {
         let store = Arc::new(FilesystemStore::new(store_path)?);
         let mut attributes = serde_json::Map::new();
         attributes.insert("acquire_format".into(), FORMAT.into());
-        attributes.insert("units".into(), serde_json::json!({
-            "response": "mm^-2", "variance": "mm^-4", "x_i_mm": "mm", "y_i_mm": "mm", "position_sd_mm": "mm", "dx_mm": "mm", "dy_mm": "mm"
-        }));
+        attributes.insert("channels".into(), serde_json::json!(["R", "G", "B"]));
         if let serde_json::Value::Object(fields) = serde_json::to_value(header)? {
             attributes.extend(fields);
         }
@@ -273,15 +271,7 @@ impl MatrixWriter {
         for (a, name) in ["dx", "dy"].into_iter().enumerate() {
             let offsets = (0..header.window[a]).map(|k| header.offset_px([k, k])[a] as f64 * header.pitch_mm);
             let shape = [header.window[a] as u64];
-            small_array(
-                store,
-                &format!("{name}_mm"),
-                &shape,
-                &[name],
-                data_type::float64(),
-                0.0f64,
-                offsets.collect(),
-            )?;
+            small_array(store, name, &shape, &[name], data_type::float64(), 0.0f64, offsets.collect())?;
         }
         Ok(())
     }
@@ -305,6 +295,18 @@ fn subset(header: &MatrixHeader, rows: std::ops::Range<usize>) -> ArraySubset {
     ArraySubset::new_with_ranges(&[y..y + 1, x..x + n, 0..wy as u64, 0..wx as u64, 0..CHANNELS as u64])
 }
 
+/// The attributes of an array: its unit, and what else there is to say.
+fn units(name: &str, more: &[(&str, &str)]) -> serde_json::Map<String, serde_json::Value> {
+    let unit = match name {
+        "response" => "mm^-2",
+        "variance" => "mm^-4",
+        "valid" | "shot" => "1",
+        _ => "mm",
+    };
+    let all = [("units", unit)].into_iter().chain(more.iter().copied());
+    all.map(|(key, value)| (key.to_owned(), value.into())).collect()
+}
+
 fn rows_array<F>(
     header: &MatrixHeader,
     store: &Arc<FilesystemStore>,
@@ -320,6 +322,8 @@ where
     let chunk = [1, chunk_rows(header), wy, wx, CHANNELS].map(|n| n as u64);
     ArrayBuilder::new(shape.to_vec(), chunk.to_vec(), data_type, fill.into())
         .dimension_names(["y_i", "x_i", "dy", "dx", "channel"].into())
+        // The CF convention by which xarray takes the lit points' places for coordinates.
+        .attributes(units(name, &[("coordinates", "x_i_mm y_i_mm")]))
         .bytes_to_bytes_codecs(vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, true))])
         // One file a chunk in one folder: five nested folders for each would cost more than the data.
         .chunk_key_encoding_default_separator(ChunkKeySeparator::Dot)
@@ -340,6 +344,7 @@ where
 {
     let array = ArrayBuilder::new(shape.to_vec(), shape.to_vec(), data_type, fill.into())
         .dimension_names(Some(dimensions.iter().copied()))
+        .attributes(units(name, &[]))
         .build(store.clone(), &format!("/{name}"))?;
     array.store_metadata()?;
     array.store_array_subset(&array.subset_all(), values)?;
