@@ -169,3 +169,15 @@ fn an_exposure_in_the_manifest_overrides_exif_and_the_difference_is_told() {
     // The same photographs; only f32 rounding and the weights' noise floor differ.
     assert!((peak(&read(&after)) / peak(&response) - 0.5).abs() < 1e-3);
 }
+
+#[test]
+fn the_committed_capture_gives_its_matrix() {
+    let folder = tempfile::tempdir().unwrap();
+    let captures = Path::new(env!("CARGO_MANIFEST_DIR")).join("captures");
+    let out = folder.path().join("matrix.rd.zarr");
+    let (status, _, stderr) =
+        common::acquire(&["build-matrix", captures.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    assert_eq!(status, 0, "{stderr}");
+    // Eight-bit JPEG, as above.
+    assert!(compare(&out, &captures.join("truth.rd.zarr")).rel_rmse < 0.03);
+}

@@ -164,6 +164,10 @@ impl Rig {
         range("noise.gain_dn_per_electron", self.noise.gain_dn_per_electron, 0.0, 1e6)?;
         range("noise.read_noise_electrons", self.noise.read_noise_electrons, 0.0, 1e6)?;
         range("board.square_mm", self.board.square_mm, 1e-6, 1e6)?;
+        let corners = self.board.inner_corners;
+        if corners[0] == corners[1] {
+            return Err(Error::field(path, "board.inner_corners", "unequal numbers", format!("{corners:?}")));
+        }
         for a in 0..2 {
             range("board.inner_corners", self.board.inner_corners[a] as f64, 3.0, 1000.0)?;
             range("camera.size_px", self.camera.size_px[a] as f64, 1.0, 65_536.0)?;
