@@ -9,9 +9,11 @@ use serde::{Deserialize, Serialize};
 pub enum Warning {
     /// Samples that no exposure measured (saturated or outside the photograph); marked invalid.
     SaturatedSamples {
-        /// The shot.
-        shot: String,
-        /// How many samples of its windows.
+        /// The first such shot.
+        first: String,
+        /// How many shots.
+        shots: usize,
+        /// How many samples of their windows.
         samples: usize,
     },
     /// A window reaches past the sample's rim or the photograph; the samples there are marked invalid.
@@ -46,10 +48,12 @@ pub enum Warning {
     },
     /// No reference dots: drift is the median of the lattice dots' own shifts, which edges of materials bias.
     DriftFromLatticeDots,
-    /// Too few dots of a shot were found to measure its drift; it is taken as the neighbours' mean.
+    /// Without reference dots, shots have too few dots to measure their drift; it is taken for none.
     DriftUnmeasured {
-        /// The shot.
-        shot: String,
+        /// The first such shot.
+        first: String,
+        /// How many shots.
+        shots: usize,
     },
     /// Windows of one shot overlap: dots light each other's windows by an estimated share.
     CrossTalk {
@@ -94,12 +98,10 @@ pub enum Warning {
 impl std::fmt::Display for Warning {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::SaturatedSamples { shot, samples } => {
-                write!(
-                    f,
-                    "shot \"{shot}\": {samples} samples were saturated in every exposure; they are marked invalid"
-                )
-            }
+            Self::SaturatedSamples { first, shots, samples } => write!(
+                f,
+                "{samples} samples in {shots} shots (\"{first}\" first) were saturated in every exposure; they are marked invalid"
+            ),
             Self::ClippedWindow { rows, samples } => {
                 write!(
                     f,
@@ -121,8 +123,11 @@ impl std::fmt::Display for Warning {
                     "no reference dots in the patterns: drift comes from the lattice's own dots and is biased near edges of materials"
                 )
             }
-            Self::DriftUnmeasured { shot } => {
-                write!(f, "shot \"{shot}\": too few dots to measure its drift; the neighbouring shots' mean is used")
+            Self::DriftUnmeasured { first, shots } => {
+                write!(
+                    f,
+                    "{shots} shots (\"{first}\" first) have too few dots to measure their drift; it is taken for none"
+                )
             }
             Self::CrossTalk { spacing_samples, window_samples } => write!(
                 f,

@@ -248,3 +248,15 @@ fn an_unknown_option_is_exit_1() {
     assert_eq!((status, stdout.as_str()), (1, ""));
     assert!(stderr.contains("--frobnicate"));
 }
+
+#[test]
+fn a_shot_whose_reference_dots_are_not_where_they_should_be_is_refused() {
+    let bench = Bench::new();
+    let dir = bench.path("capture");
+    let mut manifest = acquire::capture::Manifest::read(&dir).unwrap();
+    for dot in &mut manifest.reference_dots.as_mut().unwrap().projector_px {
+        dot[0] += 25.0;
+    }
+    manifest.write(&dir).unwrap();
+    bench.build_fails(&["lattice-0", "reference dots"]);
+}

@@ -78,10 +78,15 @@ fn centroid(picture: &Radiance, radius_px: f64) -> Option<(Point, f64)> {
     let mut middle = [(brightest % width) as isize, (brightest / width) as isize];
     let mut found = None;
     for _ in 0..3 {
+        // A spot that the picture cuts off has a false centroid.
+        let inside = |m: isize, n: usize| m - reach >= 0 && m + reach < n as isize;
+        if !inside(middle[0], width) || !inside(middle[1], height) {
+            return None;
+        }
         let (mut sum, mut sum_x, mut sum_y, mut noise) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
         let mut spread = 0.0f64;
-        for y in (middle[1] - reach).max(0)..=(middle[1] + reach).min(height as isize - 1) {
-            for x in (middle[0] - reach).max(0)..=(middle[0] + reach).min(width as isize - 1) {
+        for y in middle[1] - reach..=middle[1] + reach {
+            for x in middle[0] - reach..=middle[0] + reach {
                 let k = y as usize * width + x as usize;
                 let v = f64::from(light[k]);
                 sum += v;

@@ -14,17 +14,20 @@ impl Prepared<'_> {
         let mut warnings = capture.warnings.clone();
         let mut clipped = (0, 0);
         let mut bright: Vec<f64> = Vec::new();
+        let mut saturated: Option<(String, usize, usize)> = None;
+        let mut unmeasured: Option<(String, usize)> = None;
         for (number, (&shot, result)) in self.lattice().iter().zip(&results).enumerate() {
             let name = capture.manifest.shots[shot].name.clone();
-            let saturated: usize = result.findings.iter().map(|f| f.1.saturated).sum();
-            if saturated > 0 {
-                warnings.push(Warning::SaturatedSamples { shot: name.clone(), samples: saturated });
+            let samples: usize = result.findings.iter().map(|f| f.1.saturated).sum();
+            if samples > 0 {
+                let (_, shots, all) = saturated.get_or_insert((name.clone(), 0, 0));
+                (*shots, *all) = (*shots + 1, *all + samples);
             }
             for (_, f) in result.findings.iter().filter(|f| f.1.clipped > 0) {
                 clipped = (clipped.0 + 1, clipped.1 + f.clipped);
             }
             if result.drift.is_none() {
-                warnings.push(Warning::DriftUnmeasured { shot: name.clone() });
+                unmeasured.get_or_insert((name.clone(), 0)).1 += 1;
             }
             bright.extend(&result.albedo_above_one);
             let sd_mm = self.registration.position_sd_mm.hypot(result.drift.map_or(0.0, |d| d.sd_px / self.px_per_mm));
@@ -37,6 +40,8 @@ impl Prepared<'_> {
             let drift_px = result.drift.map_or([0.0; 2], |d| d.camera_px);
             header.shots.push(ShotRecord { name, drift_px, drift_sd_px: result.drift.map(|d| d.sd_px) });
         }
+        warnings.extend(saturated.map(|(first, shots, samples)| Warning::SaturatedSamples { first, shots, samples }));
+        warnings.extend(unmeasured.map(|(first, shots)| Warning::DriftUnmeasured { first, shots }));
         if clipped.0 > 0 {
             warnings.push(Warning::ClippedWindow { rows: clipped.0, samples: clipped.1 });
         }
@@ -90,25 +95,25 @@ impl Prepared<'_> {
         }
     }
 
-    /// The smallest distance (larger of the two axes) between dots of one shot, in outgoing samples; `None` for single dots.
+    /// The smallest distance between dots of one shot, in outgoing samples; `None` for single dots.
     fn smallest_spacing(&self) -> Option<f64> {
+        self.lattice().iter().filter_map(|&shot| self.shot_spacing(shot)).reduce(f64::min)
+    }
+
+    /// The smallest distance (larger of the two axes) between dots of a shot, in outgoing samples; `None` for a single dot.
+    pub(super) fn shot_spacing(&self, shot: usize) -> Option<f64> {
         let grid = &self.shots.capture.manifest.grid;
         let first = self.nominal_mm([0, 0]);
         let step = self.nominal_mm([1.min(grid.points[0] - 1), 1.min(grid.points[1] - 1)]);
         let pitch = self.shots.capture.manifest.window.pitch_mm;
         let samples: Point = std::array::from_fn(|a| (step[a] - first[a]).abs() / pitch);
-        let nearest = |shot: &usize| {
-            let mut dots = self.dots(*shot).to_vec();
-            dots.sort_unstable();
-            // In sorted order a dot's nearest neighbour is near; looking at 64 finds it on any lattice.
-            let gap = |a: [usize; 2], b: [usize; 2]| {
-                (0..2).map(|k| a[k].abs_diff(b[k]) as f64 * samples[k]).fold(0.0, f64::max)
-            };
-            let pairs =
-                dots.iter().enumerate().flat_map(|(i, &a)| dots[i + 1..].iter().take(64).map(move |&b| gap(a, b)));
-            pairs.reduce(f64::min)
-        };
-        self.lattice().iter().filter_map(nearest).reduce(f64::min)
+        let mut dots = self.dots(shot).to_vec();
+        dots.sort_unstable();
+        // In sorted order a dot's nearest neighbour is near; looking at 64 finds it on any lattice.
+        let gap =
+            |a: [usize; 2], b: [usize; 2]| (0..2).map(|k| a[k].abs_diff(b[k]) as f64 * samples[k]).fold(0.0, f64::max);
+        let pairs = dots.iter().enumerate().flat_map(|(i, &a)| dots[i + 1..].iter().take(64).map(move |&b| gap(a, b)));
+        pairs.reduce(f64::min)
     }
 
     /// How far the slab reaches beyond the board's corners, mm; `None` when it does not by more than a square.

@@ -11,8 +11,8 @@ use crate::transport::MatrixWriter;
 use crate::{Error, Result};
 use rayon::prelude::*;
 
-/// Pixels around a reference dot's expected place in which it is searched: drift of up to this many pixels is found.
-const DRIFT_SEARCH_PX: f64 = 6.0;
+/// Pixels around a reference dot's expected place in which it is searched; drift of up to two less is measured, more is refused.
+const DRIFT_SEARCH_PX: f64 = 8.0;
 
 /// Everything that lattice shots are measured against.
 pub(super) struct Prepared<'a> {
@@ -106,7 +106,14 @@ impl Prepared<'_> {
         }
         let mut references_seen = self.shots.decode(shot, &rects)?;
         let windows = references_seen.split_off(references.len());
-        let drift = self.drift(dots, &references, &references_seen, &windows, radius_px);
+        let drift = self.drift(shot, dots, &references, &references_seen, &windows, radius_px);
+        if drift.is_none() && !references.is_empty() {
+            let reach = DRIFT_SEARCH_PX - 2.0;
+            return Err(self.shots.failed(shot)(format!(
+                "fewer than two of its {} reference dots were found within {reach} px of where the pattern puts them",
+                references.len()
+            )));
+        }
         let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
 
         let mut result = ShotResult { lit: vec![], drift, findings: vec![], albedo_above_one: vec![] };
@@ -139,19 +146,27 @@ impl Prepared<'_> {
         picture
     }
 
+    /// From the reference dots, or without any from the lattice's own.
     fn drift(
         &self,
+        shot: usize,
         dots: &[[usize; 2]],
         references: &[Point],
         references_seen: &[Bracket],
         windows: &[Bracket],
         radius_px: f64,
     ) -> Option<Drift> {
-        let whole = |b: &Bracket| self.picture(b, b.rect());
         let seen: Vec<(Point, Radiance)> = if references.is_empty() {
-            dots.iter().zip(windows).map(|(&d, b)| (self.nominal_mm(d), whole(b))).collect()
+            // Further than half the way to the next dot, one would be taken for the other.
+            let half_px = self.shot_spacing(shot).map_or(f64::INFINITY, |s| 0.5 * s * self.cell_px);
+            let around = |p: Point, b: &Bracket| {
+                let q = self.registration.view.camera_from_slab(p);
+                let near = square(q, radius_px + half_px.min(DRIFT_SEARCH_PX), self.shots.capture.rig.camera.size_px)?;
+                Some((p, self.picture(b, overlap(near, b.rect())?)))
+            };
+            dots.iter().zip(windows).filter_map(|(&d, b)| around(self.nominal_mm(d), b)).collect()
         } else {
-            references.iter().zip(references_seen).map(|(&p, b)| (p, whole(b))).collect()
+            references.iter().zip(references_seen).map(|(&p, b)| (p, self.picture(b, b.rect()))).collect()
         };
         measure_drift(&seen, &self.registration, radius_px)
     }
