@@ -20,13 +20,16 @@ pub struct Drift {
 
 /// A dot counts when its light is this many standard deviations above none.
 const DETECTION_SIGMA: f64 = 10.0;
+/// Dots of one rigid pattern agree to a tenth of a pixel, and to half of one on a sample; beyond this, px, something else was found.
+const LARGEST_SPREAD_PX: f64 = 1.0;
 /// Sharp dots smaller than a pixel or two have a centroid that depends on where they fall between pixels, by up to this, px.
 const CENTROID_FLOOR_PX: f64 = 0.02;
 
 /// The displacement of a shot from the centroids of its dots, as the median over dots in each axis.
 ///
 /// `dots` are (expected place on the slab, mm; its picture without ambient light). The median withstands a minority of dots
-/// that edges of materials pull aside; with dots on the opaque frame there are none. `None` with fewer than two found.
+/// that edges of materials pull aside; with dots on the opaque frame there are none. `None` when fewer than two or less than half
+/// of the dots are found, or when they disagree by more than a pixel.
 ///
 /// Not detected: a rotation or scaling of the pattern, motion of the camera (it is taken for the projector's).
 pub fn measure_drift(dots: &[(Point, Radiance)], registration: &Registration, dot_radius_px: f64) -> Option<Drift> {
@@ -36,11 +39,16 @@ pub fn measure_drift(dots: &[(Point, Radiance)], registration: &Registration, do
         let Some(at) = registration.view.slab_from_camera(seen) else { continue };
         moved.push(([at[0] - slab[0], at[1] - slab[1]], variance));
     }
-    if moved.len() < 2 {
+    if moved.len() < 2 || 2 * moved.len() < dots.len() {
         return None;
     }
-    let slab_mm: Point = std::array::from_fn(|a| robust_mean(moved.iter().map(|m| m.0[a]).collect()));
     let jacobian = registration.view.jacobian(registration.center_mm);
+    let px_per_mm = (jacobian[0][0] * jacobian[1][1] - jacobian[0][1] * jacobian[1][0]).abs().sqrt();
+    let [x, y] = [0, 1].map(|a| robust_mean(moved.iter().map(|m| m.0[a]).collect()));
+    if x.1.max(y.1) * px_per_mm > LARGEST_SPREAD_PX {
+        return None;
+    }
+    let slab_mm = [x.0, y.0];
     let camera_px = std::array::from_fn(|i| jacobian[i][0] * slab_mm[0] + jacobian[i][1] * slab_mm[1]);
     let n = moved.len() as f64;
     let photon = moved.iter().map(|m| m.1).sum::<f64>() / n;
@@ -48,14 +56,15 @@ pub fn measure_drift(dots: &[(Point, Radiance)], registration: &Registration, do
     Some(Drift { slab_mm, camera_px, sd_px, dots: moved.len() })
 }
 
-/// Mean of the values within three scaled median deviations of the median.
-fn robust_mean(mut values: Vec<f64>) -> f64 {
+/// Mean of the values within three scaled median deviations of the median, and that deviation.
+fn robust_mean(mut values: Vec<f64>) -> (f64, f64) {
     let median = median(&mut values);
     let mut deviations: Vec<f64> = values.iter().map(|v| (v - median).abs()).collect();
     // 1.4826 makes the median deviation of a normal distribution its standard deviation.
-    let scale = 3.0 * 1.4826 * self::median(&mut deviations);
-    let kept: Vec<f64> = values.into_iter().filter(|v| (v - median).abs() <= scale.max(f64::MIN_POSITIVE)).collect();
-    kept.iter().sum::<f64>() / kept.len() as f64
+    let scale = 1.4826 * self::median(&mut deviations);
+    let kept: Vec<f64> =
+        values.into_iter().filter(|v| (v - median).abs() <= 3.0 * scale.max(f64::MIN_POSITIVE)).collect();
+    (kept.iter().sum::<f64>() / kept.len() as f64, scale)
 }
 
 fn median(values: &mut [f64]) -> f64 {

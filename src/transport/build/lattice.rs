@@ -108,11 +108,7 @@ impl Prepared<'_> {
         let windows = references_seen.split_off(references.len());
         let drift = self.drift(shot, dots, &references, &references_seen, &windows, radius_px);
         if drift.is_none() && !references.is_empty() {
-            let reach = DRIFT_SEARCH_PX - 2.0;
-            return Err(self.shots.failed(shot)(format!(
-                "fewer than two of its {} reference dots were found within {reach} px of where the pattern puts them",
-                references.len()
-            )));
+            return Err(self.lost(shot, &windows, references.len()));
         }
         let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
 
@@ -137,6 +133,21 @@ impl Prepared<'_> {
             result.findings.push((dot, findings));
         }
         Ok(result)
+    }
+
+    /// Why a shot's reference dots were not found: saturation of everything, or a pattern that is elsewhere.
+    fn lost(&self, shot: usize, windows: &[Bracket], references: usize) -> Error {
+        for (&dot, bracket) in self.dots(shot).iter().zip(windows) {
+            if let Err(saturated) =
+                self.check_peak(shot, dot, self.nominal_mm(dot), &self.picture(bracket, bracket.rect()))
+            {
+                return saturated;
+            }
+        }
+        let reach = DRIFT_SEARCH_PX - 2.0;
+        self.shots.failed(shot)(format!(
+            "less than half of its {references} reference dots were found within {reach} px of where the pattern puts them"
+        ))
     }
 
     /// Radiance of a part of a bracket, ambient light subtracted.
