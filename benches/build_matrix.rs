@@ -4,9 +4,9 @@
 //! over five pairs and the median of the pairs' ratios.
 
 use acquire::capture::Capture;
+use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{Options, simulate};
-use acquire::transport::{BuildOptions, build_matrix};
 use rayon::prelude::*;
 use std::time::Instant;
 

@@ -1,6 +1,6 @@
 //! From bracketed photographs of a projector-lit slab to the subsurface-scattering matrix R_d(x_i, x_o) and a factored material.
 //!
-//! The modules are the way of the photographs, in this order; each depends only on those above it.
+//! The modules stand in the order in which the photographs pass them; each depends only on those above it.
 
 mod error;
 mod warning;
@@ -8,17 +8,38 @@ mod warning;
 pub mod geometry;
 pub mod progress;
 
+// Read: a folder of photographs, checked before any work starts.
 pub mod capture;
-pub mod factor;
-pub mod material;
+
+// Merge: the exposures of a shot to radiance.
 pub mod radiance;
+
+// Register: slab, camera and projector; the drift of every shot.
 pub mod registration;
-pub mod response;
+
+// Matrix: rows R_d(x_i, ·) on disk.
 pub mod transport;
 
+// Extract: the window of responses of each lit point.
+pub mod response;
+
+// All of the above, from a capture to a matrix.
+pub mod pipeline;
+
+// Material: what a renderer evaluates, and how it is saved, relit and exported.
+pub mod material;
+
+// Factor: the matrix to a material.
+pub mod factor;
+
+// Measures of a matrix or a material against a matrix.
 pub mod evaluate;
-pub mod report;
+
+// A capture without a rig, and its truth.
 pub mod simulate;
+
+// What people look at.
+pub mod report;
 
 pub mod cli;
 

@@ -3,9 +3,10 @@
 mod common;
 
 use acquire::geometry::{CameraView, Homography};
+use acquire::pipeline::{BuildOptions, BuildReport, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{MaterialKind, Options};
-use acquire::transport::{BuildOptions, BuildReport, MatrixReader, build_matrix};
+use acquire::transport::MatrixReader;
 use common::compare;
 use std::path::Path;
 

@@ -1,6 +1,6 @@
 use super::Context;
 use crate::Result;
-use crate::transport::{BuildOptions, BuildReport, build_matrix};
+use crate::pipeline::{BuildOptions, BuildReport, build_matrix};
 use std::path::PathBuf;
 
 /// Photographs to the matrix R_d(x_i, x_o).

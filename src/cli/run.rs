@@ -3,8 +3,9 @@ use crate::capture::Manifest;
 use crate::evaluate::evaluate;
 use crate::factor::{Factored, Options, factor};
 use crate::material::{Source, export_exr, export_npz};
+use crate::pipeline::{BuildOptions, BuildReport, build_matrix};
 use crate::report::{self, Comparison, MaterialSummary, ReportInput, Survey};
-use crate::transport::{BuildOptions, BuildReport, MatrixReader, build_matrix};
+use crate::transport::MatrixReader;
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 

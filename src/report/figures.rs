@@ -7,7 +7,8 @@ use super::text::{escape, significant};
 use super::{Files, MaterialSummary, ReportInput};
 use crate::capture::Rect;
 use crate::geometry::Point;
-use crate::transport::{Overview, ShotRecord};
+use crate::pipeline::Overview;
+use crate::transport::ShotRecord;
 use crate::{Error, Result};
 use std::fmt::Write;
 

@@ -16,7 +16,8 @@ mod text;
 pub use survey::{RowView, Survey};
 
 use crate::material::MaterialHeader;
-use crate::transport::{MatrixHeader, Overview};
+use crate::pipeline::Overview;
+use crate::transport::MatrixHeader;
 use crate::{Error, Result, Warning, progress::StageTime};
 use std::collections::BTreeMap;
 use std::path::Path;

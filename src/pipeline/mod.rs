@@ -4,12 +4,12 @@ mod findings;
 mod lattice;
 mod shots;
 
-use super::{MatrixHeader, MatrixWriter, ShotRecord};
 use crate::capture::Capture;
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::Radiance;
 use crate::registration::Registration;
+use crate::transport::{MatrixHeader, MatrixWriter, ShotRecord};
 use crate::{Result, Warning};
 use shots::Shots;
 use std::path::{Path, PathBuf};
