@@ -1,8 +1,8 @@
 //! Time of every stage of `factor`, and the peak memory of the process, on a large synthetic matrix.
 //!
-//! `cargo bench --bench factor [-- POINTS WINDOW [STORE]]` (by default 128 × 128 points, 31 × 31 window). The matrix has 24 terms
-//! of falling weight, colour that is no polynomial of the intensity, and noise with its variance. With STORE it is
-//! written there, or read when it is there already.
+//! `cargo bench --bench factor [-- POINTS WINDOW [STORE [BACKEND]]]` (by default 128 × 128 points, 31 × 31 window). The
+//! matrix has 24 terms of falling weight, displaced peaks, colour that is no polynomial of the intensity, and noise with its variance.
+//! With STORE it is written there, or read when it is there already. BACKEND: full, gram or subspace.
 
 use acquire::factor::{Options, factor};
 use acquire::progress::Progress;
@@ -11,7 +11,10 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
+/// The farthest that a peak lies from its lit point, samples.
+const REACH: usize = 2;
 /// Profiles: four widths, each with angular harmonics 0 to 5.
 const WIDTHS: [f64; 4] = [1.5, 3.0, 5.0, 9.0];
 const HARMONICS: usize = 6;
@@ -29,8 +32,13 @@ fn main() -> acquire::Result<()> {
     }
     let reader = MatrixReader::open(&store)?;
     println!("{:?} points, {:?} window", reader.header().points, reader.header().window);
-    let fixed = Options { terms: Some(15), degree: Some(7), ..Options::default() };
-    for (name, options) in [("T = 15, P = 7", fixed), ("chosen", Options::default())] {
+    let start = Instant::now();
+    reader.for_each_block(|_| Ok(()))?;
+    println!("reading it once: {:.1} s", start.elapsed().as_secs_f64());
+    let backend = args.get(3).and_then(|name| serde_json::from_value(name.as_str().into()).ok());
+    let chosen = Options { backend, ..Options::default() };
+    let fixed = Options { terms: Some(15), degree: Some(7), ..chosen.clone() };
+    for (name, options) in [("T = 15, P = 7", fixed), ("chosen", chosen)] {
         let progress = Progress::silent();
         let factored = factor(&reader, &options, &progress)?;
         let timings = progress.timings();
@@ -65,20 +73,21 @@ fn write(store: &Path, points: usize, window: usize) -> acquire::Result<()> {
         provenance: serde_json::json!({ "bench": "factor" }),
     };
     let writer = MatrixWriter::create(store, header.clone())?;
-    let profiles = profiles(&header);
+    let profiles = profiles(window);
     (0..rows).into_par_iter().try_for_each(|index| writer.put(index, &row(&header, &profiles, index)))?;
     writer.finish()
 }
 
-/// e^(−r/w) (r/(r+w))^m cos(mθ), per profile and window sample.
-fn profiles(header: &MatrixHeader) -> Vec<Vec<f64>> {
+/// e^(−r/w) (r/(r+w))^m cos(mθ), per profile and sample of a window wide enough for every displacement.
+fn profiles(window: usize) -> Vec<Vec<f64>> {
+    let wide = window + 2 * REACH;
     let shapes = WIDTHS.into_iter().flat_map(|w| (0..HARMONICS).map(move |m| (w, m)));
     let at = |(width, m): (f64, usize), k: usize| {
-        let [x, y] = header.offset_px([k % header.window[0], k / header.window[0]]).map(|o| o as f64);
+        let [x, y] = [k % wide, k / wide].map(|v| v as f64 - (wide / 2) as f64);
         let r = x.hypot(y);
         (-r / width).exp() * (r / (r + width)).powi(m as i32) * (m as f64 * y.atan2(x)).cos()
     };
-    shapes.map(|shape| (0..header.window_len()).map(|k| at(shape, k)).collect()).collect()
+    shapes.map(|shape| (0..wide * wide).map(|k| at(shape, k)).collect()).collect()
 }
 
 fn row(header: &MatrixHeader, profiles: &[Vec<f64>], index: usize) -> Row {
@@ -93,8 +102,11 @@ fn row(header: &MatrixHeader, profiles: &[Vec<f64>], index: usize) -> Row {
     let mut random = rand_pcg::Pcg64::seed_from_u64(index as u64);
     let n = header.row_len();
     let mut row = Row { response: Vec::with_capacity(n), variance: Vec::with_capacity(n), valid: vec![true; n] };
+    let window = header.window[0];
+    let peak = place.map(|p| (REACH as f64 * (1.0 - (3.0 * p).sin())).round() as usize);
     for d in 0..header.window_len() {
-        let intensity: f64 = profiles.iter().zip(&amounts).map(|(p, a)| a * p[d]).sum::<f64>().max(0.0);
+        let at = d % window + peak[0] + (d / window + peak[1]) * (window + 2 * REACH);
+        let intensity: f64 = profiles.iter().zip(&amounts).map(|(p, a)| a * p[at]).sum::<f64>().max(0.0);
         for [exponent, gain] in COLOR {
             let value = gain * intensity.powf(exponent + 0.1 * place[0].sin());
             let variance = 1e-6 * (value + 0.01);

@@ -217,6 +217,20 @@ impl Error {
         }
     }
 
+    /// [`Error::Field`] unless `value` lies in `low` to `high`.
+    pub(crate) fn unless_within(
+        path: impl AsRef<Path>,
+        field: impl Into<String>,
+        value: f64,
+        low: f64,
+        high: f64,
+    ) -> Result<()> {
+        match value >= low && value <= high {
+            true => Ok(()),
+            false => Err(Self::field(path, field, format!("{} to {}", number(low), number(high)), number(value))),
+        }
+    }
+
     /// Whether this is our own fault rather than the input's.
     pub fn is_internal(&self) -> bool {
         matches!(self, Self::Internal { .. })
@@ -250,9 +264,14 @@ impl Error {
             Self::BrokenImage { .. } => "give an OpenEXR, PNG or JPEG image",
             Self::Mismatch { .. } => "compare outputs of the same capture, grid and window",
             Self::Setting { .. } => "see `acquire help` for the range of each option",
-            Self::NotFinite { .. } => "the matrix was not written by `acquire`, or was damaged; build it again",
+            Self::NotFinite { .. } => "the file, or what it is made from, was damaged or not written by `acquire`",
             Self::Internal { .. } => "this is a bug in acquire; please report it with the command line",
         };
         Some(hint.to_owned())
     }
+}
+
+/// A number as a person would write it: huge and tiny ones with an exponent.
+pub(crate) fn number(v: f64) -> String {
+    if v == 0.0 || (1e-4..1e15).contains(&v.abs()) || !v.is_finite() { v.to_string() } else { format!("{v:e}") }
 }

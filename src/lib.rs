@@ -3,6 +3,7 @@
 //! The modules stand in the order in which the photographs pass them; each depends only on those above it.
 
 mod error;
+mod output;
 mod warning;
 
 pub mod geometry;

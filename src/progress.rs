@@ -1,6 +1,7 @@
 //! Progress bars on stderr, silent when there is no terminal or when asked.
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::Write;
 use std::time::Instant;
 
 /// Where stages report how far they are, and how long each took.
@@ -47,7 +48,10 @@ impl Progress {
 
     /// Prints a line on stderr above the bars.
     pub fn say(&self, line: impl std::fmt::Display) {
-        self.bars.suspend(|| eprintln!("{line}"));
+        // A closed stderr must not end the work.
+        self.bars.suspend(|| {
+            let _ = writeln!(std::io::stderr(), "{line}");
+        });
     }
 
     /// The stages that have ended, in that order.

@@ -260,3 +260,152 @@ fn a_shot_whose_reference_dots_are_not_where_they_should_be_is_refused() {
     manifest.write(&dir).unwrap();
     bench.build_fails(&["lattice-0", "reference dots"]);
 }
+
+#[test]
+fn numbers_that_make_no_sense_are_refused_by_name() {
+    for (file, from, to, field) in [
+        ("capture.toml", "points = [3, 3]", "points = [65535, 65535]", "grid.points"),
+        ("capture.toml", "samples = [5, 5]", "samples = [4095, 4095]", "window.samples"),
+        ("capture.toml", "pitch_mm = 0.5", "pitch_mm = 1e-308", "window.pitch_mm"),
+        ("capture.toml", "pitch_mm = 0.5", "pitch_mm = nan", "window.pitch_mm"),
+        ("capture.toml", "size_mm = [", "size_mm = [1e308, 1.0] # [", "slab.size_mm"),
+        ("capture.toml", "dot_projector_px = 3", "dot_projector_px = 4294967296", "grid.dot_projector_px"),
+        ("capture.toml", "dot_projector_px = 3", "dot_projector_px = 1000", "grid.dot_projector_px"),
+        ("capture.toml", "step_projector_px = [4.0", "step_projector_px = [inf", "grid.step_projector_px"),
+        ("capture.toml", "step_projector_px = [4.0", "step_projector_px = [1000.0", "projector.size_px"),
+        ("capture.toml", "\nprojector_px = [[", "\nprojector_px = [[nan, 1.0], [", "reference_dots.projector_px"),
+        ("capture.toml", "board_0.png\"", "board_0.png\"\nexposure_secs = 1e-308", "exposure_secs"),
+        ("calibration/rig.toml", "principal_px = [", "principal_px = [nan, 1.0] # [", "camera.principal_px"),
+        ("calibration/rig.toml", "origin_mm = [", "origin_mm = [inf, 1.0] # [", "board.origin_mm"),
+        ("calibration/rig.toml", "vignetting = [", "vignetting = [1e18, ", "camera.vignetting"),
+        ("calibration/rig.toml", "vignetting = [", "vignetting = [-1e3, ", "camera.vignetting"),
+    ] {
+        let bench = Bench::new();
+        bench.edit(file, |t| t.replacen(from, to, 1));
+        bench.build_fails(&[file, field]);
+    }
+}
+
+#[test]
+fn a_jpeg_cut_in_its_pixels_is_refused() {
+    let options =
+        Options { grid: 3, window: 5, exposures: 2, format: acquire::simulate::FileFormat::Jpeg, ..Options::default() };
+    let (folder, dir) = common::capture(&options);
+    let bench = Bench { folder };
+    let photograph = dir.join("photos/reference-white_0.jpg");
+    let bytes = std::fs::read(&photograph).unwrap();
+    std::fs::write(&photograph, &bytes[..bytes.len() - 100]).unwrap();
+    bench.build_fails(&["reference-white_0.jpg", "ends before the image"]);
+}
+
+#[test]
+fn an_output_that_is_an_input_is_refused() {
+    let bench = Bench::new();
+    let path = |name: &str| bench.path(name).to_str().unwrap().to_owned();
+    let (capture, matrix, material) = (path("capture"), path("m.rd.zarr"), path("m.safetensors"));
+    assert_eq!(acquire(&["build-matrix", &capture, "--out", &matrix]).0, 0);
+    assert_eq!(acquire(&["factor", &matrix, "--out", &material]).0, 0);
+    std::fs::write(path("light.png"), b"an image").unwrap();
+    let before = std::fs::read(&material).unwrap();
+    bench.fails(&["factor", &matrix, "--out", &path("m.rd.zarr/zarr.json")], &["--out", "input"]);
+    bench.fails(&["export", &material, "--to", "npz", "--out", &material], &["--out", "input"]);
+    bench.fails(&["relight", &material, "--light", "spot", "--out", &material], &["--out", "input"]);
+    // The picture for viewers would go where the light is.
+    bench.fails(
+        &["relight", &material, "--light", &path("light.png"), "--out", &path("light.exr")],
+        &["--out", "light.png"],
+    );
+    bench.fails(&["build-matrix", &capture, "--out", &path("capture/truth.rd.zarr")], &["--out", "truth"]);
+    assert_eq!(std::fs::read(&material).unwrap(), before);
+    assert_eq!(acquire(&["evaluate", &material, &matrix]).0, 0);
+}
+
+#[test]
+fn a_simulation_replaces_simulations_only() {
+    let bench = Bench::new();
+    let photographs = bench.path("photographs");
+    std::fs::create_dir(&photographs).unwrap();
+    std::fs::write(photographs.join("capture.toml"), b"years of work").unwrap();
+    let simulate =
+        |dir: &str| ["simulate", dir, "--grid", "1", "--window", "3", "--exposures", "1", "--force"].map(str::to_owned);
+    for dir in [photographs.to_str().unwrap(), "..", "."] {
+        let args = simulate(dir);
+        bench.fails(&args.each_ref().map(String::as_str), &["DIR"]);
+    }
+    assert_eq!(std::fs::read(photographs.join("capture.toml")).unwrap(), b"years of work");
+    let args = simulate(bench.path("capture").to_str().unwrap());
+    assert_eq!(acquire(&args.each_ref().map(String::as_str)).0, 0);
+}
+
+#[test]
+fn options_are_checked_before_any_work() {
+    let bench = Bench::new();
+    let (capture, out) = (bench.path("capture"), bench.path("results"));
+    let run = ["run", capture.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    for option in [["--degree", "16"], ["--terms", "0"], ["--threads", "100000"], ["--threads", "0"]] {
+        let args = [&run[..], &option[..]].concat();
+        bench.fails(&args, &[option[0]]);
+        assert!(!acquire(&args).2.contains("R_d of"), "{option:?}");
+    }
+}
+
+#[test]
+fn a_matrix_that_announces_more_than_it_holds_is_refused() {
+    let bench = Bench::new();
+    let matrix = bench.path("capture/truth.rd.zarr");
+    let rewrite = |name: &str, change: &dyn Fn(&mut serde_json::Value)| {
+        let path = matrix.join(name).join("zarr.json");
+        let mut value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+        change(&mut value);
+        std::fs::write(path, value.to_string()).unwrap();
+    };
+    rewrite("", &|v| v["attributes"]["points"] = serde_json::json!([65535, 65535]));
+    for name in ["response", "variance", "valid"] {
+        rewrite(name, &|v| v["shape"] = serde_json::json!([65535, 65535, 5, 5, 3]));
+    }
+    for name in ["x_i_mm", "y_i_mm", "position_sd_mm", "shot"] {
+        rewrite(name, &|v| v["shape"] = serde_json::json!([65535, 65535]));
+    }
+    let out = bench.path("m.safetensors");
+    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["x_i_mm", "bytes"]);
+    rewrite("", &|v| v["attributes"]["points"] = serde_json::json!([0, 3]));
+    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["points"]);
+}
+
+#[test]
+fn nobody_listening_does_not_end_the_work() {
+    let bench = Bench::new();
+    let full = || std::fs::File::options().write(true).open("/dev/full").unwrap();
+    let out = bench.path("m.rd.zarr");
+    let status = std::process::Command::new(env!("CARGO_BIN_EXE_acquire"))
+        .args(["build-matrix", bench.path("capture").to_str().unwrap(), "--out", out.to_str().unwrap()])
+        .stderr(full())
+        .status()
+        .unwrap();
+    assert!(status.success() && out.is_dir());
+    let status = std::process::Command::new(env!("CARGO_BIN_EXE_acquire")).arg("run").stderr(full()).status().unwrap();
+    assert_eq!(status.code(), Some(1));
+}
+
+#[test]
+fn ctrl_c_leaves_nothing() {
+    use std::os::unix::process::ExitStatusExt;
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_acquire"))
+        .args(["simulate", "big", "--grid", "32", "--window", "31", "--quiet"])
+        .current_dir(folder.path())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let files = || std::fs::read_dir(folder.path()).unwrap().count();
+    while files() == 0 {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it was stopped");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let kill = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(kill.success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.signal(), Some(2), "the shell is to see that it was interrupted");
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+    assert_eq!(files(), 0);
+}

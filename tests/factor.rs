@@ -1,8 +1,13 @@
 //! From a matrix on disk to a material: recovery of known factors, the choices made from noise, and extremes.
 
+mod common;
+
+use acquire::evaluate::evaluate;
 use acquire::factor::{Backend, Factored, Options, factor};
-use acquire::material::Material;
+use acquire::material::{Material, Source};
+use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
+use acquire::simulate::{self, MaterialKind};
 use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row};
 use acquire::{Error, Result, Warning};
 use rand::SeedableRng;
@@ -260,4 +265,42 @@ fn bad_settings_and_numbers_that_are_not_finite_are_refused() {
         let refused = run(&fixed(1, 1), [2, 2], [3, 3], |i, _, _| if i == 2 { bad } else { 1.0 });
         assert!(refused.is_err(), "{bad}");
     }
+}
+
+/// The matrix of a simulated capture and what `options` make of it.
+fn simulated(slab: &simulate::Options, options: &Options) -> (tempfile::TempDir, MatrixReader, Factored) {
+    let (folder, dir) = common::capture(slab);
+    let path = folder.path().join("m.rd.zarr");
+    build_matrix(&dir, &BuildOptions::default(), &path, &Progress::silent()).unwrap();
+    let reader = MatrixReader::open(&path).unwrap();
+    let factored = factor(&reader, options, &Progress::silent()).unwrap();
+    (folder, reader, factored)
+}
+
+#[test]
+fn a_drifted_capture_factors_as_well_as_an_undrifted_one_to_within_one_decibel() {
+    let psnr_db = |drift_px: f64| {
+        let slab = simulate::Options {
+            material: MaterialKind::Chessboard4x4,
+            grid: 12,
+            window: 15,
+            drift_px,
+            ..simulate::Options::default()
+        };
+        let (folder, reader, factored) = simulated(&slab, &fixed(15, 7));
+        let path = folder.path().join("m.safetensors");
+        factored.material.save(&path).unwrap();
+        evaluate(&Source::open(&path).unwrap(), &reader, &Progress::silent()).unwrap().psnr_db.unwrap()
+    };
+    let (still, drifted) = (psnr_db(0.0), psnr_db(1.0));
+    // The decibel is what the project promises.
+    assert!((still - drifted).abs() < 1.0, "{still} dB without drift, {drifted} dB with");
+}
+
+#[test]
+fn a_homogeneous_slab_chooses_one_term_and_a_degree_that_ends_at_the_noise() {
+    let slab = simulate::Options { grid: 12, window: 15, ..simulate::Options::default() };
+    let (_folder, _, factored) = simulated(&slab, &Options::default());
+    assert_eq!(factored.material.header.terms, 1, "{}", factored.choice);
+    assert!(factored.choice.contains("explains no more than noise"), "{}", factored.choice);
 }

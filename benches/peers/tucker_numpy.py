@@ -59,6 +59,8 @@ def main(path, terms=15, degree=7):
     assert K.any(0).all(), "a sample that no row measured: extend the mean profile first"
     mean = (A * K).sum(0) / K.sum(0)
     known = A * K
+    relative = var.sum(-1) / 9 / np.where(live, scale, 1)[:, None, None] ** 2
+    noise = max(1e-12, relative[M & live[:, None, None]].mean())
     F, ridge = mean[None], np.zeros(1)
     rounds = 0 if K[live].all() else 2
     for r in range(rounds + 1):
@@ -67,7 +69,7 @@ def main(path, terms=15, degree=7):
             c = np.linalg.solve(G @ G.T + np.diag(ridge), G @ known[i, K[i]])
             A[i] = np.where(K[i], known[i], c @ F)
         U, s, Vt = np.linalg.svd(A, full_matrices=False)
-        F, ridge = Vt[:terms], 1e-12 / (s[:terms] ** 2 / n)
+        F, ridge = Vt[:terms], noise / (s[:terms] ** 2 / n)
     fit = (U[:, :terms] * s[:terms]) @ Vt[:terms]
     error = size = 0.0
     low, high = fit[K].min(), fit[K].max()

@@ -1,8 +1,9 @@
 //! A whole capture folder, checked before any work starts.
 
 use super::exif::{self, ExifExposure};
+use super::manifest::{LEAST_SECS, MOST_SECS};
 use super::{Manifest, Pattern, Photograph, Rig};
-use crate::{Error, Result, Warning};
+use crate::{Error, Result, Warning, geometry::Point};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
@@ -42,6 +43,7 @@ impl Capture {
         let rig = Rig::read(&rig_path)?;
         let manifest_path = dir.join("capture.toml");
         require_shots(&manifest, &manifest_path)?;
+        check_against_rig(&manifest, &rig, &manifest_path)?;
 
         let mut warnings = Vec::new();
         let heads: Vec<(Vec<Head>, Vec<Warning>)> =
@@ -53,6 +55,8 @@ impl Capture {
             for head in &mut shot_heads {
                 let factor = relative_sensitivity(&head.exif, &first);
                 head.photograph.effective_secs = head.photograph.exposure_secs * factor;
+                let field = "exposure time · ISO / f-number²";
+                Error::unless_within(&head.photograph.path, field, head.photograph.effective_secs, 1e-12, 1e9)?;
                 let told = warnings.iter().any(|w| matches!(w, Warning::ApertureOrIsoChanges { .. }));
                 if (factor - 1.0).abs() > 1e-6 && !told {
                     warnings.push(Warning::ApertureOrIsoChanges { file: head.name.clone(), factor });
@@ -105,9 +109,10 @@ fn read_heads(dir: &Path, shot: &super::Shot, size_px: [usize; 2]) -> Result<(Ve
             (exif.apex_secs, "EXIF ShutterSpeedValue"),
         ];
         let mut known = sources.iter().filter_map(|(secs, source)| Some(((*secs)?, *source)));
-        let Some((used_secs, _)) = known.next() else {
+        let Some((used_secs, source)) = known.next() else {
             return Err(Error::NoExposure { path: photograph.path });
         };
+        Error::unless_within(&photograph.path, source, used_secs, LEAST_SECS, MOST_SECS)?;
         for (other_secs, other) in known {
             if (other_secs / used_secs - 1.0).abs() > EXPOSURE_TOLERANCE {
                 let (file, other) = (entry.file.clone(), other.to_owned());
@@ -146,6 +151,54 @@ fn sorted_bracket(mut heads: Vec<Head>, manifest: &Path) -> Result<Vec<Photograp
     }
     Ok(heads.into_iter().map(|h| h.photograph).collect())
 }
+
+/// What makes sense only for this camera and projector: a slip of the pen here would cost hours or all memory later.
+fn check_against_rig(manifest: &Manifest, rig: &Rig, path: &Path) -> Result<()> {
+    let [width, height] = rig.projector.size_px;
+    let projector = format!("the projector's {width} × {height} px (projector.size_px in rig.toml)");
+    if manifest.grid.dot_projector_px > width.min(height) {
+        let found = manifest.grid.dot_projector_px;
+        return Err(Error::field(path, "grid.dot_projector_px", format!("a dot that fits {projector}"), found));
+    }
+    let inside = |field: String, at: Point| {
+        if (0..2).all(|a| at[a] >= -0.5 && at[a] <= rig.projector.size_px[a] as f64 - 0.5) {
+            return Ok(());
+        }
+        Err(Error::field(path, field, format!("a place in {projector}"), format!("({}, {})", at[0], at[1])))
+    };
+    for &at in manifest.reference_dots.iter().flat_map(|r| &r.projector_px) {
+        inside("reference_dots.projector_px".into(), at)?;
+    }
+    let mut lit = 0;
+    for shot in &manifest.shots {
+        let Pattern::Lattice { dots } = &shot.pattern else { continue };
+        lit += dots.len();
+        for &dot in dots {
+            inside(format!("shot \"{}\": dot {dot:?}", shot.name), manifest.grid.dot_projector_px(dot))?;
+        }
+    }
+    let points = manifest.grid.len();
+    if points > POINTS_UNASKED && points / POINTS_PER_LIT > lit {
+        let expected = format!("a grid of which the lattice shots light one point in {POINTS_PER_LIT} or more");
+        let found = format!("{points} points, {lit} of them lit");
+        return Err(Error::field(path, "grid.points", expected, found));
+    }
+    let largest = SAMPLES_PER_PX * rig.camera.size_px[0].max(rig.camera.size_px[1]);
+    for samples in manifest.window.samples {
+        if samples > largest {
+            let expected = format!("at most {largest}, {SAMPLES_PER_PX} for each pixel across a photograph");
+            return Err(Error::field(path, "window.samples", expected, samples));
+        }
+    }
+    Ok(())
+}
+
+/// Grids up to this many points may be mostly unlit: the first shots of a long sweep, say.
+const POINTS_UNASKED: usize = 1 << 16;
+/// Beyond it one point in so many must be lit; a single lattice shot lights one in a few hundred.
+const POINTS_PER_LIT: usize = 4096;
+/// Finer windows would only repeat the photograph's pixels.
+const SAMPLES_PER_PX: usize = 2;
 
 fn require_shots(manifest: &Manifest, path: &Path) -> Result<()> {
     let count = |of: fn(&Pattern) -> bool| manifest.shots.iter().filter(|s| of(&s.pattern)).count();

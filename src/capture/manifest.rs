@@ -7,6 +7,11 @@ use std::path::Path;
 /// The version of `capture.toml` that this program reads and writes.
 pub const FORMAT: u32 = 1;
 
+/// The shortest exposure that is believed, s.
+pub(super) const LEAST_SECS: f64 = 1e-9;
+/// The longest.
+pub(super) const MOST_SECS: f64 = 1e6;
+
 /// The whole of `capture.toml`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -183,15 +188,20 @@ impl Manifest {
     }
 
     fn check(&self, path: &Path) -> Result<()> {
-        let positive = |name: &str, v: f64| {
-            if v.is_finite() && v > 0.0 { Ok(()) } else { Err(Error::field(path, name, "a positive number", v)) }
-        };
+        let range = |name: &str, v: f64, low: f64, high: f64| Error::unless_within(path, name, v, low, high);
         if self.format != FORMAT {
             return Err(Error::field(path, "format", FORMAT.to_string(), self.format));
         }
         for a in 0..2 {
-            positive("slab.size_mm", self.slab.size_mm[a])?;
-            positive("grid.step_projector_px", self.grid.step_projector_px[a].abs())?;
+            range("slab.size_mm", self.slab.size_mm[a], 1e-6, 1e6)?;
+            range("grid.origin_projector_px", self.grid.origin_projector_px[a], -1.0, 65_536.0)?;
+            range("grid.step_projector_px", self.grid.step_projector_px[a], -65_536.0, 65_536.0)?;
+            if self.grid.step_projector_px[a] == 0.0 {
+                return Err(Error::field(path, "grid.step_projector_px", "numbers that are not 0", 0));
+            }
+            for dot in self.reference_dots.iter().flat_map(|r| &r.projector_px) {
+                range("reference_dots.projector_px", dot[a], -1.0, 65_536.0)?;
+            }
             if self.grid.points[a] == 0 || self.grid.points[a] > 65_536 {
                 return Err(Error::field(path, "grid.points", "1 to 65536", self.grid.points[a]));
             }
@@ -200,10 +210,8 @@ impl Manifest {
                 return Err(Error::field(path, "window.samples", "odd numbers from 1 to 4095", w));
             }
         }
-        positive("window.pitch_mm", self.window.pitch_mm)?;
-        if self.grid.dot_projector_px == 0 {
-            return Err(Error::field(path, "grid.dot_projector_px", "at least 1", 0));
-        }
+        range("window.pitch_mm", self.window.pitch_mm, 1e-6, 1e6)?;
+        range("grid.dot_projector_px", self.grid.dot_projector_px as f64, 1.0, 65_536.0)?;
         let mut names = std::collections::BTreeSet::new();
         for shot in &self.shots {
             let field = |name: &str| format!("shots \"{}\": {name}", shot.name);
@@ -215,7 +223,7 @@ impl Manifest {
             }
             for photograph in &shot.photographs {
                 if let Some(t) = photograph.exposure_secs {
-                    positive(&field("exposure_secs"), t)?;
+                    range(&field("exposure_secs"), t, LEAST_SECS, MOST_SECS)?;
                 }
             }
             if let Pattern::Lattice { dots } = &shot.pattern {

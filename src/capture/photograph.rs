@@ -139,9 +139,18 @@ impl Format {
 
 type Decoded = Result<(usize, usize, Samples), String>;
 
+/// The most bytes that a decoder may ask for: 134 million pixels of four 16-bit channels, twice.
+const MOST_BYTES: usize = 2 << 30;
+/// The largest picture that is decoded, px.
+const MOST_PIXELS: usize = 1 << 27;
+
 fn decode_common(bytes: &[u8]) -> Decoded {
     use image::DynamicImage as D;
-    let reader = image::ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| e.to_string())?;
+    check_jpeg_end(bytes)?;
+    let mut reader = image::ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| e.to_string())?;
+    let mut limits = image::Limits::default();
+    limits.max_alloc = Some(MOST_BYTES as u64);
+    reader.limits(limits);
     let image = reader.decode().map_err(|e| e.to_string())?;
     let (width, height) = (image.width() as usize, image.height() as usize);
     let samples = match image {
@@ -154,9 +163,47 @@ fn decode_common(bytes: &[u8]) -> Decoded {
     Ok((width, height, samples))
 }
 
+/// Refuses a JPEG file that does not reach its end-of-image marker: the decoder fills what is missing with grey and
+/// says nothing. Other files pass.
+///
+/// Not detected: damage between intact markers; JPEG has no checksum.
+pub(crate) fn check_jpeg_end(bytes: &[u8]) -> Result<(), String> {
+    if !bytes.starts_with(&[0xff, 0xd8]) {
+        return Ok(());
+    }
+    let mut at = 2;
+    loop {
+        // Compressed data up to the next marker, whose 0xff may be repeated.
+        at += bytes[at.min(bytes.len())..].iter().take_while(|&&b| b != 0xff).count();
+        at += bytes[at.min(bytes.len())..].iter().take_while(|&&b| b == 0xff).count();
+        match bytes.get(at) {
+            None => return Err("the file ends before the image does".into()),
+            Some(0xd9) => return Ok(()),
+            // A 0xff of the data, or a restart: no segment follows.
+            Some(0x00 | 0x01 | 0xd0..=0xd7) => at += 1,
+            // Segments are skipped by their length: an EXIF thumbnail has an end marker of its own.
+            Some(_) => at += 1 + bytes.get(at + 1..at + 3).map_or(2, |n| usize::from(u16::from_be_bytes([n[0], n[1]]))),
+        }
+    }
+}
+
+/// Refuses an OpenEXR file whose head announces more pixels than are decoded: they are allocated before any is read.
+pub(crate) fn check_exr_size(bytes: &[u8]) -> Result<(), String> {
+    let head = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(|e| e.to_string())?;
+    for layer in &head.headers {
+        let size = [layer.layer_size.width(), layer.layer_size.height()];
+        if size[0].checked_mul(size[1]).is_none_or(|pixels| pixels > MOST_PIXELS) {
+            return Err(format!("{} × {} px: more than {MOST_PIXELS} are not read", size[0], size[1]));
+        }
+    }
+    Ok(())
+}
+
 fn decode_tiff(bytes: &[u8]) -> Decoded {
     use tiff::{ColorType, decoder::DecodingResult as R};
-    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(|e| e.to_string())?;
+    let mut limits = tiff::decoder::Limits::default();
+    (limits.decoding_buffer_size, limits.intermediate_buffer_size) = (MOST_BYTES, MOST_BYTES);
+    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(|e| e.to_string())?.with_limits(limits);
     let (width, height) = decoder.dimensions().map_err(|e| e.to_string())?;
     let channels = match decoder.colortype().map_err(|e| e.to_string())? {
         ColorType::RGB(_) => 3,
@@ -175,6 +222,7 @@ fn decode_tiff(bytes: &[u8]) -> Decoded {
 
 fn decode_exr(bytes: &[u8]) -> Decoded {
     use exr::prelude::*;
+    check_exr_size(bytes)?;
     let image = read()
         .no_deep_data()
         .largest_resolution_level()
@@ -223,5 +271,37 @@ impl Samples {
             Self::U16(v) => Self::U16(rows(v, whole, part)),
             Self::F32(v) => Self::F32(rows(v, whole, part)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_jpeg_is_whole_only_up_to_its_own_end_marker() {
+        // An EXIF segment with a thumbnail, a scan with a stuffed 0xff and a restart, the end, and a camera's trailer.
+        let head = [0xff, 0xd8, 0xff, 0xe1, 0, 6, 0xff, 0xd8, 0xff, 0xd9, 0xff, 0xda, 0, 3, 1];
+        let scan = [7, 0xff, 0, 8, 0xff, 0xd0, 9, 0xff, 0xff];
+        let whole = [&head[..], &scan, &[0xd9, 0xff, 0xd8, 1]].concat();
+        assert!(check_jpeg_end(&whole).is_ok());
+        for len in 2..head.len() + scan.len() {
+            assert!(check_jpeg_end(&whole[..len]).is_err(), "{len} bytes");
+        }
+        assert!(check_jpeg_end(b"\x89PNG").is_ok(), "not a JPEG");
+    }
+
+    #[test]
+    fn an_exr_that_announces_too_many_pixels_is_refused() {
+        use exr::prelude::*;
+        let channels = SpecificChannels::rgb(|_: Vec2<usize>| (0.5f32, 0.5f32, 0.5f32));
+        let mut file = Cursor::new(Vec::new());
+        Image::from_channels((2, 2), channels).write().to_buffered(&mut file).unwrap();
+        let mut bytes = file.into_inner();
+        assert_eq!(decode_exr(&bytes).unwrap().0, 2);
+        // The data window ends with its largest column and row.
+        let at = bytes.windows(12).position(|w| w == b"dataWindow\0b").unwrap() + b"dataWindow\0box2i\0".len() + 4 + 8;
+        bytes[at..at + 8].copy_from_slice(&[0xff, 0xff, 0, 0, 0xff, 0xff, 0, 0]);
+        assert!(check_exr_size(&bytes).is_err() && decode_exr(&bytes).is_err());
     }
 }

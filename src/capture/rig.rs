@@ -152,9 +152,7 @@ impl Rig {
     }
 
     fn check(&self, path: &Path) -> Result<()> {
-        let range = |name: &str, v: f64, low: f64, high: f64| {
-            if v >= low && v <= high { Ok(()) } else { Err(Error::field(path, name, format!("{low} to {high}"), v)) }
-        };
+        let range = |name: &str, v: f64, low: f64, high: f64| Error::unless_within(path, name, v, low, high);
         if self.format != super::FORMAT {
             return Err(Error::field(path, "format", super::FORMAT.to_string(), self.format));
         }
@@ -172,6 +170,8 @@ impl Rig {
             range("board.inner_corners", self.board.inner_corners[a] as f64, 3.0, 1000.0)?;
             range("camera.size_px", self.camera.size_px[a] as f64, 1.0, 65_536.0)?;
             range("projector.size_px", self.projector.size_px[a] as f64, 1.0, 65_536.0)?;
+            range("camera.principal_px", self.camera.principal_px[a], -1e6, 1e6)?;
+            range("board.origin_mm", self.board.origin_mm[a], -1e6, 1e6)?;
         }
         for r in self.white_reference.reflectance {
             range("white_reference.reflectance", r, 1e-6, 1.0)?;
@@ -183,6 +183,24 @@ impl Rig {
                 "finite numbers",
                 format!("{:?}", self.camera.vignetting),
             ));
+        }
+        self.check_vignetting(path)
+    }
+
+    /// Corners darker than a hundredth of the middle, or brighter than a hundred times, are a mistake in a coefficient.
+    fn check_vignetting(&self, path: &Path) -> Result<()> {
+        const STEPS: usize = 16;
+        let at = |k: usize, a: usize| (self.camera.size_px[a] - 1) as f64 * k as f64 / STEPS as f64;
+        for k in 0..=STEPS {
+            for l in 0..=STEPS {
+                let q = [at(k, 0), at(l, 1)];
+                let v = self.camera.vignetting_at(q);
+                if !(0.01..=100.0).contains(&v) {
+                    let found = format!("{} at pixel ({:.0}, {:.0})", crate::error::number(v), q[0], q[1]);
+                    let expected = "a relative sensitivity of 0.01 to 100 all over the picture";
+                    return Err(Error::field(path, "camera.vignetting", expected, found));
+                }
+            }
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 use super::Context;
-use crate::Result;
 use crate::pipeline::{BuildOptions, BuildReport, build_matrix};
+use crate::{Error, Result};
 use std::path::PathBuf;
 
 /// Photographs to the matrix R_d(x_i, x_o).
@@ -26,6 +26,11 @@ pub struct Args {
 
 pub fn run(args: Args, context: &Context) -> Result<()> {
     let start = std::time::Instant::now();
+    let truth = args.capture.join("truth.rd.zarr");
+    if truth.canonicalize().is_ok_and(|truth| args.out.canonicalize().is_ok_and(|out| out == truth)) {
+        let expected = "another path than the simulated capture's truth".into();
+        return Err(Error::Setting { setting: "--out", expected, found: args.out.display().to_string() });
+    }
     let options = BuildOptions { calibration: args.calibration };
     let report = build_matrix(&args.capture, &options, &args.out, &context.progress)?;
     report.warnings.iter().for_each(|w| context.warn(w));

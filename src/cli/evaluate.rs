@@ -30,7 +30,11 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let measures = evaluate(&candidate, &reference, &context.progress)?;
     let text =
         if args.json { serde_json::to_string_pretty(&measures).map_err(Error::internal)? } else { table(&measures) };
-    writeln!(std::io::stdout(), "{text}").map_err(Error::io("write", "standard output"))?;
+    match writeln!(std::io::stdout(), "{text}") {
+        // `| head` has read all that it wants.
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => return Err(Error::io("write", "standard output")(e)),
+        _ => {}
+    }
     context.done(format_args!("{} entries compared", measures.entries));
     Ok(())
 }

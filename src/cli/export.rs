@@ -29,13 +29,14 @@ enum Format {
 }
 
 pub fn run(args: Args, context: &Context) -> Result<()> {
-    let material = Material::load(&args.material)?;
     let out = args.out.unwrap_or_else(|| {
         args.material.with_extension(match args.to {
             Format::Exr => "exr",
             Format::Npz => "npz",
         })
     });
+    super::check_output(&out, &[&args.material])?;
+    let material = Material::load(&args.material)?;
     match args.to {
         Format::Exr => export_exr(&material, &out)?,
         Format::Npz => export_npz(&material, &out)?,

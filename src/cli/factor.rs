@@ -1,7 +1,7 @@
 use super::Context;
+use crate::Result;
 use crate::factor::{Options, factor};
 use crate::transport::MatrixReader;
-use crate::{Error, Result};
 use std::path::PathBuf;
 
 /// Factor a matrix into a compact material.
@@ -46,9 +46,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         let name = args.matrix.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         PathBuf::from(format!("{}.safetensors", name.trim_end_matches(".zarr").trim_end_matches(".rd")))
     });
-    if out.is_dir() {
-        return Err(Error::Setting { setting: "--out", expected: "a file".into(), found: out.display().to_string() });
-    }
+    super::check_output(&out, &[&args.matrix])?;
     let reader = MatrixReader::open(&args.matrix)?;
     let options = Options {
         terms: args.terms,

@@ -10,6 +10,8 @@ mod simulate;
 
 use crate::{Error, Result, progress::Progress};
 use clap::{Parser, Subcommand};
+use std::io::Write;
+use std::path::Path;
 use std::process::ExitCode;
 
 /// Measure translucent materials: photographs of a projector-lit slab to the matrix R_d(x_i, x_o) and a factored material.
@@ -35,6 +37,9 @@ Examples:
 
 Exit status: 0 done, 1 the input cannot be used, 2 a fault of acquire itself.";
 
+/// More only cost memory, and the system's patience.
+const MOST_THREADS: usize = 1024;
+
 #[derive(Debug, Subcommand)]
 enum Command {
     Simulate(simulate::Args),
@@ -56,7 +61,7 @@ impl Context {
     /// The closing line of a command, on stderr: stdout is for data.
     fn done(&self, line: impl std::fmt::Display) {
         if !self.quiet {
-            eprintln!("{line}");
+            message(line);
         }
     }
 
@@ -77,25 +82,63 @@ pub fn main() -> ExitCode {
             return ExitCode::from(code);
         }
     };
-    match run(cli) {
+    // A panic has said where it was; it is ours, and ends like any other fault of ours.
+    let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| run(cli)));
+    match done.unwrap_or_else(|_| Err(Error::internal("the program panicked"))) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error}");
+            message(format_args!("error: {}", one_line(&error.to_string())));
             if let Some(hint) = error.hint() {
-                eprintln!("hint: {hint}");
+                message(format_args!("hint: {hint}"));
             }
             ExitCode::from(if error.is_internal() { 2 } else { 1 })
         }
     }
 }
 
+/// A line on stderr; one that nobody reads must not end the work.
+fn message(line: impl std::fmt::Display) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// Decoders and file names may bring line breaks of their own.
+fn one_line(text: &str) -> String {
+    let lines: Vec<_> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    lines.join(" ")
+}
+
+/// Refuses an output file that would fail or harm only after the work: a folder, a device, a file without a folder, one of `inputs`.
+fn check_output(out: &Path, inputs: &[&Path]) -> Result<()> {
+    let refuse = |expected: &str| {
+        Err(Error::Setting { setting: "--out", expected: expected.into(), found: out.display().to_string() })
+    };
+    if std::fs::metadata(out).is_ok_and(|kind| !kind.is_file()) {
+        return refuse("a file");
+    }
+    let folder = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let Some(name) = out.file_name().filter(|_| folder.is_dir()) else {
+        return refuse("a file in a folder that exists");
+    };
+    let folder = folder.canonicalize().map_err(Error::io("create", out))?;
+    let places = [Some(folder.join(name)), out.canonicalize().ok()];
+    let inputs: Vec<_> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();
+    if places.iter().flatten().any(|place| inputs.iter().any(|input| place.starts_with(input))) {
+        return refuse("another file than the input");
+    }
+    Ok(())
+}
+
 fn run(cli: Cli) -> Result<()> {
     if let Some(n) = cli.threads {
-        if n == 0 {
-            return Err(Error::Setting { setting: "--threads", expected: "at least 1".into(), found: "0".into() });
+        let refuse =
+            |expected: &str| Error::Setting { setting: "--threads", expected: expected.into(), found: n.to_string() };
+        if !(1..=MOST_THREADS).contains(&n) {
+            return Err(refuse("1 to 1024"));
         }
-        rayon::ThreadPoolBuilder::new().num_threads(n).build_global().map_err(Error::internal)?;
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
+        pool.map_err(|e| refuse(&format!("fewer, the system starts no more ({e})")))?;
     }
+    crate::output::remove_on_signals()?;
     let progress = if cli.quiet { Progress::silent() } else { Progress::terminal() };
     let context = Context { progress, quiet: cli.quiet };
     match cli.command {
@@ -106,5 +149,33 @@ fn run(cli: Cli) -> Result<()> {
         Command::Relight(args) => relight::run(args, &context),
         Command::Export(args) => export::run(args, &context),
         Command::Run(args) => run::run(args, &context),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn outputs_that_are_inputs_folders_or_devices_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let (input, store) = (folder.path().join("m.safetensors"), folder.path().join("m.rd.zarr"));
+        std::fs::write(&input, "x").unwrap();
+        std::fs::create_dir(&store).unwrap();
+        std::fs::write(store.join("zarr.json"), "x").unwrap();
+        std::os::unix::fs::symlink(&input, folder.path().join("link")).unwrap();
+        let inputs = [input.as_path(), store.as_path()];
+        let refused = |name: &str| check_output(&folder.path().join(name), &inputs).is_err();
+        for name in ["m.safetensors", "./m.safetensors", "link", "m.rd.zarr", "m.rd.zarr/zarr.json", "m.rd.zarr/new"] {
+            assert!(refused(name), "{name}");
+        }
+        assert!(refused("") && refused("..") && refused("nowhere/x"));
+        assert!(check_output(Path::new("/dev/null"), &[]).is_err(), "a rename would replace the device");
+        assert!(!refused("new.safetensors"));
+    }
+
+    #[test]
+    fn a_message_is_one_line() {
+        assert_eq!(one_line("a:  b\n\n  c\n"), "a:  b c");
     }
 }

@@ -31,6 +31,9 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
             found: args.out.display().to_string(),
         });
     }
+    let inputs = [args.source.as_path(), Path::new(&args.light)];
+    super::check_output(&args.out, &inputs)?;
+    super::check_output(&png, &inputs)?;
     let light = Light::parse(&args.light)?;
     let source = Source::open(&args.source)?;
     let flux = light.flux(&source.shape())?;

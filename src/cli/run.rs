@@ -3,6 +3,7 @@ use crate::capture::Manifest;
 use crate::evaluate::evaluate;
 use crate::factor::{Factored, Options, factor};
 use crate::material::{Source, export_exr, export_npz};
+use crate::output::ScratchFolder;
 use crate::pipeline::{BuildOptions, BuildReport, build_matrix};
 use crate::report::{self, Comparison, MaterialSummary, ReportInput, Survey};
 use crate::transport::MatrixReader;
@@ -43,6 +44,8 @@ const MATERIAL: &str = "material.safetensors";
 const MEASURES: &str = "measures.json";
 
 pub fn run(args: Args, context: &Context) -> Result<()> {
+    let factoring = Options { terms: args.terms, degree: args.degree, ..Options::default() };
+    factoring.check()?;
     let results = Results::prepare(&args.out, args.force)?;
     let title = Manifest::read(&args.capture)?.name;
     let at = |name: &str| results.folder.join(name);
@@ -53,8 +56,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     context.done(super::build_matrix::summary(&build));
 
     let matrix = MatrixReader::open(&at(MATRIX))?;
-    let options = Options { terms: args.terms, degree: args.degree, ..Options::default() };
-    let factored = factor(&matrix, &options, &context.progress)?;
+    let factored = factor(&matrix, &factoring, &context.progress)?;
     factored.material.save(&at(MATERIAL))?;
     context.done(&factored.choice);
     export_exr(&factored.material, &at("material.exr"))?;
@@ -140,7 +142,7 @@ struct Results {
     /// Where the files go for now.
     folder: PathBuf,
     /// Removed when the run stops.
-    scratch: tempfile::TempDir,
+    scratch: ScratchFolder,
     target: PathBuf,
 }
 
@@ -151,7 +153,7 @@ impl Results {
             |expected: &str, found: String| Err(Error::Setting { setting: "--out", expected: expected.into(), found });
         let entries = match std::fs::read_dir(target) {
             Ok(mut entries) => entries.next().is_some(),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => false,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound && target.symlink_metadata().is_err() => false,
             Err(e) => return Err(Error::io("create", target)(e)),
         };
         if entries && !force {
@@ -164,10 +166,7 @@ impl Results {
         let target = std::path::absolute(target).map_err(Error::io("create", target))?;
         let parent = target.parent().unwrap_or(&target).to_path_buf();
         std::fs::create_dir_all(&parent).map_err(Error::io("create", &parent))?;
-        let scratch = tempfile::Builder::new()
-            .prefix(".acquire-run-")
-            .tempdir_in(&parent)
-            .map_err(Error::io("create", &target))?;
+        let scratch = ScratchFolder::new(&parent, ".acquire-run-", &target)?;
         let folder = scratch.path().join("results");
         std::fs::create_dir(&folder).map_err(Error::io("create", &folder))?;
         Ok(Self { folder, scratch, target })

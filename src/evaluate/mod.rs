@@ -87,9 +87,8 @@ pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progres
     let mut positions = (0.0, 0_u64);
 
     let stage = progress.stage("evaluate", shape.rows());
-    let step = candidate.rows_per_block();
-    for first in (0..shape.rows()).step_by(step) {
-        let rows = first..(first + step).min(shape.rows());
+    for rows in reference.blocks() {
+        let first = rows.start;
         let (mut a, mut b) = (candidate.read(rows.clone())?, reference.read(rows)?);
         keep_common(&mut a, &mut b);
         let sums: Vec<Sums> =

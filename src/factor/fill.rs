@@ -6,6 +6,8 @@
 //! probabilistic PCA with missing data (`Tipping1999`); estimates never enter the colour regression or a measure.
 
 use super::svd::LowRank;
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Col, Mat, Par};
 
 /// Profiles that a row is composed of, with how much of each to expect.
 #[derive(Debug, Clone)]
@@ -35,22 +37,23 @@ impl Basis {
 
     /// Replaces the samples of `row` that were not measured; a row without any measured sample stays as it is.
     pub fn fill(&self, row: &mut [f64], measured: &[bool]) {
-        let missing = measured.iter().filter(|&&m| !m).count();
-        if missing == 0 || missing == row.len() {
+        let known: Vec<usize> = (0..row.len()).filter(|&d| measured[d]).collect();
+        if known.is_empty() || known.len() == row.len() {
             return;
         }
         let k = self.prior.len();
         let profile = |j: usize| &self.vectors[j * self.columns..(j + 1) * self.columns];
-        let mut normal = vec![0.0; k * k];
-        let mut rhs = vec![0.0; k];
+        let profiles = Mat::from_fn(known.len(), k, |i, j| profile(j)[known[i]]);
+        let values = Col::from_fn(known.len(), |i| row[known[i]]);
+        let (mut normal, mut rhs) = (Mat::<f64>::zeros(k, k), Col::<f64>::zeros(k));
+        // On one thread each: rows are filled side by side.
+        matmul(normal.as_mut(), Accum::Replace, profiles.transpose(), profiles.as_ref(), 1.0, Par::Seq);
+        matmul(rhs.as_mut(), Accum::Replace, profiles.transpose(), values.as_ref(), 1.0, Par::Seq);
         for a in 0..k {
-            let known = || row.iter().zip(measured).enumerate().filter(|(_, (_, m))| **m);
-            rhs[a] = known().map(|(d, (v, _))| v * profile(a)[d]).sum();
-            for b in 0..=a {
-                normal[a * k + b] = known().map(|(d, _)| profile(a)[d] * profile(b)[d]).sum();
-            }
-            normal[a * k + a] += if self.prior[a] > 0.0 { self.noise / self.prior[a] } else { f64::INFINITY };
+            normal[(a, a)] += if self.prior[a] > 0.0 { self.noise / self.prior[a] } else { f64::INFINITY };
         }
+        let normal = (0..k * k).map(|at| normal[(at / k, at % k)]).collect();
+        let rhs = rhs.iter().copied().collect();
         let Some(coefficients) = solve(normal, rhs) else { return };
         for (d, value) in row.iter_mut().enumerate().filter(|(d, _)| !measured[*d]) {
             *value = coefficients.iter().enumerate().map(|(j, c)| c * profile(j)[d]).sum();

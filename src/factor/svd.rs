@@ -12,6 +12,7 @@ use faer::linalg::matmul::{
 };
 use faer::{Accum, Mat, MatRef, Side, get_global_parallelism};
 use rand::{Rng, SeedableRng};
+use rayon::prelude::*;
 
 /// A matrix that comes in blocks of consecutive rows, the same each time.
 pub trait Rows {
@@ -50,8 +51,12 @@ pub struct LowRank {
 
 /// Multiplications of a full SVD that are still quick (about two seconds).
 const FULL_WORK: usize = 1_000_000_000;
-/// Columns up to which the Gram matrix (square of it, 8 bytes each) and its eigenvectors are affordable.
+/// Columns up to which the Gram matrix and its eigenvectors are always quick (seconds).
 const GRAM_COLUMNS: usize = 2048;
+/// Columns up to which they are affordable (0.7 GiB and ten seconds on two cores), if the rows are so many times more that the power
+/// iteration's passes over them would take longer.
+const LARGE_GRAM_COLUMNS: usize = 4500;
+const LARGE_GRAM_ROWS_PER_COLUMN: usize = 8;
 const OVERSAMPLING: usize = 30;
 const POWER_PASSES: usize = 4;
 
@@ -60,7 +65,8 @@ pub fn choose(rows: usize, columns: usize) -> Backend {
     let work = rows.saturating_mul(columns).saturating_mul(rows.min(columns));
     if work <= FULL_WORK {
         Backend::Full
-    } else if columns <= GRAM_COLUMNS {
+    } else if columns <= GRAM_COLUMNS || (columns <= LARGE_GRAM_COLUMNS && rows / LARGE_GRAM_ROWS_PER_COLUMN >= columns)
+    {
         Backend::Gram
     } else {
         Backend::Subspace
@@ -90,14 +96,16 @@ pub fn low_rank(rows: &dyn Rows, k: usize, backend: Backend) -> Result<LowRank> 
 
 /// Left vectors as they come from one block of rows: r · h_j / σ_j, \[rows, terms\]; zeros where σ_j is zero.
 pub fn left_vectors(block: &[f64], low_rank: &LowRank, terms: usize, columns: usize) -> Vec<f64> {
-    let mut out = Vec::with_capacity(block.len() / columns.max(1) * terms);
-    for row in block.chunks_exact(columns.max(1)) {
-        for (sigma, h) in low_rank.singular_values.iter().zip(low_rank.vectors.chunks_exact(columns)).take(terms) {
-            let dot: f64 = row.iter().zip(h).map(|(a, b)| a * b).sum();
-            out.push(if *sigma > 0.0 { dot / sigma } else { 0.0 });
-        }
-    }
-    out
+    let weight = |row: &[f64], sigma: f64, h: &[f64]| {
+        let dot: f64 = row.iter().zip(h).map(|(a, b)| a * b).sum();
+        if sigma > 0.0 { dot / sigma } else { 0.0 }
+    };
+    let rows = block.par_chunks_exact(columns.max(1));
+    rows.flat_map_iter(|row| {
+        let triplets = low_rank.singular_values.iter().zip(low_rank.vectors.chunks_exact(columns)).take(terms);
+        triplets.map(|(&sigma, h)| weight(row, sigma, h))
+    })
+    .collect()
 }
 
 fn transposed(v: MatRef<'_, f64>, k: usize) -> Vec<f64> {

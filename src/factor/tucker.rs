@@ -80,7 +80,7 @@ pub struct Factored {
 /// [`Error::Setting`] for options out of range; those of the reader; [`Error::NotFinite`] when a response is so
 /// large that a coefficient does not fit an f32.
 pub fn factor(reader: &MatrixReader, options: &Options, progress: &Progress) -> Result<Factored> {
-    check(options)?;
+    options.check()?;
     let header = reader.header();
     let survey = survey(reader, options, &progress.stage("survey", header.rows()))?;
     let rows = header.rows();
@@ -109,16 +109,22 @@ pub fn factor(reader: &MatrixReader, options: &Options, progress: &Progress) -> 
     Ok(Factored { material, rel_rmse, choice, backend })
 }
 
-fn check(options: &Options) -> Result<()> {
-    let refuse = |setting, expected: &str, found: usize| {
-        Err(Error::Setting { setting, expected: expected.into(), found: found.to_string() })
-    };
-    match options {
-        Options { terms: Some(0), .. } => refuse("--terms", "at least 1", 0),
-        Options { max_terms: 0, .. } => refuse("--max-terms", "at least 1", 0),
-        Options { degree: Some(p), .. } if *p > 15 => refuse("--degree", "0 to 15", *p),
-        Options { max_degree: p, .. } if *p > 15 => refuse("--max-degree", "0 to 15", *p),
-        _ => Ok(()),
+impl Options {
+    /// Refuses values that make no material.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] naming the option as typed.
+    pub fn check(&self) -> Result<()> {
+        let refuse = |setting, expected: &str, found: usize| {
+            Err(Error::Setting { setting, expected: expected.into(), found: found.to_string() })
+        };
+        match self {
+            Self { terms: Some(0), .. } => refuse("--terms", "at least 1", 0),
+            Self { max_terms: 0, .. } => refuse("--max-terms", "at least 1", 0),
+            Self { degree: Some(p), .. } if *p > 15 => refuse("--degree", "0 to 15", *p),
+            Self { max_degree: p, .. } if *p > 15 => refuse("--max-degree", "0 to 15", *p),
+            _ => Ok(()),
+        }
     }
 }
 
@@ -293,7 +299,10 @@ fn choose_degree(
     let mean = choice.mean();
     let reason = match mean.get(degree + 1) {
         Some(z2) => format!("degree {} explains no more than noise (mean z² {z2:.2}, 2 needed)", degree + 1),
-        None => "the highest allowed".to_owned(),
+        // The sum that chose it ends above the one before.
+        None => {
+            format!("the highest allowed, it still explains more than noise (mean z² {:.2}, 2 needed)", mean[degree])
+        }
     };
     Ok((degree, reason))
 }

@@ -65,6 +65,17 @@ fn layer(name: &str, size: [usize; 2], channels: Vec<(&str, Vec<f32>)>) -> FlatL
 }
 
 fn write_layers(path: &Path, layers: Vec<FlatLayer>) -> Result<()> {
+    for layer in &layers {
+        for channel in &layer.channel_data.list {
+            if let FlatSamples::F32(values) = &channel.sample_data
+                && let Some(at) = values.iter().position(|v| !v.is_finite())
+            {
+                let name = layer.attributes.layer_name.as_ref().map(ToString::to_string).unwrap_or_default();
+                let (found, at) = (values[at].into(), format!("sample {at} of layer {name}, channel {}", channel.name));
+                return Err(Error::NotFinite { path: path.to_path_buf(), field: "image", found, at });
+            }
+        }
+    }
     // Parts may differ in size, but a file has one display window: the smallest that holds them all.
     let size = layers.iter().fold(Vec2(1, 1), |s, l| Vec2(s.0.max(l.size.0), s.1.max(l.size.1)));
     let attributes = ImageAttributes::new(IntegerBounds::from_dimensions(size));

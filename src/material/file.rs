@@ -2,6 +2,7 @@
 //! JSON text under the metadata key `acquire`.
 
 use super::{CHANNELS, Material, MaterialHeader};
+use crate::output::Unfinished;
 use crate::{Error, Result};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
@@ -11,6 +12,10 @@ use std::path::Path;
 
 const FORMAT: u32 = 1;
 const KEY: &str = "acquire";
+/// No stored number is larger: sums of products with the basis still fit an f32.
+const LARGEST: f32 = 1e30;
+/// No slab is larger, and no length is smaller than one over it, mm.
+const LARGEST_MM: f64 = 1e9;
 
 #[derive(Serialize, Deserialize)]
 struct Metadata {
@@ -29,6 +34,7 @@ impl Material {
             Error::internal(format!("the material has {found} in {field}, expected {expected}"))
         })?;
         let h = &self.header;
+        check_header(h).map_err(Error::internal)?;
         let n = h.rows();
         let f32s = |v: &[f32]| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
         let lit: Vec<f32> = self.lit_mm.iter().flatten().map(|&v| v as f32).collect();
@@ -83,20 +89,15 @@ impl Material {
 /// Writes `bytes` under a temporary name in the folder of `path` and renames the file when it is complete.
 pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    // Made by `File::create_new` for its permissions: temporary files are otherwise for their owner only.
     let mut file = tempfile::Builder::new()
         .prefix(".acquire-")
-        .permissions(permissions())
-        .tempfile_in(folder)
+        .make_in(folder, |name| std::fs::File::create_new(name))
         .map_err(Error::io("create", path))?;
+    let _unfinished = Unfinished::new(file.path());
     file.write_all(bytes).map_err(Error::io("write", path))?;
     file.persist(path).map_err(|e| Error::io("rename", path)(e.error))?;
     Ok(())
-}
-
-/// What `File::create` would ask for; temporary files are otherwise for their owner only.
-fn permissions() -> std::fs::Permissions {
-    use std::os::unix::fs::PermissionsExt;
-    std::fs::Permissions::from_mode(0o666)
 }
 
 fn decode(bytes: &[u8]) -> Result<Material, String> {
@@ -112,8 +113,8 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
     let f32s = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {
         let data = tensor(&file, name, Dtype::F32, shape)?;
         let values: Vec<f32> = data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-        match values.iter().position(|v| !v.is_finite()) {
-            Some(at) => Err(format!("{name}: expected finite numbers, found {} at {at}", values[at])),
+        match values.iter().position(|v| !(v.abs() <= LARGEST)) {
+            Some(at) => Err(format!("{name}: expected numbers up to {LARGEST:e}, found {} at {at}", values[at])),
             None => Ok(values),
         }
     };
@@ -151,7 +152,7 @@ fn tensor<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize])
 fn check_header(h: &MaterialHeader) -> Result<(), String> {
     let small = |v: usize| (1..=1 << 20).contains(&v);
     let sizes = [h.points, h.window, h.extended];
-    if !sizes.as_flattened().iter().all(|&v| small(v)) || !small(h.terms) || h.degree > 64 {
+    if !sizes.as_flattened().iter().all(|&v| small(v)) || !small(h.terms) || h.degree > 15 {
         return Err("points, window, terms or degree are out of range".into());
     }
     let product = [h.points[0], h.points[1], h.terms].iter().try_fold(1_usize, |p, &v| p.checked_mul(v));
@@ -167,7 +168,8 @@ fn check_header(h: &MaterialHeader) -> Result<(), String> {
     }
     let lengths = [h.pitch_mm, h.lit_pitch_mm[0], h.lit_pitch_mm[1]];
     let [low, high] = h.intensity_range;
-    match lengths.iter().all(|p| p.is_finite() && *p > 0.0) && low.is_finite() && high.is_finite() && low < high {
+    let range = low.abs() <= 1e6 && high.abs() <= 1e6 && high - low >= 1e-9;
+    match range && lengths.iter().all(|p| (1.0 / LARGEST_MM..=LARGEST_MM).contains(p)) {
         true => Ok(()),
         false => Err("pitch_mm, lit_pitch_mm or intensity_range are not usable".into()),
     }

@@ -12,12 +12,32 @@ pub fn evaluate(u: f64, out: &mut [f64]) {
         out[p] = match p {
             0 => 1.0,
             1 => u,
-            _ => {
-                let k = p as f64;
-                ((2.0 * k - 1.0) * u * out[p - 1] - (k - 1.0) * out[p - 2]) / k
-            }
+            _ => next(p, u, out[p - 1], out[p - 2]),
         };
     }
+}
+
+/// The same at many arguments: column p holds L_p at each of them.
+pub fn columns(arguments: &[f64], count: usize) -> Vec<Vec<f64>> {
+    let mut columns: Vec<Vec<f64>> = Vec::with_capacity(count);
+    for p in 0..count {
+        let column = match p {
+            0 => vec![1.0; arguments.len()],
+            1 => arguments.to_vec(),
+            _ => {
+                let earlier = columns[p - 1].iter().zip(&columns[p - 2]);
+                arguments.iter().zip(earlier).map(|(&u, (&a, &b))| next(p, u, a, b)).collect()
+            }
+        };
+        columns.push(column);
+    }
+    columns
+}
+
+/// L_p from L_{p−1} and L_{p−2}.
+fn next(p: usize, u: f64, last: f64, before: f64) -> f64 {
+    let k = p as f64;
+    ((2.0 * k - 1.0) * u * last - (k - 1.0) * before) / k
 }
 
 /// Coefficients of powers of the intensity, lowest first, from coefficients of the Legendre basis on [low, high].
@@ -60,6 +80,8 @@ mod tests {
         evaluate(0.3, &mut l);
         let expected = [1.0, 0.3, -0.365, -0.3825, 0.0729375]; // Abramowitz & Stegun 22.4.8 worked out by hand
         assert!(l.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-15), "{l:?}");
+        let columns = columns(&[-1.0, 0.3], 5);
+        assert!((0..5).all(|p| columns[p] == [(-1.0_f64).powi(p as i32), l[p]]), "{columns:?}");
     }
 
     #[test]

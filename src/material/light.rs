@@ -6,6 +6,7 @@
 //! - Irradiance is linear, in any unit per mm²; the exitance that comes out is in the same unit.
 
 use super::source::Shape;
+use crate::capture::{check_exr_size, check_jpeg_end};
 use crate::{Error, Result};
 use std::path::Path;
 
@@ -138,6 +139,7 @@ impl LightImage {
 
 fn read_exr(bytes: &[u8]) -> Result<LightImage, String> {
     use exr::prelude::*;
+    check_exr_size(bytes)?;
     let image = read()
         .no_deep_data()
         .largest_resolution_level()
@@ -155,6 +157,7 @@ fn read_exr(bytes: &[u8]) -> Result<LightImage, String> {
 }
 
 fn read_encoded(bytes: &[u8]) -> Result<LightImage, String> {
+    check_jpeg_end(bytes)?;
     let image = image::load_from_memory(bytes).map_err(|e| e.to_string())?.into_rgb32f();
     let size = [image.width() as usize, image.height() as usize];
     let rgb = image.pixels().map(|p| p.0.map(linear_from_srgb)).collect();

@@ -145,12 +145,19 @@ impl Material {
     pub fn evaluate_row(&self, index: usize) -> Vec<f32> {
         let Some(&shift) = self.shift.get(index) else { return Vec::new() };
         let intensity = self.intensity_row(index);
-        let mut basis = vec![0.0; self.header.degree + 1];
+        let [low, high] = self.header.intensity_range.map(f64::from);
+        let mut arguments = vec![0.0; self.header.window[0] * self.header.window[1]];
+        self.header.layout().for_each(shift, |k, e| arguments[k] = legendre::argument(intensity[e], low, high));
+        let columns = legendre::columns(&arguments, self.header.degree + 1);
         let mut row = vec![0.0; self.header.row_len()];
-        self.header.layout().for_each(shift, |k, e| {
-            let rgb = self.color(index, intensity[e], &mut basis);
-            row[3 * k..3 * k + 3].copy_from_slice(&rgb);
-        });
+        let mut sums = arguments;
+        for (c, beta) in self.coefficients(index).into_iter().enumerate() {
+            sums.fill(0.0);
+            for (column, &b) in columns.iter().zip(beta) {
+                sums.iter_mut().zip(column).for_each(|(sum, l)| *sum += f64::from(b) * l);
+            }
+            row.iter_mut().skip(c).step_by(CHANNELS).zip(&sums).for_each(|(value, &sum)| *value = sum as f32);
+        }
         row
     }
 
@@ -167,18 +174,16 @@ impl Material {
         let f = self.incident_factors.get(index * terms..(index + 1) * terms)?;
         let term =
             |j: usize| f64::from(self.weights[j]) * f64::from(f[j]) * f64::from(self.offset_factors[j * samples + at]);
-        let intensity = (0..terms).map(term).sum();
-        Some(self.color(index, intensity, &mut vec![0.0; self.header.degree + 1]))
+        let [low, high] = self.header.intensity_range.map(f64::from);
+        let mut basis = vec![0.0; self.header.degree + 1];
+        legendre::evaluate(legendre::argument((0..terms).map(term).sum(), low, high), &mut basis);
+        let value = |beta: &[f32]| beta.iter().zip(&basis).map(|(&b, l)| f64::from(b) * l).sum::<f64>() as f32;
+        Some(self.coefficients(index).map(value))
     }
 
-    /// The colour polynomial of row `index` at a normalized intensity; `basis` is P+1 numbers of scratch.
-    fn color(&self, index: usize, intensity: f64, basis: &mut [f64]) -> [f32; 3] {
-        let [low, high] = self.header.intensity_range.map(f64::from);
-        legendre::evaluate(legendre::argument(intensity, low, high), basis);
-        let n = basis.len();
-        let beta = &self.color_coefficients[index * CHANNELS * n..(index + 1) * CHANNELS * n];
-        std::array::from_fn(|c| {
-            beta[c * n..(c + 1) * n].iter().zip(&*basis).map(|(&b, l)| f64::from(b) * l).sum::<f64>() as f32
-        })
+    /// β of row `index`, P+1 for each channel.
+    fn coefficients(&self, index: usize) -> [&[f32]; CHANNELS] {
+        let n = self.header.degree + 1;
+        std::array::from_fn(|c| &self.color_coefficients[(index * CHANNELS + c) * n..][..n])
     }
 }

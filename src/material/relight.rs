@@ -12,6 +12,11 @@ use std::path::Path;
 /// The largest side of a canvas, samples; beyond it the lit points cannot be right.
 const LARGEST: usize = 1 << 15;
 
+/// A canvas may have so many samples for each sample of a window …
+const GAPS: f64 = 64.0;
+/// … and this many in any case.
+const SMALL: f64 = (1 << 20) as f64;
+
 /// A regular grid of outgoing samples that covers every window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Canvas {
@@ -51,6 +56,13 @@ impl Canvas {
         if !sides.iter().all(|s| (1.0..=LARGEST as f64).contains(s)) {
             let expected = format!("lit points within {LARGEST} samples of each other");
             return Err(Error::field(path, "lit_mm", expected, format!("{:.0} × {:.0}", sides[0], sides[1])));
+        }
+        // Memory for gaps between far-off windows is not to exceed by much what the windows themselves hold.
+        let held = (shape.rows() * shape.window[0] * shape.window[1]) as f64;
+        if sides[0] * sides[1] > (GAPS * held).max(SMALL) {
+            let expected = "lit points whose windows cover a good part of the slab".to_owned();
+            let found = format!("{} windows on {:.0} × {:.0} samples", shape.rows(), sides[0], sides[1]);
+            return Err(Error::field(path, "lit_mm", expected, found));
         }
         Ok(Self {
             origin_mm: std::array::from_fn(|a| low[a] - half(a)),
@@ -97,9 +109,8 @@ pub fn relight(source: &Source, fluxes: &[Vec<[f64; 3]>], progress: &Progress) -
     let canvas = Canvas::covering(&shape, source.path())?;
     let mut out: Vec<Exitance> = fluxes.iter().map(|_| Exitance::new(canvas)).collect();
     let stage = progress.stage("relight", shape.rows());
-    let step = source.rows_per_block();
-    for first in (0..shape.rows()).step_by(step) {
-        let block = source.read(first..(first + step).min(shape.rows()))?;
+    for rows in source.blocks() {
+        let block = source.read(rows)?;
         splat(&mut out, &block, &shape, fluxes);
         stage.advance(block.rows);
     }

@@ -8,6 +8,9 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+/// Numbers in a block of a material's rows, as many as fit a block of a matrix.
+const MATERIAL_BLOCK: usize = 2 << 20;
+
 /// Where rows come from.
 #[derive(Debug)]
 pub enum Source {
@@ -97,10 +100,16 @@ impl Source {
         }
     }
 
-    /// Rows of a block of about 48 MiB.
-    pub fn rows_per_block(&self) -> usize {
-        let shape = self.shape();
-        ((48 << 20) / (27 * shape.window[0] * shape.window[1]).max(1)).clamp(1, shape.rows().max(1))
+    /// Consecutive ranges of rows that together are all rows, in order, and quick to [`Self::read`].
+    pub fn blocks(&self) -> Vec<Range<usize>> {
+        match self {
+            Self::Matrix(reader) => reader.blocks(),
+            Self::Material(material, _) => {
+                let rows = material.header.rows();
+                let step = (MATERIAL_BLOCK / material.header.row_len().max(1)).max(1);
+                (0..rows).step_by(step).map(|first| first..(first + step).min(rows)).collect()
+            }
+        }
     }
 
     /// Bytes on disk, the whole folder of a matrix.

@@ -36,6 +36,7 @@ pub use options::{FileFormat, MaterialKind, Options};
 use crate::{
     Error, Result,
     geometry::{CameraView, Homography, Point},
+    output::ScratchFolder,
     progress::Progress,
     transport::{MatrixHeader, MatrixWriter, ShotRecord},
 };
@@ -98,8 +99,7 @@ pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Su
     refuse_full(dir, options.force)?;
     let parent = dir.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(parent).map_err(Error::io("create", parent))?;
-    let scratch =
-        tempfile::Builder::new().prefix(".simulate-").tempdir_in(parent).map_err(Error::io("create", parent))?;
+    let scratch = ScratchFolder::new(parent, ".acquire-simulate-", dir)?;
     // One folder deeper, for the permissions of an ordinary folder.
     let work = scratch.path().join("capture");
     for folder in [work.clone(), work.join("photos"), work.join("calibration")] {
@@ -130,7 +130,8 @@ pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Su
     matrix.finish()?;
 
     if dir.exists() {
-        std::fs::remove_dir_all(dir).map_err(Error::io("replace", dir))?;
+        // Leaves with the scratch folder: nothing is lost should the next step fail.
+        std::fs::rename(dir, scratch.path().join("older")).map_err(Error::io("replace", dir))?;
     }
     std::fs::rename(&work, dir).map_err(Error::io("rename", dir))?;
     Ok(Summary {
@@ -142,14 +143,25 @@ pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Su
 }
 
 fn refuse_full(dir: &Path, force: bool) -> Result<()> {
+    let refuse =
+        |expected: &str, found: String| Err(Error::Setting { setting: "DIR", expected: expected.into(), found });
+    if dir.file_name().is_none() {
+        return refuse("a folder by its name, to be put into its place", dir.display().to_string());
+    }
     let full = match std::fs::read_dir(dir) {
         Ok(mut entries) => entries.next().is_some(),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => false,
         Err(e) => return Err(Error::io("read", dir)(e)),
     };
     if full && !force {
-        let expected = "a new or empty folder (or --force to replace it)".into();
-        return Err(Error::Setting { setting: "DIR", expected, found: format!("{} with files in it", dir.display()) });
+        return refuse(
+            "a new or empty folder (or --force to replace it)",
+            format!("{} with files in it", dir.display()),
+        );
+    }
+    // Whatever else lies there is not ours to remove: a lab's photographs above all.
+    if full && !dir.join("truth.toml").is_file() {
+        return refuse("an earlier simulation to replace", format!("{} without truth.toml", dir.display()));
     }
     Ok(())
 }

@@ -135,7 +135,8 @@ impl Options {
             if value >= low && value <= high {
                 return Ok(());
             }
-            Err(Error::Setting { setting, expected: format!("{low} to {high}"), found: value.to_string() })
+            let expected = format!("{low} to {high}");
+            Err(Error::Setting { setting, expected, found: crate::error::number(value) })
         };
         range("--grid", self.grid as f64, 1.0, 1024.0)?;
         range("--window", self.window as f64, 3.0, 255.0)?;

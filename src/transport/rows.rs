@@ -2,9 +2,11 @@
 
 use super::{MatrixReader, RowBlock};
 use crate::Result;
+use std::ops::Range;
 
-/// About how many bytes a block of rows may take in memory, decoded.
-const BLOCK_BYTES: usize = 48 << 20;
+/// About how many bytes a block of rows may take in memory, decoded: enough for two cores to share, little enough that
+/// the allocator keeps it for the next block.
+const BLOCK_BYTES: usize = 16 << 20;
 
 /// One row of a [`RowBlock`]: three slices `[dy][dx][channel]`.
 #[derive(Debug, Clone, Copy)]
@@ -31,25 +33,27 @@ impl RowBlock {
 }
 
 impl MatrixReader {
-    /// Calls `each` with consecutive blocks of rows, in order, each of about 48 MiB.
+    /// Calls `each` with the blocks of [`Self::blocks`].
     ///
     /// # Errors
     /// What [`MatrixReader::read`] or `each` return.
     pub fn for_each_block(&self, mut each: impl FnMut(RowBlock) -> Result<()>) -> Result<()> {
-        let (rows, step) = (self.header().rows(), self.rows_per_block());
-        for first in (0..rows).step_by(step) {
-            each(self.read(first..(first + step).min(rows))?)?;
-        }
-        Ok(())
+        self.blocks().into_iter().try_for_each(|rows| each(self.read(rows)?))
     }
 
-    /// Rows of one block of [`Self::for_each_block`]: whole lines of the grid when they fit.
-    pub fn rows_per_block(&self) -> usize {
+    /// Consecutive ranges of rows that together are all rows, in order, each of about 16 MiB and of whole chunks: no
+    /// chunk is decoded twice.
+    pub fn blocks(&self) -> Vec<Range<usize>> {
         // response and variance as f32, validity as u8
-        let row_bytes = 9 * self.header().row_len().max(1);
-        let line = self.header().points[0].max(1);
-        let rows = (BLOCK_BYTES / row_bytes).max(1);
-        if rows >= line { rows / line * line } else { rows }
+        let most = BLOCK_BYTES / (9 * self.header().row_len().max(1));
+        let mut blocks: Vec<Range<usize>> = Vec::new();
+        for chunk in self.chunks() {
+            match blocks.last_mut() {
+                Some(block) if chunk.end - block.start <= most => block.end = chunk.end,
+                _ => blocks.push(chunk),
+            }
+        }
+        blocks
     }
 }
 
@@ -83,7 +87,34 @@ pub fn gradient(values: &[f64], measured: &[bool], window: [usize; 2]) -> [Vec<f
 
 #[cfg(test)]
 mod tests {
+    use super::super::{MatrixHeader, MatrixWriter};
     use super::*;
+
+    #[test]
+    fn blocks_are_all_rows_in_order() {
+        let folder = tempfile::tempdir().unwrap();
+        // Rows of 0.2 MB of responses: chunks of 20, blocks of one chunk and blocks of whole lines.
+        for points in [[30, 5], [4, 9], [1, 1]] {
+            let rows = points[0] * points[1];
+            let header = MatrixHeader {
+                points,
+                window: [131, 131],
+                pitch_mm: 0.5,
+                lit_pitch_mm: [0.5; 2],
+                lit_mm: vec![[0.0; 2]; rows],
+                position_sd_mm: vec![0.0; rows],
+                shot_of: vec![None; rows],
+                shots: Vec::new(),
+                warnings: Vec::new(),
+                provenance: serde_json::Value::Null,
+            };
+            let path = folder.path().join("m.rd.zarr");
+            MatrixWriter::create(&path, header).unwrap().finish().unwrap();
+            let blocks = MatrixReader::open(&path).unwrap().blocks();
+            assert_eq!(blocks.iter().cloned().flatten().collect::<Vec<_>>(), (0..rows).collect::<Vec<_>>());
+            assert!(blocks.iter().all(|b| (1..=36).contains(&b.len())), "{blocks:?}");
+        }
+    }
 
     #[test]
     fn the_gradient_of_a_plane_is_its_slope_even_beside_gaps() {

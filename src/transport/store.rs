@@ -12,7 +12,8 @@
 //!
 //! Everything else is in the group's attributes, see [`MatrixHeader`].
 
-use crate::{Error, Result, Warning, geometry::Point};
+use crate::{Error, Result, Warning, geometry::Point, output::ScratchFolder};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -24,6 +25,12 @@ use zarrs::filesystem::FilesystemStore;
 
 /// The version of this layout, attribute `acquire_format`.
 const FORMAT: u32 = 1;
+/// The most lit points along an axis.
+const MOST_POINTS: usize = 1 << 16;
+/// The most samples of a window along an axis.
+const MOST_SAMPLES: usize = 4095;
+/// No slab is larger, and no length is smaller than one over it, mm.
+const LARGEST_MM: f64 = 1e9;
 /// Whatever the Zarr crate answers; turned into ours at the public functions.
 type BoxedError = Box<dyn std::error::Error + Send + Sync>;
 /// R, G, B.
@@ -77,6 +84,42 @@ impl MatrixHeader {
         self.window_len() * CHANNELS
     }
 
+    /// Bounds that keep every later product, index and stored number in range; says what is wrong.
+    fn check(&self) -> Result<(), String> {
+        if !self.points.iter().all(|n| (1..=MOST_POINTS).contains(n)) {
+            return Err(format!("points: expected 1 to {MOST_POINTS}, found {:?}", self.points));
+        }
+        if !self.window.iter().all(|n| n % 2 == 1 && *n <= MOST_SAMPLES) {
+            return Err(format!("window: expected odd numbers up to {MOST_SAMPLES}, found {:?}", self.window));
+        }
+        let lengths = [self.pitch_mm, self.lit_pitch_mm[0], self.lit_pitch_mm[1]];
+        if let Some(v) = lengths.into_iter().find(|v| !(1.0 / LARGEST_MM..=LARGEST_MM).contains(v)) {
+            return Err(format!(
+                "pitch_mm or lit_pitch_mm: expected {:e} to {LARGEST_MM:e}, found {v}",
+                1.0 / LARGEST_MM
+            ));
+        }
+        let drift = |s: &ShotRecord| s.drift_px.into_iter().chain(s.drift_sd_px).all(f64::is_finite);
+        match self.shots.iter().find(|s| !drift(s)) {
+            Some(shot) => {
+                Err(format!("drift of shot \"{}\": expected finite numbers, found {:?}", shot.name, shot.drift_px))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Whether every lit point has a place that can be used.
+    fn check_places(&self) -> Result<(), String> {
+        let place = |v: &f64| v.abs() <= LARGEST_MM;
+        if let Some(v) = self.lit_mm.iter().flatten().find(|v| !place(v)) {
+            return Err(format!("x_i_mm or y_i_mm: expected places within {LARGEST_MM:e} mm, found {v}"));
+        }
+        match self.position_sd_mm.iter().find(|v| !place(v) || **v < 0.0) {
+            Some(v) => Err(format!("position_sd_mm: expected 0 to {LARGEST_MM:e}, found {v}")),
+            None => Ok(()),
+        }
+    }
+
     /// Offset of window sample (dx, dy) from the lit point, in samples.
     pub fn offset_px(&self, sample: [usize; 2]) -> [isize; 2] {
         std::array::from_fn(|a| sample[a] as isize - (self.window[a] / 2) as isize)
@@ -127,7 +170,7 @@ pub struct RowBlock {
 pub struct MatrixWriter {
     path: PathBuf,
     header: MatrixHeader,
-    folder: tempfile::TempDir,
+    folder: ScratchFolder,
     scratch: File,
     written: Mutex<Vec<bool>>,
 }
@@ -136,14 +179,19 @@ impl MatrixWriter {
     /// Prepares to write the store `path`; an older store there is replaced by [`Self::finish`].
     ///
     /// # Errors
-    /// [`Error::Io`] when the folder of `path` cannot be written, [`Error::Field`] when something other than a store is at `path`.
+    /// [`Error::Io`] when the folder of `path` cannot be written, [`Error::Setting`] when something other than a store is at `path`.
     pub fn create(path: &Path, header: MatrixHeader) -> Result<Self> {
-        if path.exists() && !path.join("zarr.json").is_file() {
-            return Err(Error::field(path, "output", "a new path, or an older matrix to replace", "something else"));
+        if path.to_str().is_none() {
+            // The Zarr crate could not read it back.
+            let reason = "the path of a matrix must be UTF-8";
+            return Err(Error::io("create", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
+        }
+        if path.symlink_metadata().is_ok() && !path.join("zarr.json").is_file() {
+            let expected = "a new path, or an older matrix to replace".into();
+            return Err(Error::Setting { setting: "--out", expected, found: path.display().to_string() });
         }
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let folder = tempfile::Builder::new().prefix(".acquire-matrix-").tempdir_in(parent);
-        let folder = folder.map_err(Error::io("create", path))?;
+        let folder = ScratchFolder::new(parent, ".acquire-matrix-", path)?;
         let scratch = tempfile::tempfile_in(folder.path()).map_err(Error::io("create", path))?;
         let written = Mutex::new(vec![false; header.rows()]);
         Ok(Self { path: path.to_path_buf(), header, folder, scratch, written })
@@ -184,8 +232,9 @@ impl MatrixWriter {
     /// Writes the store and renames it into place. Rows never put are invalid throughout.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// [`Error::Io`]; [`Error::Internal`] when the header holds what [`MatrixReader::open`] would refuse.
     pub fn finish(self) -> Result<()> {
+        self.header.check().and_then(|()| self.header.check_places()).map_err(Error::internal)?;
         let written = self.written.lock().map_err(Error::internal)?.clone();
         let store_path = self.folder.path().join("store");
         self.write_store(&store_path, &written).map_err(|reason| Error::Io {
@@ -219,9 +268,8 @@ impl MatrixWriter {
         for array in [&response, &variance, &valid] {
             array.store_metadata()?;
         }
-        use rayon::prelude::*;
-        let blocks: Vec<_> = blocks(header).collect();
-        blocks.into_par_iter().try_for_each(|rows| {
+        let chunks: Vec<_> = chunks(header).collect();
+        chunks.into_par_iter().try_for_each(|rows| {
             let block = self.read_scratch(rows.clone(), written)?;
             let subset = subset(header, rows);
             response.store_array_subset(&subset, block.response)?;
@@ -254,31 +302,31 @@ impl MatrixWriter {
         let grid = [header.points[1] as u64, header.points[0] as u64];
         let names = ["y_i", "x_i"];
         let lit = |a: usize| header.lit_mm.iter().map(|p| p[a]).collect::<Vec<f64>>();
-        small_array(store, "x_i_mm", &grid, &names, data_type::float64(), 0.0f64, lit(0))?;
-        small_array(store, "y_i_mm", &grid, &names, data_type::float64(), 0.0f64, lit(1))?;
+        small_array(store, "x_i_mm", &grid, &names, data_type::float64(), f64::NAN, lit(0))?;
+        small_array(store, "y_i_mm", &grid, &names, data_type::float64(), f64::NAN, lit(1))?;
         small_array(
             store,
             "position_sd_mm",
             &grid,
             &names,
             data_type::float64(),
-            0.0f64,
+            f64::NAN,
             header.position_sd_mm.clone(),
         )?;
         // Zarr has no missing integers; −1 is the documented mark of an unlit point on disk only.
         let shot = header.shot_of.iter().map(|s| s.map_or(-1, |s| s as i32)).collect::<Vec<i32>>();
-        small_array(store, "shot", &grid, &names, data_type::int32(), -1i32, shot)?;
+        small_array(store, "shot", &grid, &names, data_type::int32(), i32::MIN, shot)?;
         for (a, name) in ["dx", "dy"].into_iter().enumerate() {
             let offsets = (0..header.window[a]).map(|k| header.offset_px([k, k])[a] as f64 * header.pitch_mm);
             let shape = [header.window[a] as u64];
-            small_array(store, name, &shape, &[name], data_type::float64(), 0.0f64, offsets.collect())?;
+            small_array(store, name, &shape, &[name], data_type::float64(), f64::NAN, offsets.collect())?;
         }
         Ok(())
     }
 }
 
-/// Ranges of rows that lie in one chunk each: the blocks to stream in.
-fn blocks(header: &MatrixHeader) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
+/// Ranges of rows that lie in one chunk each.
+fn chunks(header: &MatrixHeader) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
     let (nx, step) = (header.points[0], chunk_rows(header));
     (0..header.points[1]).flat_map(move |y| (0..nx).step_by(step).map(move |x| y * nx + x..y * nx + (x + step).min(nx)))
 }
@@ -342,6 +390,7 @@ fn small_array<T: zarrs::array::Element>(
 where
     Vec<T>: zarrs::array::IntoArrayBytes<'static>,
 {
+    // The fill value is one that no data has: a chunk that equals it would not be written, and seem lost.
     let array = ArrayBuilder::new(shape.to_vec(), shape.to_vec(), data_type, fill.into())
         .dimension_names(Some(dimensions.iter().copied()))
         .attributes(units(name, &[]))
@@ -369,6 +418,10 @@ impl MatrixReader {
     pub fn open(path: &Path) -> Result<Self> {
         let root = path.join("zarr.json");
         std::fs::metadata(path).map_err(Error::io("read", path))?;
+        if path.to_str().is_none() {
+            let reason = "the path of a matrix must be UTF-8";
+            return Err(Error::io("read", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
+        }
         let broken = |reason: String| Error::BrokenMatrix { path: path.to_path_buf(), reason };
         if !root.is_file() {
             return Err(broken("zarr.json is missing".into()));
@@ -382,6 +435,7 @@ impl MatrixReader {
         }
         let mut header: MatrixHeader =
             serde_json::from_value(attributes).map_err(|e| broken(format!("attributes: {e}")))?;
+        header.check().map_err(&broken)?;
         let open = |name: &str| {
             Array::open(store.clone(), &format!("/{name}")).map_err(|e| broken(format!("array {name}: {e}")))
         };
@@ -396,19 +450,24 @@ impl MatrixReader {
             }
         };
         let (response, variance, valid) = (rows("response")?, rows("variance")?, rows("valid")?);
-        let x: Vec<f64> = small(&open("x_i_mm")?, header.rows()).map_err(&broken)?;
-        let y: Vec<f64> = small(&open("y_i_mm")?, header.rows()).map_err(&broken)?;
+        if valid.fill_value().as_ne_bytes() != [u8::MAX] {
+            return Err(broken(format!(
+                "array valid: expected the fill value {}, which marks missing chunks",
+                u8::MAX
+            )));
+        }
+        let points = &shape[..2];
+        let x: Vec<f64> = small(path, &open("x_i_mm")?, points).map_err(&broken)?;
+        let y: Vec<f64> = small(path, &open("y_i_mm")?, points).map_err(&broken)?;
         header.lit_mm = x.into_iter().zip(y).map(|(x, y)| [x, y]).collect();
-        header.position_sd_mm = small(&open("position_sd_mm")?, header.rows()).map_err(&broken)?;
-        let shot: Vec<i32> = small(&open("shot")?, header.rows()).map_err(&broken)?;
+        header.position_sd_mm = small(path, &open("position_sd_mm")?, points).map_err(&broken)?;
+        let shot: Vec<i32> = small(path, &open("shot")?, points).map_err(&broken)?;
         header.shot_of = shot.into_iter().map(|s| usize::try_from(s).ok()).collect();
         let shots = header.shots.len();
         if let Some(s) = header.shot_of.iter().flatten().find(|&&s| s >= shots) {
             return Err(broken(format!("array shot: expected numbers below {shots}, found {s}")));
         }
-        if header.lit_mm.iter().flatten().chain(&header.position_sd_mm).any(|v| !v.is_finite()) {
-            return Err(broken("coordinates are not finite".into()));
-        }
+        header.check_places().map_err(&broken)?;
         Ok(Self { path: path.to_path_buf(), header, response, variance, valid })
     }
 
@@ -422,9 +481,9 @@ impl MatrixReader {
         &self.path
     }
 
-    /// Consecutive ranges of rows that are quickest to [`Self::read`]; together all rows, in order.
-    pub fn blocks(&self) -> Vec<std::ops::Range<usize>> {
-        blocks(&self.header).collect()
+    /// Ranges of rows that lie in one chunk each; together all rows, in order.
+    pub(super) fn chunks(&self) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
+        chunks(&self.header)
     }
 
     /// Reads consecutive rows; callable from several threads.
@@ -436,17 +495,21 @@ impl MatrixReader {
         if rows.end > self.header.rows() || rows.start > rows.end {
             return Err(Error::internal(format_args!("rows {rows:?} of a matrix of {}", self.header.rows())));
         }
+        let nx = self.header.points[0];
+        let lines = rows.start / nx..rows.end.div_ceil(nx);
+        // A line is a chunk or more: decoded side by side.
+        let parts = lines.into_par_iter().map(|y| {
+            let part = subset(&self.header, rows.start.max(y * nx)..rows.end.min((y + 1) * nx));
+            let (response, variance) =
+                rayon::join(|| self.part::<f32>(&self.response, &part), || self.part::<f32>(&self.variance, &part));
+            Ok((response?, variance?, self.part::<u8>(&self.valid, &part)?))
+        });
         let mut block =
             RowBlock { first: rows.start, rows: rows.len(), response: vec![], variance: vec![], valid: vec![] };
-        let nx = self.header.points[0];
-        let mut start = rows.start;
-        while start < rows.end {
-            let end = rows.end.min((start / nx + 1) * nx);
-            let part = subset(&self.header, start..end);
-            block.response.extend(self.part::<f32>(&self.response, &part)?);
-            block.variance.extend(self.part::<f32>(&self.variance, &part)?);
-            block.valid.extend(self.part::<u8>(&self.valid, &part)?);
-            start = end;
+        for (response, variance, valid) in parts.collect::<Result<Vec<_>>>()? {
+            block.response.extend(response);
+            block.variance.extend(variance);
+            block.valid.extend(valid);
         }
         self.check(&block)?;
         Ok(block)
@@ -482,17 +545,22 @@ impl MatrixReader {
     }
 }
 
-fn small<T: ElementOwned>(array: &Array<FilesystemStore>, len: usize) -> Result<Vec<T>, String>
+fn small<T: ElementOwned>(root: &Path, array: &Array<FilesystemStore>, shape: &[u64]) -> Result<Vec<T>, String>
 where
     Vec<T>: zarrs::array::FromArrayBytes,
 {
     let name = array.path().to_string();
-    let values: Vec<T> = array.retrieve_array_subset(&array.subset_all()).map_err(|e| format!("array {name}: {e}"))?;
-    if values.len() == len {
-        Ok(values)
-    } else {
-        Err(format!("array {name}: expected {len} values, found {}", values.len()))
+    if array.shape() != shape {
+        return Err(format!("array {name}: expected shape {shape:?}, found {:?}", array.shape()));
     }
+    // One chunk, not compressed: its size tells whether the shape may be believed before memory is set aside for it.
+    let file = root.join(array.chunk_key(&vec![0; shape.len()]).as_str());
+    let (found, expected) =
+        (std::fs::metadata(file).map_or(0, |kind| kind.len()), shape.iter().product::<u64>() * size_of::<T>() as u64);
+    if found < expected {
+        return Err(format!("array {name}: expected a chunk of {expected} bytes, found {found}"));
+    }
+    array.retrieve_array_subset(&array.subset_all()).map_err(|e| format!("array {name}: {e}"))
 }
 
 impl RowBlock {

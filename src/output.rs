@@ -1,0 +1,106 @@
+//! Unfinished outputs: under a temporary name beside the final one, removed when the work fails or a signal ends the program.
+
+use crate::{Error, Result};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+/// What is to be removed when a signal ends the program.
+static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+/// A folder under a temporary name; removed with all that is in it when dropped.
+#[derive(Debug)]
+pub(crate) struct ScratchFolder {
+    folder: tempfile::TempDir,
+    // Dropped after the folder: between the two a signal finds it gone, not forgotten.
+    _unfinished: Unfinished,
+}
+
+impl ScratchFolder {
+    /// Makes a folder in `parent` whose name begins with `prefix`; errors name `target`, the output that it is for.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub(crate) fn new(parent: &Path, prefix: &str, target: &Path) -> Result<Self> {
+        let folder = tempfile::Builder::new().prefix(prefix).tempdir_in(parent).map_err(Error::io("create", target))?;
+        let _unfinished = Unfinished::new(folder.path());
+        Ok(Self { folder, _unfinished })
+    }
+
+    /// Where it is.
+    pub(crate) fn path(&self) -> &Path {
+        self.folder.path()
+    }
+}
+
+/// A path that a signal removes, until this is dropped.
+#[derive(Debug)]
+pub(crate) struct Unfinished(PathBuf);
+
+impl Unfinished {
+    /// For a file or folder that exists and has a temporary name.
+    pub(crate) fn new(path: &Path) -> Self {
+        let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+        list().insert(path.clone());
+        Self(path)
+    }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        list().remove(&self.0);
+    }
+}
+
+fn list() -> std::sync::MutexGuard<'static, BTreeSet<PathBuf>> {
+    UNFINISHED.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+}
+
+/// From now on Ctrl-C and SIGTERM remove what is unfinished before they end the program, as they would have without this.
+///
+/// # Errors
+/// [`Error::Internal`] when the system refuses the handlers.
+pub(crate) fn remove_on_signals() -> Result<()> {
+    let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(Error::internal)?;
+    std::thread::spawn(move || {
+        for signal in signals.forever() {
+            // Held until the end: the threads at work meet missing files, and wait here instead of reporting them.
+            let unfinished = list();
+            for path in unfinished.iter() {
+                remove(path);
+            }
+            let _ = signal_hook::low_level::emulate_default_handler(signal);
+        }
+    });
+    Ok(())
+}
+
+fn remove(path: &Path) {
+    if !path.is_dir() {
+        let _ = std::fs::remove_file(path);
+        return;
+    }
+    // Other threads may still add files while the folder is emptied.
+    for _ in 0..20 {
+        if std::fs::remove_dir_all(path).is_ok() {
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_is_listed_while_it_is_there() {
+        let parent = tempfile::tempdir().unwrap();
+        let scratch = ScratchFolder::new(parent.path(), ".x-", &parent.path().join("x")).unwrap();
+        let path = scratch.path().to_path_buf();
+        assert!(path.is_dir() && list().contains(&path));
+        drop(scratch);
+        assert!(!path.exists() && !list().contains(&path));
+    }
+}
