@@ -95,7 +95,7 @@ fn the_capture_and_its_truth_read_back() {
 }
 
 #[test]
-fn a_folder_with_files_is_replaced_only_when_asked() {
+fn a_folder_is_replaced_only_when_asked_and_only_an_earlier_simulation() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("capture");
     std::fs::create_dir(&path).unwrap();
@@ -104,7 +104,11 @@ fn a_folder_with_files_is_replaced_only_when_asked() {
     let error = simulate(&options, &path, &Progress::silent()).unwrap_err();
     assert!(error.to_string().contains("--force"), "{error}");
     assert!(path.join("precious.txt").exists());
-    simulate(&Options { force: true, ..options }, &path, &Progress::silent()).unwrap();
+    let force = Options { force: true, ..options };
+    simulate(&force, &path, &Progress::silent()).unwrap_err();
+    assert!(path.join("precious.txt").exists(), "a folder that is no simulation is somebody's work");
+    std::fs::write(path.join("truth.toml"), "").unwrap();
+    simulate(&force, &path, &Progress::silent()).unwrap();
     assert!(path.join("capture.toml").exists() && !path.join("precious.txt").exists());
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "nothing is left beside the capture");
 }
