@@ -350,6 +350,26 @@ fn options_are_checked_before_any_work() {
 }
 
 #[test]
+fn a_truth_of_another_shape_is_refused_before_any_work() {
+    let bench = Bench::new();
+    bench.edit("capture.toml", |t| t.replace("samples = [5, 5]", "samples = [3, 5]"));
+    let (capture, out) = (bench.path("capture"), bench.path("results"));
+    let run = ["run", capture.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    bench.fails(&run, &["truth.rd.zarr", "capture.toml", "window"]);
+    assert!(!acquire(&run).2.contains("R_d of"));
+}
+
+#[test]
+fn a_capture_that_lights_no_dot_is_refused() {
+    let bench = Bench::new();
+    bench.edit("capture.toml", |t| {
+        let lines = t.lines().map(|l| if l.starts_with("dots = ") { "dots = []" } else { l });
+        lines.collect::<Vec<_>>().join("\n")
+    });
+    bench.build_fails(&["capture.toml", "dots"]);
+}
+
+#[test]
 fn a_matrix_that_announces_more_than_it_holds_is_refused() {
     let bench = Bench::new();
     let matrix = bench.path("capture/truth.rd.zarr");

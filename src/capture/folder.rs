@@ -177,6 +177,9 @@ fn check_against_rig(manifest: &Manifest, rig: &Rig, path: &Path) -> Result<()> 
             inside(format!("shot \"{}\": dot {dot:?}", shot.name), manifest.grid.dot_projector_px(dot))?;
         }
     }
+    if lit == 0 {
+        return Err(Error::field(path, "shots of kind \"lattice\": dots", "at least one", "none"));
+    }
     let points = manifest.grid.len();
     if points > POINTS_UNASKED && points / POINTS_PER_LIT > lit {
         let expected = format!("a grid of which the lattice shots light one point in {POINTS_PER_LIT} or more");

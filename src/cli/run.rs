@@ -47,7 +47,9 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let factoring = Options { terms: args.terms, degree: args.degree, ..Options::default() };
     factoring.check()?;
     let results = Results::prepare(&args.out, args.force)?;
-    let title = Manifest::read(&args.capture)?.name;
+    let manifest = Manifest::read(&args.capture)?;
+    check_truth(&args.capture, &manifest)?;
+    let title = manifest.name;
     let at = |name: &str| results.folder.join(name);
 
     let options = BuildOptions { calibration: args.calibration };
@@ -108,10 +110,36 @@ fn write_report(
     report::write(&folder.join("report"), &input)
 }
 
+/// The matrix of what a simulated capture shows lies beside it under this name.
+const TRUTH: &str = "truth.rd.zarr";
+
+/// A truth that the results could not be compared with is refused before they are made.
+fn check_truth(capture: &Path, manifest: &Manifest) -> Result<()> {
+    let path = capture.join(TRUTH);
+    if !path.is_dir() {
+        return Ok(());
+    }
+    let truth = MatrixReader::open(&path)?;
+    let fields = [
+        ("points", truth.header().points, manifest.grid.points),
+        ("window", truth.header().window, manifest.window.samples),
+    ];
+    match fields.into_iter().find(|(_, truth, manifest)| truth != manifest) {
+        None => Ok(()),
+        Some((field, in_truth, in_manifest)) => Err(Error::Mismatch {
+            a: path,
+            b: capture.join("capture.toml"),
+            field: field.to_owned(),
+            a_value: format!("{in_truth:?}"),
+            b_value: format!("{in_manifest:?}"),
+        }),
+    }
+}
+
 /// Measures the material against the matrix and, for a simulated capture, the matrix against the truth; writes them.
 fn compare(capture: &Path, folder: &Path, context: &Context) -> Result<Vec<Comparison>> {
     let matrix = folder.join(MATRIX);
-    let truth = capture.join("truth.rd.zarr");
+    let truth = capture.join(TRUTH);
     let mut pairs = vec![("material against matrix", folder.join(MATERIAL), &matrix)];
     if truth.is_dir() {
         pairs.push(("matrix against truth", matrix.clone(), &truth));

@@ -253,6 +253,14 @@ pub(crate) mod tests {
         material.save(&path).unwrap();
         assert!(matches!(Material::load(&path), Err(Error::BrokenMaterial { reason, .. }) if reason.contains("row 3")));
         let mut material = example();
+        material.color_coefficients[7] = 1e31;
+        material.save(&path).unwrap();
+        let refused = Material::load(&path);
+        assert!(matches!(refused, Err(Error::BrokenMaterial { reason, .. }) if reason.contains("color_coefficients")));
+        let mut material = example();
+        material.header.lit_pitch_mm[1] = f64::NAN;
+        assert!(matches!(material.save(&path), Err(Error::Internal { .. })), "it could not be read again");
+        let mut material = example();
         material.shift.pop();
         assert!(matches!(material.save(&path), Err(Error::Internal { .. })));
     }

@@ -203,6 +203,28 @@ mod tests {
     }
 
     #[test]
+    fn a_canvas_that_is_nearly_all_gaps_is_refused() {
+        let mut material = example();
+        material.lit_mm[5] = [10_000.0, 10_000.0];
+        let source = Source::Material(Box::new(material), "m".into());
+        let refused = Canvas::covering(&source.shape(), source.path());
+        assert!(matches!(refused, Err(Error::Field { field, .. }) if field == "lit_mm"));
+    }
+
+    #[test]
+    fn an_image_that_overflows_is_not_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let material = example();
+        let source = Source::Material(Box::new(material), "m".into());
+        let mut exitance = Exitance::new(Canvas::covering(&source.shape(), source.path()).unwrap());
+        exitance.planes[1][3] = 1e39;
+        let path = folder.path().join("e.exr");
+        let refused = crate::material::write_exitance(&exitance, &path);
+        assert!(matches!(refused, Err(Error::NotFinite { at, .. }) if at.contains("sample 3")));
+        assert!(!path.exists());
+    }
+
+    #[test]
     fn one_point_shows_its_row() {
         let material = example();
         let row = material.evaluate_row(4);

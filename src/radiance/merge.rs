@@ -209,10 +209,10 @@ mod tests {
 
     #[test]
     fn nan_in_a_float_photograph_is_no_measurement() {
-        let rect = Rect { x: 0, y: 0, width: 1, height: 1 };
-        let samples = Samples::F32(vec![f32::NAN, f32::INFINITY, 1000.0]);
+        let rect = Rect { x: 0, y: 0, width: 2, height: 1 };
+        let samples = Samples::F32(vec![f32::NAN, f32::INFINITY, 1000.0, f32::NEG_INFINITY, -3e38, -20.0]);
         let merged = merge(&[Exposure { samples, secs: 1.0 }], rect, &sensor(ResponseCurve::Linear));
-        assert_eq!(merged.used, [0, 0, 1]);
+        assert_eq!(merged.used, [0, 0, 1, 0, 0, 1]);
         assert!(merged.value.iter().all(|v| v.is_finite()));
     }
 }

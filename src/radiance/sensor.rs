@@ -50,8 +50,10 @@ impl Sensor {
             (Samples::U16(v), Some(t)) => each(v, first, out, |c| mark(interpolate(t, f32::from(c) / 257.0))),
             (Samples::U8(v), None) => each(v, first, out, |c| mark(f32::from(c))),
             (Samples::U16(v), None) => each(v, first, out, |c| mark(f32::from(c))),
-            // NaN and infinities of a float file were measured by nothing.
-            (Samples::F32(v), _) => each(v, first, out, |c| if c.is_finite() { mark(c) } else { f32::INFINITY }),
+            // NaN, infinities and negative numbers beyond all noise in a float file were measured by nothing.
+            (Samples::F32(v), _) => {
+                each(v, first, out, |c| if c >= -self.saturation { mark(c) } else { f32::INFINITY })
+            }
         }
     }
 
