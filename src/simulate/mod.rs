@@ -15,23 +15,19 @@
 //! Not simulated: specular reflection, depth of field and lens blur, interreflection, colour crosstalk, fixed pattern noise.
 //! Response units are those of the design: exitance at x_o per unit flux arriving at x_i, mm⁻².
 
-mod diffusion;
-mod material;
-mod multigrid;
+mod camera;
+mod light;
 mod options;
-mod photograph;
 mod plan;
-mod render;
 mod scene;
-mod sensor;
+mod slab;
 mod studio;
-mod surface;
 #[cfg(test)]
 mod tests;
 
-pub use diffusion::Balance;
-pub use material::{Layout, Medium, Optics};
+pub use light::diffusion::Balance;
 pub use options::{FileFormat, MaterialKind, Options};
+pub use slab::{Beyond, Layout, Medium, Optics, Volume};
 
 use crate::{
     Error, Result,

@@ -1,6 +1,6 @@
 //! The list of shots: what `capture.toml` says, with exposures and drift.
 
-use super::{FileFormat, Options, ShotTruth, photograph::ExposureTime, scene::drift_walk, studio::Studio};
+use super::{FileFormat, Options, ShotTruth, camera::photograph::ExposureTime, scene::drift_walk, studio::Studio};
 use crate::capture::{Axis, FORMAT, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Window};
 
 /// Projector px of the narrowest Gray stripes: narrower ones blur together.

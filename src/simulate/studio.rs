@@ -2,15 +2,14 @@
 
 use super::{
     Options, Plan,
-    diffusion::{Domain, Slab, graded_layers},
-    material::Medium,
-    mix_seed,
-    photograph::{self, ExposureTime},
-    plan,
-    render::{Picture, PixelGrid, board_albedo, footprint, gray_code},
+    camera::photograph::{self, ExposureTime},
+    camera::sensor::Sensor,
+    light::diffusion::{Domain, Slab, graded_layers},
+    light::field::Field,
+    mix_seed, plan,
+    scene::render::{Picture, PixelGrid, board_albedo, footprint, gray_code},
     scene::{FRAME_ALBEDO, Scene},
-    sensor::Sensor,
-    surface::Field,
+    slab::Medium,
 };
 use crate::{
     Result,

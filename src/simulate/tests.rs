@@ -2,12 +2,12 @@
 
 use super::{
     FileFormat, MaterialKind, Options,
-    diffusion::{Balance, Domain, Slab, graded_layers},
-    material::{Medium, boundary_factor, normal_reflectance},
-    multigrid::{Columns, Multigrid},
-    render::footprint,
+    light::diffusion::{Balance, Domain, Slab, graded_layers},
+    light::field::Field,
+    light::multigrid::{Columns, Multigrid},
+    scene::render::footprint,
+    slab::{Medium, boundary_factor, normal_reflectance},
     studio::Studio,
-    surface::Field,
 };
 use crate::geometry::{Homography, Point};
 use std::f64::consts::PI;
@@ -53,7 +53,7 @@ fn analytic_exitance(medium: &Medium, radii_mm: &[f64]) -> Vec<f64> {
     let (depths, frequencies, step) = (400, 4000, 0.01);
     let dz = THICKNESS_MM / f64::from(depths);
     let side = DOT_PX as f64 * PX_MM;
-    let variance = side * side / 12.0 + (super::render::PROJECTOR_BLUR_PX * PX_MM).powi(2);
+    let variance = side * side / 12.0 + (super::scene::render::PROJECTOR_BLUR_PX * PX_MM).powi(2);
     let mut sums = vec![0.0; radii_mm.len()];
     for n in 0..frequencies {
         let k = (f64::from(n) + 0.5) * step;

@@ -1,6 +1,8 @@
 //! The bench: projector, camera, frame and board around the slab, and how far each lattice shot has drifted.
 
-use super::{Options, mix_seed};
+pub(crate) mod render;
+
+use crate::simulate::{FileFormat, Options, mix_seed};
 use crate::{
     Error, Result,
     capture::{Board, Camera, Grid, Projector, ResponseCurve, Rig, WhiteReference},
@@ -13,7 +15,7 @@ use rand_pcg::Pcg64Mcg;
 /// Width of the opaque frame, in outgoing pitches.
 const FRAME_PITCHES: f64 = 7.0;
 /// Albedo of the frame: its dots are about as bright as those on the sample, so that one bracket suits both.
-pub(super) const FRAME_ALBEDO: f64 = 0.06;
+pub(crate) const FRAME_ALBEDO: f64 = 0.06;
 /// What is seen around the frame, camera px.
 const IMAGE_MARGIN_PX: f64 = 10.0;
 /// Turn of the projector about its axis, degrees, and its keystone: change of scale over the lit area.
@@ -31,7 +33,7 @@ const PROJECTOR_COLOR: [f64; 3] = [1.0, 0.95, 0.85];
 
 /// Everything that does not change from shot to shot.
 #[derive(Debug, Clone)]
-pub(super) struct Scene {
+pub(crate) struct Scene {
     pub slab_size_mm: Point,
     pub frame_mm: f64,
     pub grid: Grid,
@@ -175,7 +177,7 @@ fn whole_dot(options: &Options, px: f64) -> f64 {
 }
 
 /// A slow random walk, one step per lattice shot: camera px, root mean square length `rms_px`.
-pub(super) fn drift_walk(shots: usize, rms_px: f64, seed: u64) -> Vec<Point> {
+pub(crate) fn drift_walk(shots: usize, rms_px: f64, seed: u64) -> Vec<Point> {
     const MEMORY: f64 = 0.95;
     let mut rng = Pcg64Mcg::seed_from_u64(mix_seed(seed, 0xd21f7));
     let mut at = [0.0; 2];
@@ -259,8 +261,8 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera) {
         focal_px: nominal_focal_px,
         principal_px,
         response: match options.format {
-            super::FileFormat::Png => ResponseCurve::Linear,
-            super::FileFormat::Jpeg => ResponseCurve::Srgb,
+            FileFormat::Png => ResponseCurve::Linear,
+            FileFormat::Jpeg => ResponseCurve::Srgb,
         },
         vignetting: vec![1.2 * CORNER_VIGNETTING / corner2, -0.2 * CORNER_VIGNETTING / (corner2 * corner2)],
     };

@@ -1,6 +1,7 @@
 //! What the camera receives: the light of a scene averaged over the area of each pixel.
 
-use super::{scene::Scene, surface::Field};
+use super::Scene;
+use crate::simulate::light::{diffusion::Domain, field::Field};
 use crate::{
     Error, Result,
     capture::Axis,
@@ -9,7 +10,7 @@ use crate::{
 use rayon::prelude::*;
 
 /// Blur of the projector's pixels, projector px (standard deviation).
-pub(super) const PROJECTOR_BLUR_PX: f64 = 0.3;
+pub(crate) const PROJECTOR_BLUR_PX: f64 = 0.3;
 /// Softness of the printed board's edges, camera px.
 const PRINT_BLUR_PX: f64 = 0.2;
 /// Albedo of the printed board, dark and light.
@@ -28,11 +29,11 @@ const GAUSS_6: [(f64, f64); 6] = [
 ];
 
 /// A picture: radiant exitance that a Lambertian surface would need, π times radiance, row-major.
-pub(super) type Picture = Vec<[f32; 3]>;
+pub(crate) type Picture = Vec<[f32; 3]>;
 
 /// Where the corners of all pixels lie on the slab; within a pixel, bilinear between them.
 #[derive(Debug)]
-pub(super) struct PixelGrid {
+pub(crate) struct PixelGrid {
     size_px: [usize; 2],
     corners_mm: Vec<Point>,
 }
@@ -128,7 +129,7 @@ impl PixelGrid {
 }
 
 /// Albedo of the printed board at `p`: white paper everywhere around the squares, the first square dark.
-pub(super) fn board_albedo(scene: &Scene, px_mm: f64, p: Point) -> f64 {
+pub(crate) fn board_albedo(scene: &Scene, px_mm: f64, p: Point) -> f64 {
     let board = &scene.board;
     let soft = PRINT_BLUR_PX * px_mm / board.square_mm;
     // A square wave of each coordinate, −1 and +1, with soft edges; outside the squares there is only paper.
@@ -148,7 +149,7 @@ pub(super) fn board_albedo(scene: &Scene, px_mm: f64, p: Point) -> f64 {
 }
 
 /// Brightness 0..1 of one bit of the Gray code at projector position `q`, blurred across its edges.
-pub(super) fn gray_code(axis: Axis, bit: u32, inverse: bool, q: Point) -> f64 {
+pub(crate) fn gray_code(axis: Axis, bit: u32, inverse: bool, q: Point) -> f64 {
     let t = match axis {
         Axis::X => q[0],
         Axis::Y => q[1],
@@ -163,15 +164,15 @@ pub(super) fn gray_code(axis: Axis, bit: u32, inverse: bool, q: Point) -> f64 {
 }
 
 /// A box of half width `half`, blurred as the projector's pixels are; its integral stays 2 · half.
-pub(super) fn soft_box(t: f64, half: f64) -> f64 {
+pub(crate) fn soft_box(t: f64, half: f64) -> f64 {
     normal_cdf((t + half) / PROJECTOR_BLUR_PX) - normal_cdf((t - half) / PROJECTOR_BLUR_PX)
 }
 
 /// Share of a dot's flux that each voxel column of `domain` receives (they sum to 1), the dot centred on `center_mm`.
 ///
 /// The square is mapped by the projector's derivative at the dot, and each column integrated by 6 × 6 Gauss points.
-pub(super) fn footprint(
-    domain: &super::diffusion::Domain,
+pub(crate) fn footprint(
+    domain: &Domain,
     slab_from_projector: &Homography,
     dot_px: Point,
     center_mm: Point,
@@ -214,7 +215,7 @@ pub(super) fn footprint(
 }
 
 /// The standard normal distribution function, absolute error below 1e-7 (Abramowitz & Stegun 7.1.26 for erf).
-pub(super) fn normal_cdf(t: f64) -> f64 {
+pub(crate) fn normal_cdf(t: f64) -> f64 {
     let x = t.abs() / std::f64::consts::SQRT_2;
     if x > 5.0 {
         return if t > 0.0 { 1.0 } else { 0.0 };
@@ -245,7 +246,7 @@ mod tests {
 
     #[test]
     fn the_footprint_moves_smoothly() {
-        let domain = super::super::diffusion::Domain { corner_mm: [0.0, 0.0], voxel_mm: 0.4, voxels: [20, 20] };
+        let domain = Domain { corner_mm: [0.0, 0.0], voxel_mm: 0.4, voxels: [20, 20] };
         let view = Homography::similarity(0.2, [0.0, 0.0]);
         let mean_x = |x: f64| {
             let flux = footprint(&domain, &view, [0.0, 0.0], [x, 4.0], 3);

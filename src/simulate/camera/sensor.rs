@@ -1,7 +1,7 @@
 //! Light to code values: photons, read-out, pedestal, rounding, clipping.
 
-use super::{FileFormat, Options};
 use crate::capture::Noise;
+use crate::simulate::{FileFormat, Options};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
@@ -22,7 +22,7 @@ const INVERT_BELOW: f32 = 12.0;
 
 /// The sensor of one capture, in code values of the linear signal.
 #[derive(Debug, Clone)]
-pub(super) struct Sensor {
+pub(crate) struct Sensor {
     black_dn: f32,
     max_dn: f32,
     gain: f32,

@@ -6,7 +6,7 @@ use crate::geometry::Point;
 
 /// A field of three channels.
 #[derive(Debug, Clone)]
-pub(super) struct Field {
+pub(crate) struct Field {
     /// Centre of the first voxel, mm.
     origin_mm: Point,
     per_mm: f64,

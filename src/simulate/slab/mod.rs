@@ -1,6 +1,10 @@
 //! What the slab is made of: measured optical coefficients, laid out over the plane.
 
-use super::MaterialKind;
+mod volume;
+
+pub use volume::{Beyond, Volume};
+
+use crate::simulate::{MaterialKind, mix_seed};
 use serde::{Deserialize, Serialize};
 
 /// Transport coefficients of one medium, per channel (R, G, B), mm⁻¹.
@@ -10,11 +14,13 @@ pub struct Optics {
     pub reduced_scattering_per_mm: [f64; 3],
     /// Absorption σ_a.
     pub absorption_per_mm: [f64; 3],
+    /// Mean cosine g of the scattering angle (Henyey–Greenstein), −1 < g < 1. Scattering is σ_s = σ'_s/(1 − g).
+    pub anisotropy: [f64; 3],
 }
 
 impl Optics {
     const fn new(reduced_scattering_per_mm: [f64; 3], absorption_per_mm: [f64; 3]) -> Self {
-        Self { reduced_scattering_per_mm, absorption_per_mm }
+        Self { reduced_scattering_per_mm, absorption_per_mm, anisotropy: [0.0; 3] }
     }
 }
 
@@ -146,7 +152,7 @@ fn value_noise(seed: u64, p: [f64; 2]) -> f64 {
     let (u, v) = (blend(p[0] - cell[0]), blend(p[1] - cell[1]));
     let at = |dx: i64, dy: i64| {
         let (x, y) = (cell[0] as i64 + dx, cell[1] as i64 + dy);
-        let hash = super::mix_seed(super::mix_seed(seed, x as u64), y as u64);
+        let hash = mix_seed(mix_seed(seed, x as u64), y as u64);
         (hash >> 11) as f64 / (1u64 << 52) as f64 - 1.0
     };
     let top = at(0, 0) + u * (at(1, 0) - at(0, 0));

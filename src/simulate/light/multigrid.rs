@@ -9,7 +9,7 @@ const COARSEST_SWEEPS: usize = 4;
 
 /// The operator as maps over the plane (row-major), everything integrated over a voxel column's area.
 #[derive(Debug, Clone)]
-pub(super) struct Columns {
+pub(crate) struct Columns {
     pub nx: usize,
     pub ny: usize,
     /// Conductance to the western neighbour per mm of depth, 0 in the first column.
@@ -68,7 +68,7 @@ struct Level {
 
 /// The whole hierarchy; finest grid first.
 #[derive(Debug)]
-pub(super) struct Multigrid {
+pub(crate) struct Multigrid {
     levels: Vec<Level>,
     thickness: Vec<f32>,
     link: Vec<f32>,
@@ -76,7 +76,7 @@ pub(super) struct Multigrid {
 
 /// What the iteration did.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Convergence {
+pub(crate) struct Convergence {
     pub iterations: usize,
     /// Last residual over the first, Euclidean.
     pub residual: f64,

@@ -1,6 +1,6 @@
 //! Image files as a camera writes them: pixels and EXIF.
 
-use super::FileFormat;
+use crate::simulate::FileFormat;
 use crate::{Error, Result};
 use exif::{Field, In, Rational, Tag, Value, experimental::Writer};
 use image::ImageEncoder;
@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// An exposure time as EXIF holds it: a fraction of whole numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct ExposureTime {
+pub(crate) struct ExposureTime {
     pub numerator: u32,
     pub denominator: u32,
 }
@@ -40,7 +40,7 @@ fn gcd(a: u32, b: u32) -> u32 {
 }
 
 /// Writes interleaved RGB code values. `taken_secs` counts from the capture's first photograph.
-pub(super) fn write(
+pub(crate) fn write(
     path: &Path,
     format: FileFormat,
     size_px: [usize; 2],

@@ -20,10 +20,8 @@
 //! out too low and too round), for media that absorb as much as they scatter, and for slabs only a few mean free
 //! paths thick. The truth of a simulated capture is this model's answer, not nature's.
 
-use super::{
-    material::{Medium, boundary_factor, normal_reflectance},
-    multigrid::{Columns, Convergence, Multigrid},
-};
+use super::multigrid::{Columns, Convergence, Multigrid};
+use crate::simulate::slab::{Medium, boundary_factor, normal_reflectance};
 use crate::{Error, Result, geometry::Point};
 
 /// A solve takes 6 to 9 iterations; one that takes this many has failed.
@@ -31,7 +29,7 @@ const MOST_ITERATIONS: usize = 60;
 
 /// A box of voxels in slab coordinates.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Domain {
+pub(crate) struct Domain {
     /// The box's first corner, mm.
     pub corner_mm: Point,
     /// Side of a voxel over the plane, mm.
@@ -54,7 +52,7 @@ impl Domain {
 
 /// The slab as the solver sees it.
 #[derive(Debug, Clone)]
-pub(super) struct Slab {
+pub(crate) struct Slab {
     pub medium: Medium,
     /// Thickness of the layers from the top, mm.
     pub layers_mm: Vec<f64>,
@@ -85,7 +83,7 @@ impl Balance {
 }
 
 /// Layers that grow by a quarter from `first_mm` to at most `most_mm`, scaled to fill `thickness_mm`.
-pub(super) fn graded_layers(thickness_mm: f64, first_mm: f64, most_mm: f64) -> Vec<f64> {
+pub(crate) fn graded_layers(thickness_mm: f64, first_mm: f64, most_mm: f64) -> Vec<f64> {
     let (mut layers, mut sum, mut next) = (Vec::new(), 0.0, first_mm);
     while sum < thickness_mm {
         layers.push(next);
@@ -98,7 +96,7 @@ pub(super) fn graded_layers(thickness_mm: f64, first_mm: f64, most_mm: f64) -> V
 
 /// A solved slab.
 #[derive(Debug)]
-pub(super) struct Solution {
+pub(crate) struct Solution {
     fluence: Vec<f32>,
     area_mm2: f64,
     top: Vec<f32>,

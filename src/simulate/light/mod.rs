@@ -1,0 +1,5 @@
+//! Where light goes inside the slab: the transport solvers, and the continuous field of what leaves it.
+
+pub(crate) mod diffusion;
+pub(crate) mod field;
+pub(crate) mod multigrid;

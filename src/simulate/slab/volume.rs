@@ -1,0 +1,136 @@
+//! The slab as both transport solvers see it: voxels of optical coefficients between two parallel faces.
+
+use super::Optics;
+use crate::geometry::Point;
+use serde::{Deserialize, Serialize};
+
+/// What lies beside the voxels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Beyond {
+    /// The same voxels again, endlessly.
+    Repeat,
+    /// The voxels of the border, endlessly.
+    Extend,
+}
+
+/// A slab without sides: coefficients per voxel, one refractive index. Slab coordinates in mm, z downwards from the top.
+///
+/// Between voxels the refractive index does not change: light is refracted and reflected at the two faces only.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Volume {
+    /// Refractive index against air, ≥ 1.
+    pub refractive_index: f64,
+    /// First corner of voxel [0, 0], mm.
+    pub origin_mm: Point,
+    /// Sides of a voxel along x and y, mm.
+    pub voxel_mm: [f64; 2],
+    /// Voxels along x and y.
+    pub voxels: [usize; 2],
+    /// Thickness of the voxel layers from the top, mm; their sum is the slab's.
+    pub layers_mm: Vec<f64>,
+    /// What lies beside the voxels.
+    pub beyond: Beyond,
+    /// Coefficients, `[layer][y][x]`.
+    pub optics: Vec<Optics>,
+}
+
+impl Volume {
+    /// One medium everywhere.
+    pub fn uniform(optics: Optics, refractive_index: f64, thickness_mm: f64) -> Self {
+        Self::layered(&[(optics, thickness_mm)], refractive_index)
+    }
+
+    /// Layers from the top, each with its thickness in mm.
+    pub fn layered(layers: &[(Optics, f64)], refractive_index: f64) -> Self {
+        Self {
+            refractive_index,
+            origin_mm: [0.0; 2],
+            voxel_mm: [1.0; 2],
+            voxels: [1, 1],
+            layers_mm: layers.iter().map(|(_, thickness)| *thickness).collect(),
+            beyond: Beyond::Extend,
+            optics: layers.iter().map(|(optics, _)| *optics).collect(),
+        }
+    }
+
+    /// Thickness of the slab, mm.
+    pub fn thickness_mm(&self) -> f64 {
+        self.layers_mm.iter().sum()
+    }
+
+    /// Whether the slab is the same wherever light enters.
+    pub fn is_laterally_uniform(&self) -> bool {
+        let plane = self.voxels[0] * self.voxels[1];
+        self.optics.chunks(plane).all(|layer| layer.iter().all(|o| *o == layer[0]))
+    }
+
+    /// The voxel along axis `a` (0: x, 1: y) that holds coordinate `t` (mm).
+    #[inline]
+    pub fn voxel_at(&self, a: usize, t: f64) -> usize {
+        let n = self.voxels[a];
+        if n == 1 {
+            return 0;
+        }
+        self.wrap(a, ((t - self.origin_mm[a]) / self.voxel_mm[a]).floor() as i64)
+    }
+
+    /// The voxel that stands for number `i` along axis `a`, which may lie beside the grid.
+    fn wrap(&self, a: usize, i: i64) -> usize {
+        let n = self.voxels[a] as i64;
+        match self.beyond {
+            Beyond::Repeat => i.rem_euclid(n) as usize,
+            Beyond::Extend => i.clamp(0, n - 1) as usize,
+        }
+    }
+
+    /// The voxels along axis `a` that `from..to` (mm) overlaps, each with its share of the length; shares sum to 1.
+    pub fn shares(&self, a: usize, from: f64, to: f64) -> Vec<(usize, f64)> {
+        if self.voxels[a] == 1 {
+            return vec![(0, 1.0)];
+        }
+        let scaled = |t: f64| (t - self.origin_mm[a]) / self.voxel_mm[a];
+        let (from, to) = (scaled(from), scaled(to));
+        let overlap = |i: i64| ((i + 1) as f64).min(to) - (i as f64).max(from);
+        (from.floor() as i64..to.ceil() as i64)
+            .map(|i| (self.wrap(a, i), overlap(i) / (to - from)))
+            .filter(|(_, share)| *share > 0.0)
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(beyond: Beyond) -> Volume {
+        let medium =
+            |s: f64| Optics { reduced_scattering_per_mm: [s; 3], absorption_per_mm: [0.0; 3], anisotropy: [0.0; 3] };
+        Volume {
+            voxels: [3, 1],
+            voxel_mm: [0.5, 1.0],
+            origin_mm: [1.0, 0.0],
+            beyond,
+            optics: [1.0, 2.0, 3.0].map(medium).to_vec(),
+            ..Volume::uniform(medium(1.0), 1.3, 2.0)
+        }
+    }
+
+    #[test]
+    fn voxels_go_on_as_asked() {
+        let at = |beyond, t| row(beyond).voxel_at(0, t);
+        assert_eq!([0.9, 1.1, 2.4, 2.6].map(|t| at(Beyond::Repeat, t)), [2, 0, 2, 0]);
+        assert_eq!([0.9, 1.1, 2.4, 2.6].map(|t| at(Beyond::Extend, t)), [0, 0, 2, 2]);
+    }
+
+    #[test]
+    fn shares_are_lengths() {
+        let shares = row(Beyond::Repeat).shares(0, 0.9, 1.75);
+        let expected = [(2, 0.1 / 0.85), (0, 0.5 / 0.85), (1, 0.25 / 0.85)];
+        assert_eq!(shares.len(), 3);
+        for ((voxel, share), (v, s)) in shares.iter().zip(expected) {
+            assert!(*voxel == v && (share - s).abs() < 1e-12, "{shares:?}");
+        }
+        assert_eq!(row(Beyond::Extend).shares(1, -3.0, 7.0), [(0, 1.0)]);
+    }
+}
