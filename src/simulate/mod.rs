@@ -25,7 +25,7 @@ mod studio;
 #[cfg(test)]
 mod tests;
 
-pub use light::diffusion::Balance;
+pub use light::{diffusion::Balance, monte_carlo};
 pub use options::{FileFormat, MaterialKind, Options};
 pub use slab::{Beyond, Layout, Medium, Optics, Volume};
 

@@ -2,4 +2,5 @@
 
 pub(crate) mod diffusion;
 pub(crate) mod field;
+pub mod monte_carlo;
 pub(crate) mod multigrid;
