@@ -184,7 +184,7 @@ pub enum Error {
     },
     /// Diffusion has no usable answer for a slab.
     #[error(
-        "the light of channel {channel} cannot be solved for by diffusion: after {iterations} iterations the residual is {residual:.1e} and {lost:.1e} of the light is missing"
+        "the light of channel {channel} cannot be solved for by diffusion: after {iterations} iterations the residual is {residual:.1e} and {missing:.1e} of the light is missing"
     )]
     Diffusion {
         /// The channel: R, G or B.
@@ -194,7 +194,7 @@ pub enum Error {
         /// Last residual over the first.
         residual: f64,
         /// Share of the light that is in none of the balance's terms.
-        lost: f64,
+        missing: f64,
     },
     /// Our own fault.
     #[error("internal: {what}")]

@@ -6,6 +6,7 @@ use super::{
     camera::sensor::Sensor,
     light::diffusion::{Domain, Slab},
     light::field::Field,
+    light::validity,
     mix_seed, plan,
     scene::render::{Picture, PixelGrid, board_albedo, footprint, gray_code},
     scene::{FRAME_ALBEDO, Scene},
@@ -60,7 +61,8 @@ impl Studio {
         let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
         let place =
             Place { lit_origin_mm: scene.lit_origin_mm, lit_side_mm: scene.lit_side_mm, size_mm: scene.slab_size_mm };
-        let Built { volume, record, warnings } = layout::build(options, &place)?;
+        let Built { volume, record, mut warnings } = layout::build(options, &place)?;
+        warnings.extend(validity::warnings(&volume, &record, options.window as f64 * options.pitch_mm));
         let slab = Slab::new(&volume, voxel_mm, options.tolerance);
         let pixels = PixelGrid::new(&scene)?;
         let [width, height] = scene.camera.size_px;

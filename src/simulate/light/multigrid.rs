@@ -72,6 +72,8 @@ struct Level {
 #[derive(Debug)]
 pub(crate) struct Multigrid {
     levels: Vec<Level>,
+    /// The finest operator, for [`Self::refine`].
+    columns: Columns,
     thickness: Vec<f32>,
     link: Vec<f32>,
 }
@@ -89,12 +91,13 @@ impl Multigrid {
     pub fn new(mut columns: Columns, thickness_mm: &[f64]) -> Self {
         let thickness: Vec<f32> = thickness_mm.iter().map(|&t| t as f32).collect();
         let link: Vec<f32> = thickness_mm.windows(2).map(|t| (2.0 / (t[0] + t[1])) as f32).collect();
+        let finest = columns.clone();
         let mut levels = vec![Level::new(&columns, &thickness, &link)];
         while columns.nx.is_multiple_of(2) && columns.ny.is_multiple_of(2) && columns.nx.min(columns.ny) >= 10 {
             columns = columns.coarsen();
             levels.push(Level::new(&columns, &thickness, &link));
         }
-        Self { levels, thickness, link }
+        Self { levels, columns: finest, thickness, link }
     }
 
     /// A zero vector of the finest grid, padded.
@@ -144,6 +147,51 @@ impl Multigrid {
             }
         }
         (x, convergence)
+    }
+
+    /// Adds to `x` what solves A d = b − A x, the right side in f64 and by differences: where little is lost and much flows, the
+    /// f32 diagonal rounds the loss away. Padded vectors, as everywhere.
+    pub fn refine(&mut self, b: &[f32], x: &mut [f64], tolerance: f64, most: usize) -> Convergence {
+        let missing = self.exact_residual(b, x);
+        let (correction, convergence) = self.solve(&missing, tolerance, most);
+        x.iter_mut().zip(correction).for_each(|(x, d)| *x += f64::from(d));
+        convergence
+    }
+
+    /// b − A x, each voxel's as its net gain.
+    fn exact_residual(&self, b: &[f32], x: &[f64]) -> Vec<f32> {
+        let (c, nx, plane, nz) = (&self.columns, self.columns.nx, self.levels[0].plane, self.thickness.len());
+        let stride = self.levels[0].stride;
+        let mut gain: Vec<f64> = b.iter().map(|&b| f64::from(b)).collect();
+        for k in 0..nz {
+            let dz = f64::from(self.thickness[k]);
+            for i in 0..plane {
+                let (j, m) = (nx + k * plane + i, k * stride + i);
+                let mut join = |other: usize, conductance: f64| {
+                    let flow = conductance * (x[other] - x[j]);
+                    gain[j] += flow;
+                    gain[other] -= flow;
+                };
+                if i % nx > 0 {
+                    join(j - 1, dz * f64::from(c.west[m]));
+                }
+                if i >= nx {
+                    join(j - nx, dz * f64::from(c.north[m]));
+                }
+                if k + 1 < nz {
+                    join(j + plane, f64::from(c.vertical[m]) * f64::from(self.link[k]));
+                }
+                let mut loss = dz * f64::from(c.loss[m]);
+                if k == 0 {
+                    loss += f64::from(c.top[i]);
+                }
+                if k + 1 == nz {
+                    loss += f64::from(c.bottom[i]);
+                }
+                gain[j] -= loss * x[j];
+            }
+        }
+        gain.into_iter().map(|g| g as f32).collect()
     }
 
     /// One V-cycle from zero; the result is `levels[0].left`.
