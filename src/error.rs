@@ -182,6 +182,20 @@ pub enum Error {
         /// Its index, readable.
         at: String,
     },
+    /// Diffusion has no usable answer for a slab.
+    #[error(
+        "the light of channel {channel} cannot be solved for by diffusion: after {iterations} iterations the residual is {residual:.1e} and {missing:.1e} of the light is missing"
+    )]
+    Diffusion {
+        /// The channel: R, G or B.
+        channel: char,
+        /// Iterations of the solver.
+        iterations: usize,
+        /// Last residual over the first.
+        residual: f64,
+        /// Share of the light that is in none of the balance's terms.
+        missing: f64,
+    },
     /// Our own fault.
     #[error("internal: {what}")]
     Internal {
@@ -264,6 +278,7 @@ impl Error {
             Self::BrokenImage { .. } => "give an OpenEXR, PNG or JPEG image",
             Self::Mismatch { .. } => "compare outputs of the same capture, grid and window",
             Self::Setting { .. } => "see `acquire help` for the range of each option",
+            Self::Diffusion { .. } => "follow the photons instead: --transport mc",
             Self::NotFinite { .. } => "the file, or what it is made from, was damaged or not written by `acquire`",
             Self::Internal { .. } => "this is a bug in acquire; please report it with the command line",
         };

@@ -7,7 +7,7 @@ use acquire::factor::{Backend, Factored, Options, factor};
 use acquire::material::{Material, Source};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{self, MaterialKind};
+use acquire::simulate;
 use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row};
 use acquire::{Error, Result, Warning};
 use rand::SeedableRng;
@@ -281,7 +281,7 @@ fn simulated(slab: &simulate::Options, options: &Options) -> (tempfile::TempDir,
 fn a_drifted_capture_factors_as_well_as_an_undrifted_one_to_within_one_decibel() {
     let psnr_db = |drift_px: f64| {
         let slab = simulate::Options {
-            material: MaterialKind::Chessboard4x4,
+            material: simulate::Material::chessboard(4),
             grid: 12,
             window: 15,
             drift_px,

@@ -5,7 +5,7 @@ mod common;
 use acquire::geometry::{CameraView, Homography};
 use acquire::pipeline::{BuildOptions, BuildReport, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{MaterialKind, Options};
+use acquire::simulate::{Material, Options};
 use acquire::transport::MatrixReader;
 use common::compare;
 use std::path::Path;
@@ -43,10 +43,9 @@ fn registration_rms(dir: &Path, report: &BuildReport) -> [f64; 2] {
 
 #[test]
 fn a_noise_free_capture_of_every_material_gives_the_matrix_to_one_percent() {
-    for material in
-        [MaterialKind::Homogeneous, MaterialKind::Chessboard4x4, MaterialKind::Chessboard8x8, MaterialKind::Marble]
-    {
-        let options = Options { material, grid: 8, window: 15, noise_free: true, ..Options::default() };
+    for material in [Material::homogeneous(), Material::chessboard(4), Material::chessboard(8), Material::marble()] {
+        let options =
+            Options { material: material.clone(), grid: 8, window: 15, noise_free: true, ..Options::default() };
         let (_folder, dir) = common::capture(&options);
         let (matrix, report) = build(&dir);
         let found = compare(&matrix, &dir.join("truth.rd.zarr"));
@@ -61,8 +60,8 @@ fn a_noise_free_capture_of_every_material_gives_the_matrix_to_one_percent() {
 
 #[test]
 fn a_noisy_capture_gives_the_matrix_to_three_percent_and_its_variance_is_right() {
-    for material in [MaterialKind::Homogeneous, MaterialKind::Chessboard4x4] {
-        let options = Options { material, grid: 8, window: 31, ..Options::default() };
+    for material in [Material::homogeneous(), Material::chessboard(4)] {
+        let options = Options { material: material.clone(), grid: 8, window: 31, ..Options::default() };
         let (_folder, dir) = common::capture(&options);
         let (matrix, report) = build(&dir);
         let found = compare(&matrix, &dir.join("truth.rd.zarr"));

@@ -3,13 +3,13 @@
 use acquire::{
     capture::{Manifest, Pattern, Rig},
     progress::Progress,
-    simulate::{FileFormat, MaterialKind, Options, Truth, simulate},
+    simulate::{FileFormat, Material, Options, Truth, simulate},
     transport::MatrixReader,
 };
 use std::path::Path;
 
 fn tiny() -> Options {
-    Options { material: MaterialKind::Chessboard4x4, grid: 3, window: 5, exposures: 2, ..Options::default() }
+    Options { material: Material::chessboard(4), grid: 3, window: 5, exposures: 2, ..Options::default() }
 }
 
 /// All files below `dir` with their bytes, sorted by name.

@@ -3,7 +3,7 @@
 use super::Context;
 use crate::{
     Result,
-    simulate::{self, FileFormat, MaterialKind, Options},
+    simulate::{self, FileFormat, Material, Options},
 };
 use std::path::PathBuf;
 
@@ -14,6 +14,18 @@ Examples:
   acquire simulate big --grid 32 --window 31                   5120 photographs and more
   acquire simulate clean --noise-free --drift-px 0             what an ideal bench would measure
   acquire simulate phone --format jpeg                         8-bit, sRGB
+  acquire simulate dark --material ketchup                     one medium of the table
+  acquire simulate face --material layered:skin1=0.5,skin2=3   layers from the top, mm
+  acquire simulate mine --voxels slab.npz                      coefficients of your own
+
+Materials:
+  homogeneous[:MEDIUM] or MEDIUM          one medium (marble; `marble` alone is the veined slab)
+  chessboard-NxN[:MEDIUM,MEDIUM]          squares over the lit area (skin2, whole-milk), N up to 256
+  marble[:MEDIUM,MEDIUM]                  stone with veins (marble, vein)
+  layered[:MEDIUM=MM,MEDIUM=MM,…]         from the top (skin1, a quarter of the thickness, on whole-milk)
+Media measured by Jensen et al. 2001: apple, chicken1, chicken2, cream, ketchup, marble, potato, skim-milk,
+  skin1, skin2, spectralon, whole-milk. Not measured: vein, nearly-opaque, nearly-clear, lossless, one-channel-black.
+A slab has one refractive index, that of its first medium.
 
 Writes capture.toml, photos/, calibration/rig.toml and the truth: truth.rd.zarr, truth.toml.";
 
@@ -23,9 +35,15 @@ Writes capture.toml, photos/, calibration/rig.toml and the truth: truth.rd.zarr,
 pub struct Args {
     /// The folder to write.
     dir: PathBuf,
-    /// The slab's material.
-    #[arg(long, value_enum, default_value = "homogeneous")]
-    material: MaterialKind,
+    /// The slab's material; the forms are listed below.
+    #[arg(long, default_value = "homogeneous")]
+    material: Material,
+    /// A slab of voxels from an NPZ file or a Zarr group (docs/simulation.md), instead of --material.
+    #[arg(long, value_name = "FILE.npz|DIR.zarr", conflicts_with = "material")]
+    voxels: Option<PathBuf>,
+    /// Mean cosine of the scattering angle in every medium, −0.99 to 0.99; the reduced scattering stays as it is [default: 0].
+    #[arg(long, value_name = "G", allow_negative_numbers = true)]
+    anisotropy: Option<f64>,
     /// Lit points along each axis.
     #[arg(long, value_name = "N", default_value_t = Options::default().grid)]
     grid: usize,
@@ -65,9 +83,9 @@ pub struct Args {
     /// Camera pixels across an outgoing cell.
     #[arg(long, value_name = "PX", default_value_t = Options::default().camera_px_per_sample)]
     camera_px_per_sample: f64,
-    /// Thickness of the slab, mm.
-    #[arg(long, value_name = "MM", default_value_t = Options::default().thickness_mm)]
-    thickness_mm: f64,
+    /// Thickness of the slab, mm [default: that of the layers or voxels, or 4].
+    #[arg(long, value_name = "MM")]
+    thickness_mm: Option<f64>,
     /// Voxels of the transport solver across an outgoing cell.
     #[arg(long, value_name = "N", default_value_t = Options::default().voxels_per_sample)]
     voxels_per_sample: usize,
@@ -88,7 +106,8 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args, context: &Context) -> Result<()> {
     let options = Options {
-        material: args.material,
+        material: args.voxels.map_or(args.material, Material::Voxels),
+        anisotropy: args.anisotropy,
         grid: args.grid,
         window: args.window,
         seed: args.seed,
@@ -112,6 +131,9 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     };
     let start = std::time::Instant::now();
     let summary = simulate::simulate(&options, &args.dir, &context.progress)?;
+    for warning in &summary.warnings {
+        context.warn(warning);
+    }
     let dir = args.dir.display();
     context.done(format_args!(
         "{dir}: {} photographs of {} shots, {} × {} px, {:.0} MB, and their truth in {:.1} s; next: acquire build-matrix {dir} --out {}.rd.zarr",

@@ -4,7 +4,7 @@
 //! `truth.rd.zarr`, the matrix that the photographs show, and `truth.toml`, the geometry and drift.
 //!
 //! # What is simulated
-//! - The slab: steady diffusion per channel in a medium that varies over the plane (`diffusion.rs` says what this
+//! - The slab: steady diffusion per channel in voxels of optical coefficients (`diffusion.rs` says what this
 //!   approximates and where it is wrong). Each lit dot has its own box of voxels, centred on the dot, so that equal
 //!   surroundings give equal responses wherever the dot falls. The exitance is a continuous (C²) field; camera and truth integrate the same.
 //! - The projector: a homography, square pixels with a little blur, a black level, smooth falloff; dots displaced by the shot's drift.
@@ -20,17 +20,15 @@ mod light;
 mod options;
 mod plan;
 mod scene;
-mod slab;
+pub mod slab;
 mod studio;
-#[cfg(test)]
-mod tests;
 
 pub use light::{diffusion::Balance, monte_carlo};
-pub use options::{FileFormat, MaterialKind, Options};
-pub use slab::{Beyond, Layout, Medium, Optics, Volume};
+pub use options::{FileFormat, Options};
+pub use slab::{Beyond, Material, Optics, SlabRecord, Volume};
 
 use crate::{
-    Error, Result,
+    Error, Result, Warning,
     geometry::{CameraView, Homography, Point},
     output::ScratchFolder,
     progress::Progress,
@@ -54,6 +52,8 @@ pub struct Summary {
     pub size_px: [usize; 2],
     /// Bytes of all photographs.
     pub photograph_bytes: u64,
+    /// Findings about the slab and how its light was solved for.
+    pub warnings: Vec<Warning>,
 }
 
 /// `truth.toml`: what a lab cannot know.
@@ -66,7 +66,7 @@ pub struct Truth {
     /// All options.
     pub options: Options,
     /// The material's coefficients and layout.
-    pub medium: Medium,
+    pub medium: SlabRecord,
     /// The camera's view of the slab, lens included.
     pub camera_from_slab: CameraView,
     /// Projector px to slab mm, without drift.
@@ -104,6 +104,7 @@ pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Su
 
     let stage = progress.stage("light", 2);
     let studio = Studio::new(options)?;
+    let options = &Options { voxels_blake3: studio.record.voxels_blake3.clone(), ..options.clone() };
     stage.advance(1);
     let plan = Plan::new(options, &studio);
     stage.advance(1);
@@ -135,6 +136,7 @@ pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Su
         photographs: plan.manifest.shots.iter().map(|s| s.photographs.len()).sum(),
         size_px: studio.scene.camera.size_px,
         photograph_bytes: bytes.into_inner(),
+        warnings: studio.warnings,
     })
 }
 
@@ -167,7 +169,7 @@ fn write_truth(options: &Options, studio: &Studio, plan: &Plan, work: &Path) -> 
         electrons_per_sec_per_radiance: studio.electrons_per_sec,
         layers_mm: studio.slab.layers_mm.clone(),
         options: options.clone(),
-        medium: studio.slab.medium.clone(),
+        medium: studio.record.clone(),
         camera_from_slab: studio.scene.view,
         slab_from_projector: studio.scene.slab_from_projector,
         shots: plan.lattices.clone(),

@@ -1,25 +1,8 @@
 //! What to simulate.
 
+use super::slab::Material;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
-
-/// The slab's material.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum MaterialKind {
-    /// One medium, marble of Jensen et al. 2001.
-    Homogeneous,
-    /// 4 × 4 squares of skin2 and whole milk over the lit area, continued outside.
-    #[value(name = "chessboard-4x4")]
-    #[serde(rename = "chessboard-4x4")]
-    Chessboard4x4,
-    /// 8 × 8 squares.
-    #[value(name = "chessboard-8x8")]
-    #[serde(rename = "chessboard-8x8")]
-    Chessboard8x8,
-    /// Marble with dark veins.
-    Marble,
-}
 
 /// The photographs' file format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -36,7 +19,11 @@ pub enum FileFormat {
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
     /// The material. Homogeneous: the simplest truth.
-    pub material: MaterialKind,
+    pub material: Material,
+    /// Mean cosine g of the scattering angle in every medium, σ'_s as it is. None: the voxel file's, or 0, as the table of media has none.
+    pub anisotropy: Option<f64>,
+    /// BLAKE3 of the voxel file: `simulate` records it, and refuses another file when it is given.
+    pub voxels_blake3: Option<String>,
     /// Lit points along each axis. 16: minutes of a lab's time, seconds of ours.
     pub grid: usize,
     /// Outgoing samples of a window along each axis, odd. 15: the peak and most of the tails.
@@ -63,8 +50,8 @@ pub struct Options {
     pub bits: u32,
     /// Camera pixels across an outgoing cell, about. 3: enough for sub-cell registration.
     pub camera_px_per_sample: f64,
-    /// Thickness of the slab, mm. 4: thin enough to confine light to the window.
-    pub thickness_mm: f64,
+    /// Thickness of the slab, mm. None: the material's own, or 4, thin enough to confine light to the window.
+    pub thickness_mm: Option<f64>,
     /// Voxels across an outgoing cell. 2.
     pub voxels_per_sample: usize,
     /// Projector pixels between neighbouring lit points. 4.
@@ -86,7 +73,9 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self {
-            material: MaterialKind::Homogeneous,
+            material: Material::homogeneous(),
+            anisotropy: None,
+            voxels_blake3: None,
             grid: 16,
             window: 15,
             seed: 1,
@@ -100,7 +89,7 @@ impl Default for Options {
             format: FileFormat::Png,
             bits: 14,
             camera_px_per_sample: 3.0,
-            thickness_mm: 4.0,
+            thickness_mm: None,
             voxels_per_sample: 2,
             step_projector_px: 4,
             dot_projector_px: 3,
@@ -116,6 +105,11 @@ impl Options {
     /// Nominal distance of lit points, mm.
     pub fn lit_pitch_mm(&self) -> f64 {
         self.lit_pitch_mm.unwrap_or(self.pitch_mm)
+    }
+
+    /// Thickness of the slab, mm (not of a voxel file, which says it itself).
+    pub fn thickness_mm(&self) -> f64 {
+        self.material.thickness_mm().or(self.thickness_mm).unwrap_or(4.0)
     }
 
     /// Distance of the dots of one shot, in lit points: by default one and a half windows, and 24 outgoing samples at least,
@@ -152,7 +146,8 @@ impl Options {
         range("--stops", self.stops, 0.1, 4.0)?;
         range("--bits", f64::from(self.bits), 8.0, 16.0)?;
         range("--camera-px-per-sample", self.camera_px_per_sample, 1.0, 50.0)?;
-        range("--thickness-mm", self.thickness_mm, 1e-2, 1e3)?;
+        range("--anisotropy", self.anisotropy.unwrap_or(0.0), -0.99, 0.99)?;
+        range("--thickness-mm", self.thickness_mm(), 1e-2, 1e3)?;
         range("--voxels-per-sample", self.voxels_per_sample as f64, 1.0, 8.0)?;
         range("--step-projector-px", self.step_projector_px as f64, 1.0, 64.0)?;
         range("--dot-projector-px", self.dot_projector_px as f64, 1.0, self.step_projector_px as f64)?;

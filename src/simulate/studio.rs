@@ -4,15 +4,17 @@ use super::{
     Options, Plan,
     camera::photograph::{self, ExposureTime},
     camera::sensor::Sensor,
-    light::diffusion::{Domain, Slab, graded_layers},
+    light::diffusion::{Domain, Slab},
     light::field::Field,
+    light::validity,
     mix_seed, plan,
     scene::render::{Picture, PixelGrid, board_albedo, footprint, gray_code},
     scene::{FRAME_ALBEDO, Scene},
-    slab::Medium,
+    slab::SlabRecord,
+    slab::layout::{self, Built, Place},
 };
 use crate::{
-    Result,
+    Result, Warning,
     capture::Pattern,
     geometry::Point,
     transport::{MatrixWriter, Row},
@@ -37,6 +39,10 @@ const PILOTS: usize = 5;
 pub(super) struct Studio {
     pub scene: Scene,
     pub slab: Slab,
+    /// The slab, readable.
+    pub record: SlabRecord,
+    /// Findings about the slab.
+    pub warnings: Vec<Warning>,
     pub sensor: Sensor,
     pixels: PixelGrid,
     vignetting: Vec<f32>,
@@ -53,11 +59,11 @@ impl Studio {
     pub fn new(options: &Options) -> Result<Self> {
         let scene = Scene::new(options)?;
         let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
-        let slab = Slab {
-            medium: Medium::new(options.material, scene.lit_origin_mm, scene.lit_side_mm, options.seed),
-            layers_mm: graded_layers(options.thickness_mm, voxel_mm / 3.0, 1.4 * voxel_mm),
-            tolerance: options.tolerance,
-        };
+        let place =
+            Place { lit_origin_mm: scene.lit_origin_mm, lit_side_mm: scene.lit_side_mm, size_mm: scene.slab_size_mm };
+        let Built { volume, record, mut warnings } = layout::build(options, &place)?;
+        warnings.extend(validity::warnings(&volume, &record, options.window as f64 * options.pitch_mm));
+        let slab = Slab::new(&volume, voxel_mm, options.tolerance);
         let pixels = PixelGrid::new(&scene)?;
         let [width, height] = scene.camera.size_px;
         let sensitivity = |i: usize| scene.camera.vignetting_at([(i % width) as f64, (i / width) as f64]) as f32;
@@ -71,6 +77,8 @@ impl Studio {
             box_voxels: (samples * options.voxels_per_sample).next_multiple_of(8),
             scene,
             slab,
+            record,
+            warnings,
             pixels,
         };
         studio.dark_sample = studio.render_dark_sample(options)?;
@@ -194,8 +202,7 @@ impl Studio {
 
     /// The exitance for flux arriving at the columns of `domain`, per channel.
     fn solve(&self, domain: &Domain, flux: [&[f64]; 3]) -> Result<Field> {
-        let shares = self.slab.shares(domain);
-        let channel = |c: usize| Ok(self.slab.solve(domain, &shares, flux[c], c)?.exitance());
+        let channel = |c: usize| Ok(self.slab.solve(domain, flux[c], c)?.exitance());
         let [red, green, blue] = [channel(0)?, channel(1)?, channel(2)?];
         Ok(Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&red, &green, &blue]))
     }

@@ -1,7 +1,8 @@
 //! Steady diffusion in a heterogeneous slab: −∇·(D∇φ) + σ_a φ = q per channel, D = 1/(3(σ_a + σ'_s)).
 //!
 //! Finite volumes on voxels that are square over the plane and thin near the surface, with the harmonic mean of D
-//! between neighbours.
+//! between neighbours. A voxel has the mean σ'_s and σ_a of what it covers, which is continuous in its place, so that a
+//! grid that follows its dot sees the material move smoothly; the grid's layers end where the material's do, unless those are thinner.
 //!
 //! # Boundaries
 //! Light that meets the inside of the top or bottom is reflected in part: φ − 2AD ∂φ/∂n = 0 with A = (1 + F_dr)/(1 − F_dr)
@@ -20,12 +21,21 @@
 //! out too low and too round), for media that absorb as much as they scatter, and for slabs only a few mean free
 //! paths thick. The truth of a simulated capture is this model's answer, not nature's.
 
+use super::coefficients::{Coefficients, layers_mm};
 use super::multigrid::{Columns, Convergence, Multigrid};
-use crate::simulate::slab::{Medium, boundary_factor, normal_reflectance};
+use crate::simulate::slab::{Volume, boundary_factor, normal_reflectance};
 use crate::{Error, Result, geometry::Point};
 
-/// A solve takes 6 to 9 iterations; one that takes this many has failed.
-const MOST_ITERATIONS: usize = 60;
+/// A solve takes 6 to 9 iterations, some tens when coefficients jump a thousandfold; one that takes this many has failed.
+const MOST_ITERATIONS: usize = 400;
+/// Share of the light that may be missing from the balance before a solution is refined, how often it is, and the share at which it has failed.
+const REFINED_ABOVE: f64 = 1e-4;
+const MOST_REFINEMENTS: usize = 6;
+const FAILED_ABOVE: f64 = 1e-3;
+/// What a refinement lessens the residual by.
+const REFINEMENT: f64 = 1e-3;
+/// Channels as messages name them.
+pub(crate) const CHANNEL_NAMES: [char; 3] = ['R', 'G', 'B'];
 
 /// A box of voxels in slab coordinates.
 #[derive(Debug, Clone, Copy)]
@@ -53,8 +63,8 @@ impl Domain {
 /// The slab as the solver sees it.
 #[derive(Debug, Clone)]
 pub(crate) struct Slab {
-    pub medium: Medium,
-    /// Thickness of the layers from the top, mm.
+    pub volume: Volume,
+    /// Thickness of the solver's layers from the top, mm.
     pub layers_mm: Vec<f64>,
     /// When to stop: residual over first residual.
     pub tolerance: f64,
@@ -80,18 +90,11 @@ impl Balance {
     pub fn spent(&self) -> f64 {
         self.top + self.bottom + self.sides + self.absorbed
     }
-}
 
-/// Layers that grow by a quarter from `first_mm` to at most `most_mm`, scaled to fill `thickness_mm`.
-pub(crate) fn graded_layers(thickness_mm: f64, first_mm: f64, most_mm: f64) -> Vec<f64> {
-    let (mut layers, mut sum, mut next) = (Vec::new(), 0.0, first_mm);
-    while sum < thickness_mm {
-        layers.push(next);
-        sum += next;
-        next = (1.25 * next).min(most_mm);
+    /// The share of the source that is in none of the terms; negative when they have more.
+    pub fn missing(&self) -> f64 {
+        if self.source == 0.0 { self.spent() } else { 1.0 - self.spent() / self.source }
     }
-    layers.iter_mut().for_each(|t| *t *= thickness_mm / sum);
-    layers
 }
 
 /// A solved slab.
@@ -102,7 +105,7 @@ pub(crate) struct Solution {
     top: Vec<f32>,
     bottom: Vec<f32>,
     sides: Vec<f64>,
-    coefficients: Vec<(f64, f64)>,
+    coefficients: Coefficients,
     layers_mm: Vec<f64>,
     source: f64,
 }
@@ -120,8 +123,10 @@ impl Solution {
             map.iter().zip(layer).map(|(g, phi)| f64::from(*g) * f64::from(*phi)).sum()
         };
         let (mut absorbed, mut sides) = (0.0, 0.0);
-        for (layer, &dz) in self.fluence.chunks(self.top.len()).zip(&self.layers_mm) {
-            for ((phi, (_, absorption)), side) in layer.iter().zip(&self.coefficients).zip(&self.sides) {
+        let plane = self.top.len();
+        for (k, (layer, &dz)) in self.fluence.chunks(plane).zip(&self.layers_mm).enumerate() {
+            let sides_here = &self.sides[if self.sides.len() == plane { 0 } else { k * plane }..];
+            for ((phi, (_, absorption)), side) in layer.iter().zip(self.coefficients.layer(k)).zip(sides_here) {
                 absorbed += f64::from(*phi) * absorption * self.area_mm2 * dz;
                 sides += f64::from(*phi) * side * dz;
             }
@@ -138,21 +143,24 @@ impl Solution {
 }
 
 impl Slab {
-    /// Share of the second medium in every column.
-    pub fn shares(&self, domain: &Domain) -> Vec<f64> {
-        let cell = |i: usize| domain.voxel_corner_mm([i % domain.voxels[0], i / domain.voxels[0]]);
-        (0..domain.columns()).map(|i| self.medium.share_of_second(cell(i), domain.voxel_mm)).collect()
+    /// The slab for a solver whose voxels are `voxel_mm` wide.
+    pub fn new(volume: &Volume, voxel_mm: f64, tolerance: f64) -> Self {
+        let volume = volume.merged();
+        Self { layers_mm: layers_mm(&volume, voxel_mm), volume, tolerance }
     }
 
-    /// Solves for `flux` arriving at the columns (row-major), `shares` from [`Self::shares`].
-    pub fn solve(&self, domain: &Domain, shares: &[f64], flux: &[f64], channel: usize) -> Result<Solution> {
-        let coefficients: Vec<_> = shares.iter().map(|&share| self.medium.coefficients(share, channel)).collect();
+    /// Solves for `flux` arriving at the columns (row-major).
+    ///
+    /// # Errors
+    /// [`Error::Diffusion`] when the solver finds no solution that keeps all light.
+    pub fn solve(&self, domain: &Domain, flux: &[f64], channel: usize) -> Result<Solution> {
+        let coefficients = Coefficients::new(self, domain, channel);
         let (columns, sides) = self.operator(domain, &coefficients);
         let (top, bottom) = (columns.top.clone(), columns.bottom.clone());
         let mut multigrid = Multigrid::new(columns, &self.layers_mm);
         let source = self.source(&multigrid, &coefficients, flux);
-        let (fluence, convergence) = multigrid.solve(&source, self.tolerance, MOST_ITERATIONS);
-        let solution = Solution {
+        let (fluence, mut convergence) = multigrid.solve(&source, self.tolerance, MOST_ITERATIONS);
+        let mut solution = Solution {
             fluence: multigrid.voxels(&fluence).to_vec(),
             area_mm2: domain.voxel_mm * domain.voxel_mm,
             top,
@@ -162,74 +170,111 @@ impl Slab {
             layers_mm: self.layers_mm.clone(),
             source: multigrid.voxels(&source).iter().map(|&q| f64::from(q)).sum(),
         };
-        let (balance, Convergence { iterations, residual }) = (solution.balance(), convergence);
+        let mut exact: Vec<f64> = Vec::new();
+        for _ in 0..MOST_REFINEMENTS {
+            if solution.balance().missing().abs() <= REFINED_ABOVE {
+                break;
+            }
+            if exact.is_empty() {
+                exact = fluence.iter().map(|&phi| f64::from(phi)).collect();
+            }
+            convergence = multigrid.refine(&source, &mut exact, REFINEMENT, MOST_ITERATIONS);
+            let refined: Vec<f32> = exact.iter().map(|&phi| phi as f32).collect();
+            solution.fluence = multigrid.voxels(&refined).to_vec();
+        }
         // Light that is missing from the books is a solve that failed, whatever its residual says.
-        if !((balance.spent() - balance.source).abs() <= 1e-3 * balance.source) {
-            let what = format!("transport: {balance:?} after {iterations} iterations, residual {residual:.1e}");
-            return Err(Error::internal(what));
+        let (missing, Convergence { iterations, residual }) = (solution.balance().missing(), convergence);
+        if !(missing.abs() <= FAILED_ABOVE) {
+            return Err(Error::Diffusion { channel: CHANNEL_NAMES[channel], iterations, residual, missing });
         }
         Ok(solution)
     }
 
     /// The operator's maps, and the conductance through the sides per mm of depth.
-    fn operator(&self, domain: &Domain, coefficients: &[(f64, f64)]) -> (Columns, Vec<f64>) {
+    fn operator(&self, domain: &Domain, coefficients: &Coefficients) -> (Columns, Vec<f64>) {
         let [nx, ny] = domain.voxels;
-        let h = domain.voxel_mm;
-        let a = boundary_factor(self.medium.refractive_index);
-        let thickness: f64 = self.layers_mm.iter().sum();
-        let diffusion: Vec<f64> = coefficients.iter().map(|(s, a)| 1.0 / (3.0 * (s + a))).collect();
+        let (h, plane) = (domain.voxel_mm, nx * ny);
+        let a = boundary_factor(self.volume.refractive_index);
+        let diffusion: Vec<f64> = coefficients.all().iter().map(|(s, a)| 1.0 / (3.0 * (s + a))).collect();
         let join = |i: usize, j: usize| 2.0 * diffusion[i] * diffusion[j] / (diffusion[i] + diffusion[j]);
-        let through =
-            |dz: f64| -> Vec<f32> { diffusion.iter().map(|d| (h * h / (dz / (2.0 * d) + 2.0 * a)) as f32).collect() };
-        let mut west = vec![0.0; nx * ny];
-        let mut north = vec![0.0; nx * ny];
-        let mut sides = vec![0.0; nx * ny];
-        for i in 0..nx * ny {
-            let (x, y) = (i % nx, i / nx);
-            if x > 0 {
+        let through = |diffusion: &[f64], dz: f64| -> Vec<f32> {
+            diffusion.iter().map(|d| (h * h / (dz / (2.0 * d) + 2.0 * a)) as f32).collect()
+        };
+        let mut west = vec![0.0; diffusion.len()];
+        let mut north = vec![0.0; diffusion.len()];
+        for i in 0..diffusion.len() {
+            if i % nx > 0 {
                 west[i] = join(i, i - 1) as f32;
             }
-            if y > 0 {
+            if i % plane >= nx {
                 north[i] = join(i, i - nx) as f32;
             }
-            let open = [x == 0, x + 1 == nx, y == 0, y + 1 == ny].iter().filter(|&&side| side).count();
-            if open > 0 {
-                let d = diffusion[i];
-                let slowest = std::f64::consts::PI / (thickness + 4.0 * a * d);
-                let kappa = (slowest * slowest + coefficients[i].1 / d).sqrt();
-                sides[i] = open as f64 * h / (h / (2.0 * d) + 1.0 / (d * kappa));
-            }
         }
-        let loss = coefficients.iter().zip(&sides).map(|((_, absorption), side)| (absorption * h * h + side) as f32);
+        // Two half layers in series.
+        let dz = &self.layers_mm;
+        let under = |i: usize| match (diffusion.get(i + plane), i / plane) {
+            (Some(below), k) => (dz[k] + dz[k + 1]) / (dz[k] / diffusion[i] + dz[k + 1] / below),
+            (None, _) => diffusion[i],
+        };
+        let sides = self.sides(domain, coefficients, &diffusion);
+        let loss =
+            coefficients.all().iter().zip(&sides).map(|((_, absorption), side)| (absorption * h * h + side) as f32);
         let columns = Columns {
             nx,
             ny,
             west,
             north,
             loss: loss.collect(),
-            vertical: diffusion.iter().map(|d| (d * h * h) as f32).collect(),
-            top: through(self.layers_mm[0]),
-            bottom: through(self.layers_mm[self.layers_mm.len() - 1]),
+            vertical: (0..diffusion.len()).map(|i| (under(i) * h * h) as f32).collect(),
+            top: through(&diffusion[..plane], dz[0]),
+            bottom: through(&diffusion[diffusion.len() - plane..], dz[dz.len() - 1]),
         };
         (columns, sides)
     }
 
+    /// The conductance through the sides of the box per mm of depth; 0 inside. The slowest mode of a column has one decay: that of
+    /// the column's mean coefficients.
+    fn sides(&self, domain: &Domain, coefficients: &Coefficients, diffusion: &[f64]) -> Vec<f64> {
+        let [nx, ny] = domain.voxels;
+        let (h, plane) = (domain.voxel_mm, nx * ny);
+        let a = boundary_factor(self.volume.refractive_index);
+        let thickness: f64 = self.layers_mm.iter().sum();
+        let planes = diffusion.len() / plane;
+        let mut sides = vec![0.0; diffusion.len()];
+        for i in 0..plane {
+            let (x, y) = (i % nx, i / nx);
+            let open = [x == 0, x + 1 == nx, y == 0, y + 1 == ny].iter().filter(|&&side| side).count();
+            if open == 0 {
+                continue;
+            }
+            let mean = |value: &dyn Fn(usize) -> f64| match planes {
+                1 => value(i),
+                _ => (0..planes).map(|k| value(k * plane + i) * self.layers_mm[k]).sum::<f64>() / thickness,
+            };
+            let d = mean(&|j| diffusion[j]);
+            let slowest = std::f64::consts::PI / (thickness + 4.0 * a * d);
+            let kappa = (slowest * slowest + mean(&|j| coefficients.all()[j].1) / d).sqrt();
+            for j in (i..diffusion.len()).step_by(plane) {
+                sides[j] = open as f64 * h / (h / (2.0 * diffusion[j]) + 1.0 / (diffusion[j] * kappa));
+            }
+        }
+        sides
+    }
+
     /// First scattering, integrated over each voxel's depth.
-    fn source(&self, multigrid: &Multigrid, coefficients: &[(f64, f64)], flux: &[f64]) -> Vec<f32> {
-        let enters = 1.0 - normal_reflectance(self.medium.refractive_index);
+    fn source(&self, multigrid: &Multigrid, coefficients: &Coefficients, flux: &[f64]) -> Vec<f32> {
+        let enters = 1.0 - normal_reflectance(self.volume.refractive_index);
         let mut source = multigrid.zeros();
         let plane = flux.len();
         let voxels = multigrid.voxels_mut(&mut source);
-        for (i, (&flux, &(scattering, absorption))) in flux.iter().zip(coefficients).enumerate() {
-            if flux == 0.0 {
-                continue;
-            }
-            let extinction = scattering + absorption;
+        for (i, &flux) in flux.iter().enumerate().filter(|(_, flux)| **flux != 0.0) {
             let mut remains = 1.0;
-            let mut depth = 0.0;
+            let mut optical_depth = 0.0;
             for (k, &dz) in self.layers_mm.iter().enumerate() {
-                depth += dz;
-                let after = (-extinction * depth).exp();
+                let (scattering, absorption) = coefficients.layer(k)[i];
+                let extinction = scattering + absorption;
+                optical_depth += extinction * dz;
+                let after = (-optical_depth).exp();
                 voxels[k * plane + i] = (flux * enters * scattering / extinction * (remains - after)) as f32;
                 remains = after;
             }

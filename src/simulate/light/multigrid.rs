@@ -1,13 +1,15 @@
 //! A symmetric multigrid preconditioner and conjugate gradients for columns of voxels.
 //!
-//! Coefficients do not vary with depth, so the operator is kept as maps over the plane. Smoothing solves whole columns
+//! The operator is kept as maps over the plane: one for all layers when its coefficients do not vary with depth, else one for
+//! each. Smoothing solves whole columns
 //! exactly (damped line Jacobi), coarsening is lateral only; with transposed transfers the V-cycle is symmetric, as
 //! conjugate gradients need. Vectors are f32 with `nx` zeros before and after, sums are f64.
 
 const DAMPING: f32 = 0.8; // of line Jacobi: the best smoothing of the five-point stencil (Trottenberg et al. 2001, §2.1)
 const COARSEST_SWEEPS: usize = 4;
 
-/// The operator as maps over the plane (row-major), everything integrated over a voxel column's area.
+/// The operator as maps over the plane (row-major), everything integrated over a voxel column's area. `west`, `north`, `loss` and
+/// `vertical` hold one plane that stands for every layer, or one plane for each.
 #[derive(Debug, Clone)]
 pub(crate) struct Columns {
     pub nx: usize,
@@ -18,7 +20,7 @@ pub(crate) struct Columns {
     pub north: Vec<f32>,
     /// Absorption and loss through the sides per mm of depth.
     pub loss: Vec<f32>,
-    /// Conductance along depth times mm.
+    /// Conductance to the layer below times the distance of the layers' centres (of the last layer: anything).
     pub vertical: Vec<f32>,
     /// Conductance through the top and the bottom.
     pub top: Vec<f32>,
@@ -29,14 +31,12 @@ impl Columns {
     /// Twice as wide columns. Extensive terms add; a face joins two in parallel over twice the distance.
     fn coarsen(&self) -> Self {
         let (nx, ny) = (self.nx / 2, self.ny / 2);
-        let sum = |map: &[f32]| -> Vec<f32> {
-            let cell = |i: usize| 2 * (i / nx) * self.nx + 2 * (i % nx);
-            (0..nx * ny).map(cell).map(|f| map[f] + map[f + 1] + map[f + self.nx] + map[f + self.nx + 1]).collect()
+        let cell = |i: usize| 2 * (i / nx) * self.nx + 2 * (i % nx);
+        let planes = |map: &[f32], coarse: &dyn Fn(&[f32], usize) -> f32| -> Vec<f32> {
+            map.chunks(self.nx * self.ny).flat_map(|plane| (0..nx * ny).map(move |i| coarse(plane, cell(i)))).collect()
         };
-        let face = |map: &[f32], beside: usize| -> Vec<f32> {
-            let cell = |i: usize| 2 * (i / nx) * self.nx + 2 * (i % nx);
-            (0..nx * ny).map(cell).map(|f| 0.5 * (map[f] + map[f + beside])).collect()
-        };
+        let sum = |map: &[f32]| planes(map, &|m, f| m[f] + m[f + 1] + m[f + self.nx] + m[f + self.nx + 1]);
+        let face = |map: &[f32], beside: usize| planes(map, &|m, f| 0.5 * (m[f] + m[f + beside]));
         Self {
             nx,
             ny,
@@ -56,6 +56,8 @@ struct Level {
     nx: usize,
     ny: usize,
     plane: usize,
+    /// From one layer's maps to the next: 0 when one plane stands for all.
+    stride: usize,
     west: Vec<f32>,
     north: Vec<f32>,
     vertical: Vec<f32>,
@@ -70,6 +72,8 @@ struct Level {
 #[derive(Debug)]
 pub(crate) struct Multigrid {
     levels: Vec<Level>,
+    /// The finest operator, for [`Self::refine`].
+    columns: Columns,
     thickness: Vec<f32>,
     link: Vec<f32>,
 }
@@ -87,12 +91,13 @@ impl Multigrid {
     pub fn new(mut columns: Columns, thickness_mm: &[f64]) -> Self {
         let thickness: Vec<f32> = thickness_mm.iter().map(|&t| t as f32).collect();
         let link: Vec<f32> = thickness_mm.windows(2).map(|t| (2.0 / (t[0] + t[1])) as f32).collect();
+        let finest = columns.clone();
         let mut levels = vec![Level::new(&columns, &thickness, &link)];
         while columns.nx.is_multiple_of(2) && columns.ny.is_multiple_of(2) && columns.nx.min(columns.ny) >= 10 {
             columns = columns.coarsen();
             levels.push(Level::new(&columns, &thickness, &link));
         }
-        Self { levels, thickness, link }
+        Self { levels, columns: finest, thickness, link }
     }
 
     /// A zero vector of the finest grid, padded.
@@ -144,6 +149,51 @@ impl Multigrid {
         (x, convergence)
     }
 
+    /// Adds to `x` what solves A d = b − A x, the right side in f64 and by differences: where little is lost and much flows, the
+    /// f32 diagonal rounds the loss away. Padded vectors, as everywhere.
+    pub fn refine(&mut self, b: &[f32], x: &mut [f64], tolerance: f64, most: usize) -> Convergence {
+        let missing = self.exact_residual(b, x);
+        let (correction, convergence) = self.solve(&missing, tolerance, most);
+        x.iter_mut().zip(correction).for_each(|(x, d)| *x += f64::from(d));
+        convergence
+    }
+
+    /// b − A x, each voxel's as its net gain.
+    fn exact_residual(&self, b: &[f32], x: &[f64]) -> Vec<f32> {
+        let (c, nx, plane, nz) = (&self.columns, self.columns.nx, self.levels[0].plane, self.thickness.len());
+        let stride = self.levels[0].stride;
+        let mut gain: Vec<f64> = b.iter().map(|&b| f64::from(b)).collect();
+        for k in 0..nz {
+            let dz = f64::from(self.thickness[k]);
+            for i in 0..plane {
+                let (j, m) = (nx + k * plane + i, k * stride + i);
+                let mut join = |other: usize, conductance: f64| {
+                    let flow = conductance * (x[other] - x[j]);
+                    gain[j] += flow;
+                    gain[other] -= flow;
+                };
+                if i % nx > 0 {
+                    join(j - 1, dz * f64::from(c.west[m]));
+                }
+                if i >= nx {
+                    join(j - nx, dz * f64::from(c.north[m]));
+                }
+                if k + 1 < nz {
+                    join(j + plane, f64::from(c.vertical[m]) * f64::from(self.link[k]));
+                }
+                let mut loss = dz * f64::from(c.loss[m]);
+                if k == 0 {
+                    loss += f64::from(c.top[i]);
+                }
+                if k + 1 == nz {
+                    loss += f64::from(c.bottom[i]);
+                }
+                gain[j] -= loss * x[j];
+            }
+        }
+        gain.into_iter().map(|g| g as f32).collect()
+    }
+
     /// One V-cycle from zero; the result is `levels[0].left`.
     fn precondition(&mut self, right: &[f32]) {
         self.levels[0].right.copy_from_slice(right);
@@ -174,20 +224,24 @@ impl Level {
     fn new(columns: &Columns, thickness: &[f32], link: &[f32]) -> Self {
         let (nx, ny, nz) = (columns.nx, columns.ny, thickness.len());
         let plane = nx * ny;
+        let stride = if columns.west.len() == plane { 0 } else { plane };
+        // A layer's eastern and southern borders read the first column and row of what follows: zero.
         let mut west = columns.west.clone();
         west.push(0.0);
         let mut north = columns.north.clone();
-        north.resize(plane + nx, 0.0);
-        let lateral: Vec<f32> =
-            (0..plane).map(|i| west[i] + west[i + 1] + north[i] + north[i + nx] + columns.loss[i]).collect();
+        north.resize(north.len() + nx, 0.0);
+        let lateral: Vec<f32> = (0..columns.west.len())
+            .map(|i| west[i] + west[i + 1] + north[i] + north[i + nx] + columns.loss[i])
+            .collect();
         let mut diagonal = vec![0.0; plane * nz];
         let mut inverse_pivot = vec![0.0; plane * nz];
         for k in 0..nz {
             let above = if k > 0 { link[k - 1] } else { 0.0 };
             let below = if k + 1 < nz { link[k] } else { 0.0 };
             for i in 0..plane {
-                let v = columns.vertical[i];
-                let mut d = thickness[k] * lateral[i] + v * (above + below);
+                let coupling = above * columns.vertical[k.saturating_sub(1) * stride + i];
+                let mut d = thickness[k] * lateral[k * stride + i];
+                d += coupling + below * columns.vertical[k * stride + i];
                 if k == 0 {
                     d += columns.top[i];
                 }
@@ -195,7 +249,6 @@ impl Level {
                     d += columns.bottom[i];
                 }
                 diagonal[k * plane + i] = d;
-                let coupling = v * above;
                 let eliminated = if k > 0 { coupling * coupling * inverse_pivot[(k - 1) * plane + i] } else { 0.0 };
                 inverse_pivot[k * plane + i] = 1.0 / (d - eliminated);
             }
@@ -205,6 +258,7 @@ impl Level {
             nx,
             ny,
             plane,
+            stride,
             west,
             north,
             vertical: columns.vertical.clone(),
@@ -231,11 +285,12 @@ impl Level {
         with: &[f32],
     ) {
         let (s, nx, nz) = (self.plane, self.nx, thickness.len());
-        let (west, east) = (&self.west[..s], &self.west[1..=s]);
-        let (north, south) = (&self.north[..s], &self.north[nx..nx + s]);
-        let vertical = &self.vertical[..s];
         for k in 0..nz {
-            let o = nx + k * s;
+            let (o, m) = (nx + k * s, k * self.stride);
+            let (west, east) = (&self.west[m..m + s], &self.west[m + 1..m + 1 + s]);
+            let (north, south) = (&self.north[m..m + s], &self.north[m + nx..m + nx + s]);
+            let over = &self.vertical[m.saturating_sub(self.stride)..][..s];
+            let under = &self.vertical[m..m + s];
             let at = |start: usize| &x[start..start + s];
             let (c, xw, xe, xn, xs) = (at(o), at(o - 1), at(o + 1), at(o - nx), at(o + nx));
             let (above, up) = if k > 0 { (link[k - 1], at(o - s)) } else { (0.0, c) };
@@ -246,7 +301,7 @@ impl Level {
             let dz = thickness[k];
             for i in 0..s {
                 let lateral = west[i] * xw[i] + east[i] * xe[i] + north[i] * xn[i] + south[i] * xs[i];
-                let ax = diagonal[i] * c[i] - dz * lateral - vertical[i] * (above * up[i] + below * down[i]);
+                let ax = diagonal[i] * c[i] - dz * lateral - over[i] * above * up[i] - under[i] * below * down[i];
                 out[i] = combine(with[i], ax);
             }
         }
@@ -281,19 +336,19 @@ impl Level {
     fn solve_columns(&self, link: &[f32], d: &mut [f32]) {
         let s = self.plane;
         let d = &mut d[self.nx..];
-        let vertical = &self.vertical[..s];
+        let vertical = |k: usize| &self.vertical[k * self.stride..][..s];
         let pivot = |k: usize| &self.inverse_pivot[k * s..(k + 1) * s];
         d[..s].iter_mut().zip(pivot(0)).for_each(|(d, p)| *d *= p);
         for (k, &link) in link.iter().enumerate() {
             let (above, below) = d[k * s..].split_at_mut(s);
-            let (below, pivot) = (&mut below[..s], pivot(k + 1));
+            let (below, pivot, vertical) = (&mut below[..s], pivot(k + 1), vertical(k));
             for i in 0..s {
                 below[i] = (below[i] + vertical[i] * link * above[i]) * pivot[i];
             }
         }
         for (k, &link) in link.iter().enumerate().rev() {
             let (above, below) = d[k * s..].split_at_mut(s);
-            let (above, below, pivot) = (&mut above[..s], &below[..s], pivot(k));
+            let (above, below, pivot, vertical) = (&mut above[..s], &below[..s], pivot(k), vertical(k));
             for i in 0..s {
                 above[i] += vertical[i] * link * pivot[i] * below[i];
             }

@@ -59,6 +59,44 @@ impl Volume {
         self.layers_mm.iter().sum()
     }
 
+    /// The same slab with neighbouring layers of equal voxels joined.
+    pub fn merged(&self) -> Self {
+        let plane = self.voxels[0] * self.voxels[1];
+        let mut merged = Self { layers_mm: Vec::new(), optics: Vec::new(), ..*self };
+        for (layer, thickness) in self.optics.chunks(plane).zip(&self.layers_mm) {
+            match (merged.optics.len().checked_sub(plane), merged.layers_mm.last_mut()) {
+                (Some(last), Some(above)) if merged.optics[last..] == *layer => *above += thickness,
+                _ => {
+                    merged.layers_mm.push(*thickness);
+                    merged.optics.extend_from_slice(layer);
+                }
+            }
+        }
+        merged
+    }
+
+    /// The largest extinction σ'_s + σ_a of any channel, mm⁻¹.
+    pub fn largest_extinction_per_mm(&self) -> f64 {
+        let extinction = |o: &Optics| (0..3).map(|c| o.extinction_per_mm(c)).fold(0.0, f64::max);
+        self.optics.iter().map(extinction).fold(0.0, f64::max)
+    }
+
+    /// The layers that `from..to` (mm of depth) overlaps, each with its share of the length; shares sum to 1.
+    pub fn depth_shares(&self, from: f64, to: f64) -> Vec<(usize, f64)> {
+        let last = self.layers_mm.len() - 1;
+        let (mut above, mut shares) = (0.0, Vec::new());
+        for (layer, thickness) in self.layers_mm.iter().enumerate() {
+            // The last layer takes what rounding leaves below it.
+            let below = if layer == last { f64::INFINITY } else { above + thickness };
+            let share = (to.min(below) - from.max(above)) / (to - from);
+            if share > 0.0 {
+                shares.push((layer, share));
+            }
+            above += thickness;
+        }
+        shares
+    }
+
     /// Whether the slab is the same wherever light enters.
     pub fn is_laterally_uniform(&self) -> bool {
         let plane = self.voxels[0] * self.voxels[1];

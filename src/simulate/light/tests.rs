@@ -1,15 +1,13 @@
 //! The transport solver against an analytic solution, and the laws that it must keep.
 
-use super::{
-    FileFormat, MaterialKind, Options,
-    light::diffusion::{Balance, Domain, Slab, graded_layers},
-    light::field::Field,
-    light::multigrid::{Columns, Multigrid},
-    scene::render::footprint,
-    slab::{Medium, boundary_factor, normal_reflectance},
-    studio::Studio,
-};
+use super::diffusion::{Balance, Domain, Slab};
+use super::field::Field;
+use super::multigrid::{Columns, Multigrid};
 use crate::geometry::{Homography, Point};
+use crate::simulate::scene::render::{PROJECTOR_BLUR_PX, footprint};
+use crate::simulate::slab::layout::{Place, build};
+use crate::simulate::slab::{Material, Volume, boundary_factor, normal_reflectance};
+use crate::simulate::{FileFormat, Options, studio::Studio};
 use std::f64::consts::PI;
 
 const THICKNESS_MM: f64 = 4.0;
@@ -17,12 +15,10 @@ const THICKNESS_MM: f64 = 4.0;
 const PX_MM: f64 = 0.125;
 const DOT_PX: usize = 3;
 
-fn slab(kind: MaterialKind, voxel_mm: f64) -> Slab {
-    Slab {
-        medium: Medium::new(kind, [-8.0, -8.0], 16.0, 1),
-        layers_mm: graded_layers(THICKNESS_MM, voxel_mm / 3.0, 1.4 * voxel_mm),
-        tolerance: 1e-6,
-    }
+fn slab(material: Material, voxel_mm: f64) -> Slab {
+    let place = Place { lit_origin_mm: [-8.0; 2], lit_side_mm: 16.0, size_mm: [16.0; 2] };
+    let options = Options { material, thickness_mm: Some(THICKNESS_MM), ..Options::default() };
+    Slab::new(&build(&options, &place).unwrap().volume, voxel_mm, 1e-6)
 }
 
 fn domain(voxel_mm: f64, voxels: usize, center: Point) -> Domain {
@@ -33,7 +29,7 @@ fn domain(voxel_mm: f64, voxels: usize, center: Point) -> Domain {
 fn respond(slab: &Slab, domain: &Domain, center: Point) -> (Field, Balance) {
     let view = Homography::similarity(PX_MM, center);
     let flux = footprint(domain, &view, [0.0, 0.0], center, DOT_PX);
-    let solution = slab.solve(domain, &slab.shares(domain), &flux, 0).unwrap();
+    let solution = slab.solve(domain, &flux, 0).unwrap();
     let exitance = solution.exitance();
     let field = Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&exitance; 3]);
     (field, solution.balance())
@@ -44,16 +40,17 @@ fn respond(slab: &Slab, domain: &Domain, center: Point) -> (Field, Balance) {
 /// −Dφ'' + (σ_a + Dk²)φ = q(z), φ = z_b φ' on top, φ = −z_b φ' below (z_b = 2AD). With u(z) = sinh λz + z_b λ cosh λz and
 /// λ² = k² + σ_a/D, a source at z' sends u(d − z')/(u(d) + z_b u'(d)) of itself out through the top. Depths and
 /// frequencies are summed by the midpoint rule; the square dot is a Gaussian of its second moment.
-fn analytic_exitance(medium: &Medium, radii_mm: &[f64]) -> Vec<f64> {
-    let (scattering, absorption) = medium.coefficients(0.0, 0);
+fn analytic_exitance(volume: &Volume, radii_mm: &[f64]) -> Vec<f64> {
+    let optics = volume.optics[0];
+    let (scattering, absorption) = (optics.reduced_scattering_per_mm[0], optics.absorption_per_mm[0]);
     let extinction = scattering + absorption;
     let diffusion = 1.0 / (3.0 * extinction);
-    let z_b = 2.0 * boundary_factor(medium.refractive_index) * diffusion;
-    let enters = 1.0 - normal_reflectance(medium.refractive_index);
+    let z_b = 2.0 * boundary_factor(volume.refractive_index) * diffusion;
+    let enters = 1.0 - normal_reflectance(volume.refractive_index);
     let (depths, frequencies, step) = (400, 4000, 0.01);
     let dz = THICKNESS_MM / f64::from(depths);
     let side = DOT_PX as f64 * PX_MM;
-    let variance = side * side / 12.0 + (super::scene::render::PROJECTOR_BLUR_PX * PX_MM).powi(2);
+    let variance = side * side / 12.0 + (PROJECTOR_BLUR_PX * PX_MM).powi(2);
     let mut sums = vec![0.0; radii_mm.len()];
     for n in 0..frequencies {
         let k = (f64::from(n) + 0.5) * step;
@@ -85,10 +82,10 @@ fn bessel_j0(x: f64) -> f64 {
 
 /// Largest relative error along x at 1, 1.5, … 4 mm.
 fn analytic_error(voxel_mm: f64, voxels: usize) -> f64 {
-    let slab = slab(MaterialKind::Homogeneous, voxel_mm);
+    let slab = slab(Material::homogeneous(), voxel_mm);
     let (field, _) = respond(&slab, &domain(voxel_mm, voxels, [0.0, 0.0]), [0.0, 0.0]);
     let radii: Vec<f64> = (2..=8).map(|i| 0.5 * f64::from(i)).collect();
-    let exact = analytic_exitance(&slab.medium, &radii);
+    let exact = analytic_exitance(&slab.volume, &radii);
     let errors = radii.iter().zip(&exact).map(|(&r, e)| (f64::from(field.at([r, 0.0])[0]) / e - 1.0).abs());
     errors.fold(0.0, f64::max)
 }
@@ -103,7 +100,7 @@ fn a_homogeneous_slab_agrees_with_the_analytic_solution_and_refinement_converges
 
 #[test]
 fn the_sides_of_the_box_do_not_shape_the_window() {
-    let slab = slab(MaterialKind::Homogeneous, 0.25);
+    let slab = slab(Material::homogeneous(), 0.25);
     let (small, _) = respond(&slab, &domain(0.25, 48, [0.0, 0.0]), [0.0, 0.0]);
     let (large, _) = respond(&slab, &domain(0.25, 128, [0.0, 0.0]), [0.0, 0.0]);
     let (a, b) = (small.cell_means([0.0; 2], [15, 15], 0.5), large.cell_means([0.0; 2], [15, 15], 0.5));
@@ -115,13 +112,13 @@ fn the_sides_of_the_box_do_not_shape_the_window() {
 
 #[test]
 fn energy_balances() {
-    for kind in [MaterialKind::Homogeneous, MaterialKind::Chessboard4x4, MaterialKind::Marble] {
-        let slab = slab(kind, 0.25);
+    for material in [Material::homogeneous(), Material::chessboard(4), Material::marble()] {
+        let slab = slab(material.clone(), 0.25);
         let (_, b) = respond(&slab, &domain(0.25, 64, [0.7, -0.3]), [0.7, -0.3]);
         let spent = b.spent();
         // The residual's sum: the solver's tolerance (1e-6, Euclidean) times the root of the voxels it may add up over.
-        assert!((spent / b.source - 1.0).abs() < 2e-5, "{kind:?}: {spent} of {}", b.source);
-        let most = 1.0 - normal_reflectance(slab.medium.refractive_index);
+        assert!((spent / b.source - 1.0).abs() < 2e-5, "{material:?}: {spent} of {}", b.source);
+        let most = 1.0 - normal_reflectance(slab.volume.refractive_index);
         assert!(b.source < most && b.source > 0.9 * most);
     }
 }
@@ -158,7 +155,7 @@ fn point_sources_and_detectors_are_reciprocal() {
 
 #[test]
 fn the_response_moves_with_its_dot() {
-    let options = Options { grid: 4, window: 9, material: MaterialKind::Homogeneous, ..Options::default() };
+    let options = Options { grid: 4, window: 9, material: Material::homogeneous(), ..Options::default() };
     let studio = Studio::new(&options).unwrap();
     let means = |drift: Point| {
         let field = studio.dot_field(&options, [1, 2], drift);
@@ -171,7 +168,7 @@ fn the_response_moves_with_its_dot() {
         assert!(worst < 1e-4, "{drift:?}: {worst}");
     }
     // Over a chessboard of 1 mm squares, towards an edge, the peak changes smoothly: second differences stay small.
-    let options = Options { material: MaterialKind::Chessboard8x8, grid: 16, ..options };
+    let options = Options { material: Material::chessboard(8), grid: 16, ..options };
     let studio = Studio::new(&options).unwrap();
     let peak = |x: f64| {
         let field = studio.dot_field(&options, [1, 2], [x, 0.0]);

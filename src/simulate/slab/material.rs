@@ -1,0 +1,240 @@
+//! What the slab is made of, as it is written on the command line.
+
+use super::table::{self, MARBLE, Medium};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+/// The most squares of a chessboard along each axis.
+const MOST_SQUARES: usize = 256;
+/// The most layers of a layered slab.
+const MOST_LAYERS: usize = 64;
+
+/// The slab's material. Its text form ([`FromStr`], [`fmt::Display`], and what serde writes) is
+///
+/// | text | slab |
+/// |---|---|
+/// | `homogeneous`, `homogeneous:MEDIUM`, `MEDIUM` | one medium (marble) |
+/// | `chessboard-NxN`, `chessboard-NxN:MEDIUM,MEDIUM` | N × N squares over the lit area (skin2 and whole-milk), continued outside |
+/// | `marble`, `marble:MEDIUM,MEDIUM` | stone with veins (marble and vein); the bare word is not the medium |
+/// | `layered` | skin1, a quarter of the thickness, on whole-milk |
+/// | `layered:MEDIUM=MM,MEDIUM=MM,…` | layers from the top with their thickness |
+/// | `voxels:PATH` | a voxel file, see [`super::voxels`] |
+///
+/// MEDIUM is a name of [`table::MEDIA`]. A slab has one refractive index: its first medium's.
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+#[non_exhaustive]
+pub enum Material {
+    /// One medium.
+    Homogeneous(&'static Medium),
+    /// Two media in squares.
+    Chessboard {
+        /// Squares over the lit area along each axis.
+        squares: usize,
+        /// The first square's medium and the other.
+        media: [&'static Medium; 2],
+    },
+    /// A stone with veins of another.
+    Veined {
+        /// Stone and vein.
+        media: [&'static Medium; 2],
+    },
+    /// Layers from the top, with their thickness in mm; `None`: skin1, a quarter of the slab, on whole-milk.
+    Layered(Option<Vec<(&'static Medium, f64)>>),
+    /// A voxel file.
+    Voxels(PathBuf),
+}
+
+impl Material {
+    /// Marble everywhere.
+    pub fn homogeneous() -> Self {
+        Self::Homogeneous(&MARBLE)
+    }
+
+    /// Squares of skin2 and whole-milk.
+    pub fn chessboard(squares: usize) -> Self {
+        Self::Chessboard { squares, media: [known("skin2"), known("whole-milk")] }
+    }
+
+    /// Marble with dark veins.
+    pub fn marble() -> Self {
+        Self::Veined { media: [&MARBLE, known("vein")] }
+    }
+
+    /// The media of plain `layered`, from the top.
+    pub(super) fn default_layers() -> [&'static Medium; 2] {
+        [known("skin1"), known("whole-milk")]
+    }
+
+    /// The thickness that the material itself has, mm; `None` when it takes any.
+    pub fn thickness_mm(&self) -> Option<f64> {
+        match self {
+            Self::Layered(Some(layers)) => Some(layers.iter().map(|(_, t)| t).sum()),
+            _ => None,
+        }
+    }
+}
+
+/// A medium that the table is known to have.
+fn known(name: &str) -> &'static Medium {
+    table::medium(name).unwrap_or(&MARBLE)
+}
+
+fn medium(name: &str) -> Result<&'static Medium, String> {
+    table::medium(name).ok_or_else(|| format!("expected a medium ({}), found \"{name}\"", table::names()))
+}
+
+fn two_media(names: &str) -> Result<[&'static Medium; 2], String> {
+    match names.split(',').collect::<Vec<_>>()[..] {
+        [a, b] => Ok([medium(a)?, medium(b)?]),
+        _ => Err(format!("expected two media, MEDIUM,MEDIUM, found \"{names}\"")),
+    }
+}
+
+fn squares(text: &str) -> Result<usize, String> {
+    let wrong = || format!("expected chessboard-NxN with N from 1 to {MOST_SQUARES}, found \"chessboard-{text}\"");
+    let (a, b) = text.split_once('x').ok_or_else(wrong)?;
+    match (a.parse::<usize>(), b.parse::<usize>()) {
+        (Ok(a), Ok(b)) if a == b && (1..=MOST_SQUARES).contains(&a) => Ok(a),
+        _ => Err(wrong()),
+    }
+}
+
+fn layers(text: &str) -> Result<Vec<(&'static Medium, f64)>, String> {
+    let layer = |part: &str| {
+        let (name, mm) = part.split_once('=').ok_or_else(|| format!("expected MEDIUM=MM, found \"{part}\""))?;
+        let thickness: f64 = mm.parse().map_err(|_| format!("expected a thickness in mm, found \"{part}\""))?;
+        if !(1e-3..=1e3).contains(&thickness) {
+            return Err(format!("expected a thickness of 0.001 to 1000 mm, found \"{part}\""));
+        }
+        Ok((medium(name)?, thickness))
+    };
+    let layers: Vec<_> = text.split(',').map(layer).collect::<Result<_, String>>()?;
+    if layers.len() > MOST_LAYERS {
+        return Err(format!("expected at most {MOST_LAYERS} layers, found {}", layers.len()));
+    }
+    Ok(layers)
+}
+
+impl FromStr for Material {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (kind, rest) = match text.split_once(':') {
+            Some((kind, rest)) => (kind, Some(rest)),
+            None => (text, None),
+        };
+        match (kind, rest) {
+            ("homogeneous", None) => Ok(Self::homogeneous()),
+            ("homogeneous", Some(name)) => Ok(Self::Homogeneous(medium(name)?)),
+            ("marble", None) => Ok(Self::marble()),
+            ("marble", Some(names)) => Ok(Self::Veined { media: two_media(names)? }),
+            ("layered", None) => Ok(Self::Layered(None)),
+            ("layered", Some(list)) => Ok(Self::Layered(Some(layers(list)?))),
+            ("voxels", Some(path)) if !path.is_empty() => Ok(Self::Voxels(path.into())),
+            (kind, rest) => match (kind.strip_prefix("chessboard-"), rest) {
+                (Some(size), None) => Ok(Self::chessboard(squares(size)?)),
+                (Some(size), Some(names)) => Ok(Self::Chessboard { squares: squares(size)?, media: two_media(names)? }),
+                (None, None) if table::medium(kind).is_some() => Ok(Self::Homogeneous(medium(kind)?)),
+                _ => Err(format!(
+                    "expected homogeneous[:MEDIUM], chessboard-NxN[:MEDIUM,MEDIUM], marble[:MEDIUM,MEDIUM], layered[:MEDIUM=MM,…] or a medium ({})",
+                    table::names()
+                )),
+            },
+        }
+    }
+}
+
+impl fmt::Display for Material {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let two = |media: &[&Medium; 2]| format!(":{},{}", media[0].name, media[1].name);
+        match self {
+            m if *m == Self::homogeneous() => write!(f, "homogeneous"),
+            m if *m == Self::marble() => write!(f, "marble"),
+            Self::Homogeneous(medium) => write!(f, "homogeneous:{}", medium.name),
+            Self::Chessboard { squares, media } => {
+                let usual = *self == Self::chessboard(*squares);
+                write!(f, "chessboard-{squares}x{squares}{}", if usual { String::new() } else { two(media) })
+            }
+            Self::Veined { media } => write!(f, "marble{}", two(media)),
+            Self::Layered(None) => write!(f, "layered"),
+            Self::Layered(Some(layers)) => {
+                let list: Vec<_> = layers.iter().map(|(m, mm)| format!("{}={mm}", m.name)).collect();
+                write!(f, "layered:{}", list.join(","))
+            }
+            Self::Voxels(path) => write!(f, "voxels:{}", path.display()),
+        }
+    }
+}
+
+/// As on the command line: what a person recognizes in a message.
+impl fmt::Debug for Material {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+impl From<Material> for String {
+    fn from(material: Material) -> Self {
+        material.to_string()
+    }
+}
+
+impl TryFrom<String> for Material {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_form_reads_back_as_it_is_written() {
+        for text in [
+            "homogeneous",
+            "homogeneous:ketchup",
+            "chessboard-4x4",
+            "chessboard-256x256:apple,cream",
+            "marble",
+            "marble:potato,skin1",
+            "layered",
+            "layered:skin1=0.5,whole-milk=3.5",
+            "voxels:some/file.npz",
+        ] {
+            assert_eq!(text.parse::<Material>().unwrap().to_string(), text);
+        }
+        assert_eq!("ketchup".parse::<Material>().unwrap().to_string(), "homogeneous:ketchup");
+        assert_eq!("homogeneous:marble".parse::<Material>().unwrap(), Material::homogeneous());
+        assert_eq!("marble".parse::<Material>().unwrap(), Material::marble(), "the veined slab, not the medium");
+    }
+
+    #[test]
+    fn what_cannot_be_meant_is_refused_and_the_media_are_listed() {
+        for text in [
+            "",
+            "chessboard-0x0",
+            "chessboard-4x5",
+            "chessboard-257x257",
+            "chessboard-4x4:apple",
+            "marble:apple,cream,skin1",
+            "layered:",
+            "layered:apple",
+            "layered:apple=0",
+            "layered:apple=NaN",
+            "layered:apple=inf",
+            "voxels:",
+            "layered-x",
+        ] {
+            assert!(text.parse::<Material>().is_err(), "{text}");
+        }
+        for text in ["plastic", "homogeneous:Marble", "chessboard-2x2:apple,plastic"] {
+            assert!(text.parse::<Material>().unwrap_err().contains("whole-milk"), "{text}");
+        }
+    }
+}
