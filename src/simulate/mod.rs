@@ -7,15 +7,20 @@
 //! - The slab: steady diffusion per channel in voxels of optical coefficients (`diffusion.rs` says what this
 //!   approximates and where it is wrong). Each lit dot has its own box of voxels, centred on the dot, so that equal
 //!   surroundings give equal responses wherever the dot falls. The exitance is a continuous (C²) field; camera and truth integrate the same.
-//! - The projector: a homography, square pixels with a little blur, a black level, smooth falloff; dots displaced by the shot's drift.
+//! - The projector: a homography, square pixels with a little blur, a black level, smooth falloff, a lamp that may flicker;
+//!   dots displaced by the shot's drift: a slow walk and jumps.
 //! - The frame: opaque, Lambertian. It only masks: the slab continues beneath it and its light there is not returned.
-//! - The camera: a tilted pinhole with radial distortion and vignetting, pixels that average over their area, a sensor
-//!   with photon and read noise, pedestal, rounding and clipping.
+//! - The camera: a tilted pinhole with radial distortion and vignetting, a point-spread function with a wide halo, pixels
+//!   that average over their area, a real device's sensor with photon and read noise, hot pixels, pedestal, rounding and
+//!   clipping, a response curve. It may move between lattice shots.
 //!
-//! Not simulated: specular reflection, depth of field and lens blur, interreflection, colour crosstalk, fixed pattern noise.
+//! Every imperfection is a [`Cause`] with a switch.
+//!
+//! Not simulated: specular reflection, depth of field, interreflection, colour crosstalk, fixed pattern noise but hot pixels.
 //! Response units are those of the design: exitance at x_o per unit flux arriving at x_i, mm⁻².
 
 mod camera;
+mod causes;
 mod light;
 mod options;
 mod plan;
@@ -23,8 +28,10 @@ mod scene;
 pub mod slab;
 mod studio;
 
+pub use camera::photograph::{ExposureTime, write as write_photograph};
+pub use causes::Cause;
 pub use light::{diffusion::Balance, monte_carlo};
-pub use options::{FileFormat, Options};
+pub use options::{FileFormat, Options, Response, SensorKind};
 pub use slab::{Beyond, Material, Optics, SlabRecord, Volume};
 
 use crate::{
@@ -63,6 +70,9 @@ pub struct Truth {
     pub electrons_per_sec_per_radiance: f64,
     /// Thickness of the transport solver's layers, mm.
     pub layers_mm: Vec<f64>,
+    /// The camera's response, whatever the rig file says: pairs of linear light and encoded value, both 0 to 1.
+    #[serde(default)]
+    pub response_curve: Vec<[f64; 2]>,
     /// All options.
     pub options: Options,
     /// The material's coefficients and layout.
@@ -84,6 +94,9 @@ pub struct ShotTruth {
     pub drift_px: Point,
     /// The same on the slab, mm.
     pub drift_mm: Point,
+    /// How far the whole picture has moved with the camera, px: besides `drift_px`.
+    #[serde(default)]
+    pub camera_drift_px: Point,
 }
 
 /// Writes a simulated capture to `dir`. The same options give the same bytes, whatever the number of threads.
@@ -168,6 +181,7 @@ fn write_truth(options: &Options, studio: &Studio, plan: &Plan, work: &Path) -> 
     let truth = Truth {
         electrons_per_sec_per_radiance: studio.electrons_per_sec,
         layers_mm: studio.slab.layers_mm.clone(),
+        response_curve: options.response().samples(),
         options: options.clone(),
         medium: studio.record.clone(),
         camera_from_slab: studio.scene.view,

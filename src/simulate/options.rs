@@ -8,10 +8,42 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum FileFormat {
-    /// 16-bit PNG that holds the sensor's code values unscaled: a linear camera.
+    /// 16-bit PNG. With a linear response it holds the sensor's code values unscaled.
     Png,
-    /// 8-bit JPEG (quality 95, no chroma subsampling), sRGB encoded.
+    /// 8-bit JPEG (quality 95, no chroma subsampling).
     Jpeg,
+}
+
+/// Whose sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum SensorKind {
+    /// Sony A7R III: 14 bits, 7.5 e⁻ of read noise.
+    #[value(name = "sony-a7r3")]
+    #[serde(rename = "sony-a7r3")]
+    SonyA7r3,
+    /// Sony A7R: 14 bits, 0.7 e⁻.
+    #[value(name = "sony-a7r1")]
+    #[serde(rename = "sony-a7r1")]
+    SonyA7r1,
+    /// Canon T1i: 14 bits, 4.3 e⁻, three times the gain.
+    #[value(name = "canon-t1")]
+    #[serde(rename = "canon-t1")]
+    CanonT1,
+    /// A phone: 10 bits, 7.8 e⁻.
+    Phone,
+}
+
+/// How code values encode light.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Response {
+    /// Code values in proportion to light, above the sensor's black level.
+    Linear,
+    /// The sRGB curve.
+    Srgb,
+    /// A film-like curve with toe and shoulder; the rig file says sRGB, as a lab would guess.
+    Film,
 }
 
 /// Everything that makes a simulated capture; the same options give the same bytes.
@@ -46,8 +78,34 @@ pub struct Options {
     pub stops: f64,
     /// The photographs' format. PNG.
     pub format: FileFormat,
-    /// Bits of the sensor. 14; JPEG has 8 always.
-    pub bits: u32,
+    /// Whose sensor. A7R III: a current camera.
+    pub sensor: SensorKind,
+    /// Bits of the sensor's converter. None: its own. A JPEG file has 8 always.
+    pub bits: Option<u32>,
+    /// How code values encode light. None: linear for PNG, sRGB for JPEG.
+    pub response: Option<Response>,
+    /// Lens distortion, Brown's k₁; k₂ is −k₁/5. −0.05: a good lens, 3 px at the corner of a picture of 1000.
+    pub distortion: f64,
+    /// Sensitivity lost at the corner of the picture. 0.15: a good lens, stopped down.
+    pub vignetting: f64,
+    /// Standard deviation of the lens's point-spread function, px. 0: pixels average over their area, and that is all.
+    pub psf_px: f64,
+    /// Share of the light that the lens scatters into a wide halo. 0.
+    pub glare: f64,
+    /// Share of the photosites that are hot. 0.
+    pub hot_pixels: f64,
+    /// Standard deviation of the lamp's output from photograph to photograph, relative. 0.
+    pub flicker: f64,
+    /// Distance that the projected pattern jumps, camera px at the slab's centre. 0.
+    pub jump_px: f64,
+    /// How often it jumps during the sweep of lattice shots. 3.
+    pub jumps: usize,
+    /// Root mean square displacement of the camera during the sweep, px. 0.
+    pub camera_drift_px: f64,
+    /// Distance that the camera's picture jumps, px. 0.
+    pub camera_jump_px: f64,
+    /// How often it jumps. 3.
+    pub camera_jumps: usize,
     /// Camera pixels across an outgoing cell, about. 3: enough for sub-cell registration.
     pub camera_px_per_sample: f64,
     /// Thickness of the slab, mm. None: the material's own, or 4, thin enough to confine light to the window.
@@ -61,6 +119,10 @@ pub struct Options {
     /// Irradiance of a black projector pixel over that of a white one. 1/5000: more would saturate the longest of five exposures
     /// all over the sample, and a bench is set up so that it does not.
     pub projector_black: f64,
+    /// Irradiance that the projector loses from its brightest point to the corner of the frame, of itself. 0.12.
+    pub falloff: f64,
+    /// Blur of the projector's pixels: standard deviation, projector px. 0.3.
+    pub projector_blur_px: f64,
     /// Ambient irradiance over the projector's white. 5e-5: a dark room.
     pub ambient: f64,
     /// Relative residual at which a transport solve stops. 1e-6: far below what 5 exposures can see.
@@ -87,13 +149,28 @@ impl Default for Options {
             exposures: 5,
             stops: 2.0,
             format: FileFormat::Png,
-            bits: 14,
+            sensor: SensorKind::SonyA7r3,
+            bits: None,
+            response: None,
+            distortion: -0.05,
+            vignetting: 0.15,
+            psf_px: 0.0,
+            glare: 0.0,
+            hot_pixels: 0.0,
+            flicker: 0.0,
+            jump_px: 0.0,
+            jumps: 3,
+            camera_drift_px: 0.0,
+            camera_jump_px: 0.0,
+            camera_jumps: 3,
             camera_px_per_sample: 3.0,
             thickness_mm: None,
             voxels_per_sample: 2,
             step_projector_px: 4,
             dot_projector_px: 3,
             projector_black: 2e-4,
+            falloff: 0.12,
+            projector_blur_px: 0.3,
             ambient: 5e-5,
             tolerance: 1e-6,
             force: false,
@@ -120,6 +197,24 @@ impl Options {
         self.spacing.unwrap_or(wide.max(1))
     }
 
+    /// How code values encode light.
+    pub fn response(&self) -> Response {
+        self.response.unwrap_or(match self.format {
+            FileFormat::Png => Response::Linear,
+            FileFormat::Jpeg => Response::Srgb,
+        })
+    }
+
+    /// Farthest that the projected pattern moves in a lattice shot, camera px.
+    pub(super) fn drift_reach_px(&self) -> f64 {
+        reach_px(self.drift_px, self.jump_px)
+    }
+
+    /// Farthest that the camera's picture moves in a lattice shot, px.
+    pub(super) fn camera_reach_px(&self) -> f64 {
+        reach_px(self.camera_drift_px, self.camera_jump_px)
+    }
+
     /// Refuses values that make no capture.
     ///
     /// # Errors
@@ -144,7 +239,18 @@ impl Options {
         range("--spacing", self.spacing() as f64, 1.0, 1e6)?;
         range("--exposures", self.exposures as f64, 1.0, 10.0)?;
         range("--stops", self.stops, 0.1, 4.0)?;
-        range("--bits", f64::from(self.bits), 8.0, 16.0)?;
+        range("--bits", f64::from(self.bits.unwrap_or(8)), 8.0, 16.0)?;
+        range("--distortion", self.distortion, -0.5, 0.5)?;
+        range("--vignetting", self.vignetting, 0.0, 0.9)?;
+        range("--psf-px", self.psf_px, 0.0, 20.0)?;
+        range("--glare", self.glare, 0.0, 0.5)?;
+        range("--hot-pixels", self.hot_pixels, 0.0, 0.1)?;
+        range("--flicker", self.flicker, 0.0, 0.2)?;
+        range("--jump-px", self.jump_px, 0.0, 20.0)?;
+        range("--jumps", self.jumps as f64, 1.0, 1e4)?;
+        range("--camera-drift-px", self.camera_drift_px, 0.0, 20.0)?;
+        range("--camera-jump-px", self.camera_jump_px, 0.0, 20.0)?;
+        range("--camera-jumps", self.camera_jumps as f64, 1.0, 1e4)?;
         range("--camera-px-per-sample", self.camera_px_per_sample, 1.0, 50.0)?;
         range("--anisotropy", self.anisotropy.unwrap_or(0.0), -0.99, 0.99)?;
         range("--thickness-mm", self.thickness_mm(), 1e-2, 1e3)?;
@@ -152,7 +258,14 @@ impl Options {
         range("--step-projector-px", self.step_projector_px as f64, 1.0, 64.0)?;
         range("--dot-projector-px", self.dot_projector_px as f64, 1.0, self.step_projector_px as f64)?;
         range("--projector-black", self.projector_black, 0.0, 0.5)?;
+        range("--falloff", self.falloff, 0.0, 0.9)?;
+        range("--projector-blur-px", self.projector_blur_px, 0.0, 2.0)?;
         range("--ambient", self.ambient, 0.0, 0.5)?;
         range("--tolerance", self.tolerance, 1e-7, 1e-2)
     }
+}
+
+/// A slow walk goes no farther than 3.4 times its root mean square (3.5 with some margin), jumps no farther than [`super::scene::JUMP_REACH`] of their size.
+fn reach_px(walk_px: f64, jump_px: f64) -> f64 {
+    3.5 * walk_px + super::scene::JUMP_REACH * jump_px
 }

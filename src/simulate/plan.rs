@@ -1,7 +1,10 @@
 //! The list of shots: what `capture.toml` says, with exposures and drift.
 
-use super::{FileFormat, Options, ShotTruth, camera::photograph::ExposureTime, scene::drift_walk, studio::Studio};
+use super::{
+    FileFormat, Options, ShotTruth, camera::photograph::ExposureTime, mix_seed, scene::drift::Motion, studio::Studio,
+};
 use crate::capture::{Axis, FORMAT, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Window};
+use crate::geometry::Point;
 
 /// Projector px of the narrowest Gray stripes: narrower ones blur together.
 const NARROWEST_STRIPE_PX: u32 = 8;
@@ -42,11 +45,8 @@ impl Plan {
             let dots = every(phase / spacing).flat_map(|y| every(phase % spacing).map(move |x| [x, y])).collect();
             patterns.push((format!("lattice-{phase:04}"), Pattern::Lattice { dots }));
         }
-        let lattices = drift_walk(patterns.len() - first_lattice, options.drift_px, options.seed)
-            .into_iter()
-            .zip(&patterns[first_lattice..])
-            .map(|(drift_px, (name, _))| ShotTruth { name: name.clone(), drift_px, drift_mm: scene.drift_mm(drift_px) })
-            .collect();
+        let names = patterns[first_lattice..].iter().map(|(name, _)| name.clone());
+        let lattices = lattice_drift(options, names.collect(), |drift_px| scene.drift_mm(drift_px));
         let shots = patterns.into_iter().map(|(name, pattern)| shot(options, studio, name, pattern)).collect();
         let manifest = Manifest {
             format: FORMAT,
@@ -59,6 +59,26 @@ impl Plan {
         };
         Self { manifest, first_lattice, lattices }
     }
+}
+
+/// Where projector and camera are at each lattice shot.
+fn lattice_drift(options: &Options, names: Vec<String>, drift_mm: impl Fn(Point) -> Point) -> Vec<ShotTruth> {
+    let projector =
+        Motion { walk_px: options.drift_px, jump_px: options.jump_px, jumps: options.jumps, seed: options.seed };
+    let camera = Motion {
+        walk_px: options.camera_drift_px,
+        jump_px: options.camera_jump_px,
+        jumps: options.camera_jumps,
+        seed: mix_seed(options.seed, 0xca3e2a),
+    };
+    let paths = projector.path(names.len()).into_iter().zip(camera.path(names.len()));
+    let truth = |(name, (drift_px, camera_drift_px))| ShotTruth {
+        name,
+        drift_px,
+        drift_mm: drift_mm(drift_px),
+        camera_drift_px,
+    };
+    names.into_iter().zip(paths).map(truth).collect()
 }
 
 fn shot(options: &Options, studio: &Studio, name: String, pattern: Pattern) -> Shot {

@@ -1,14 +1,14 @@
 //! One capture's light: solves for dots, renders shots, exposes and writes them.
 
 use super::{
-    Options, Plan,
+    Options, Plan, ShotTruth,
     camera::photograph::{self, ExposureTime},
-    camera::sensor::Sensor,
+    camera::{hot_pixels::hot_pixels, psf, sensor::Sensor},
     light::diffusion::{Domain, Slab},
     light::field::Field,
     light::validity,
     mix_seed, plan,
-    scene::render::{Picture, PixelGrid, board_albedo, footprint, gray_code},
+    scene::render::{GAUSS_2, GAUSS_6, GrayCode, Picture, PixelGrid, board_albedo, board_rule, footprint, smooth_rule},
     scene::{FRAME_ALBEDO, Scene},
     slab::SlabRecord,
     slab::layout::{self, Built, Place},
@@ -19,6 +19,9 @@ use crate::{
     geometry::Point,
     transport::{MatrixWriter, Row},
 };
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::path::Path;
@@ -46,7 +49,10 @@ pub(super) struct Studio {
     pub sensor: Sensor,
     pixels: PixelGrid,
     vignetting: Vec<f32>,
-    /// The sample under the projector's black and the ambient light.
+    /// Index and dark current (electrons per second) of the hot photosites.
+    hot: Vec<(usize, f32)>,
+    /// The light of the sample under the projector's black and the ambient light, and a picture of it.
+    dark_field: Option<Field>,
     dark_sample: Picture,
     /// Electrons per second and unit of radiance at the principal point.
     pub electrons_per_sec: f64,
@@ -64,13 +70,15 @@ impl Studio {
         let Built { volume, record, mut warnings } = layout::build(options, &place)?;
         warnings.extend(validity::warnings(&volume, &record, options.window as f64 * options.pitch_mm));
         let slab = Slab::new(&volume, voxel_mm, options.tolerance);
-        let pixels = PixelGrid::new(&scene)?;
+        let pixels = PixelGrid::new(&scene, [0.0; 2])?;
         let [width, height] = scene.camera.size_px;
         let sensitivity = |i: usize| scene.camera.vignetting_at([(i % width) as f64, (i / width) as f64]) as f32;
         let samples = options.window + 2 * BOX_MARGIN_PITCHES;
         let mut studio = Self {
             sensor: Sensor::new(options),
             vignetting: (0..width * height).map(sensitivity).collect(),
+            hot: hot_pixels(3 * width * height, options.hot_pixels, options.seed),
+            dark_field: None,
             dark_sample: Vec::new(),
             electrons_per_sec: 0.0,
             white_shortest: ExposureTime::one_over(1),
@@ -81,7 +89,8 @@ impl Studio {
             warnings,
             pixels,
         };
-        studio.dark_sample = studio.render_dark_sample(options)?;
+        studio.dark_field = studio.solve_dark_sample(options)?;
+        studio.dark_sample = studio.render_dark_sample(options, &studio.pixels);
         studio.set_sensitivity(options)?;
         Ok(studio)
     }
@@ -107,25 +116,29 @@ impl Studio {
         let entry = &plan.manifest.shots[shot];
         let picture = match &entry.pattern {
             Pattern::Lattice { dots } => {
-                let drift_mm = plan.lattices[shot - plan.first_lattice].drift_mm;
-                self.lattice(options, dots, drift_mm, |dot, row| truth.put(plan.manifest.row_index(dot), &row))?
+                let moved = &plan.lattices[shot - plan.first_lattice];
+                self.lattice(options, dots, moved, |dot, row| truth.put(plan.manifest.row_index(dot), &row))?
             }
             pattern => self.still(options, pattern),
         };
-        let scale = self.electrons_per_sec / PI;
-        let rate: Vec<f32> = picture
-            .iter()
-            .zip(&self.vignetting)
-            .flat_map(|(light, v)| light.map(|l| (scale * f64::from(l * v)) as f32))
-            .collect();
+        let rate = self.rate(options, &picture);
         let mut bytes = 0;
         for (n, (exposure, file)) in self.bracket(options, &entry.pattern).iter().zip(&entry.photographs).enumerate() {
             let seed = mix_seed(mix_seed(options.seed, shot as u64), n as u64);
-            let codes = self.sensor.expose(&rate, exposure.secs(), seed);
+            let lit_secs = exposure.secs() * lamp(options.flicker, seed);
+            let codes = self.sensor.expose(&rate, &self.hot, lit_secs, exposure.secs(), seed);
             let (path, size_px) = (dir.join(&file.file), self.scene.camera.size_px);
             bytes += photograph::write(&path, options.format, size_px, &codes, *exposure, shot * 10 + n)?;
         }
         Ok(bytes)
+    }
+
+    /// Electrons per second of a picture, R G B interleaved.
+    fn rate(&self, options: &Options, picture: &Picture) -> Vec<f32> {
+        let scale = (self.electrons_per_sec / PI) as f32;
+        let lit = picture.iter().zip(&self.vignetting);
+        let rate = lit.flat_map(|(light, v)| light.map(|l| scale * v * l)).collect();
+        psf::blur(rate, self.scene.camera.size_px, options.psf_px, options.glare)
     }
 
     /// A shot without dots.
@@ -142,12 +155,24 @@ impl Studio {
         match *pattern {
             Pattern::Board => {
                 let px_mm = options.pitch_mm / options.camera_px_per_sample;
-                self.pixels.picture(|p| irradiance(p, 1.0).map(|e| e * board_albedo(scene, px_mm, p)))
+                let pixel_mm = self.pixels.pixel_mm();
+                self.pixels.picture(
+                    |p| board_rule(scene, pixel_mm, p),
+                    |p| irradiance(p, 1.0).map(|e| e * board_albedo(scene, px_mm, p)),
+                )
             }
-            Pattern::ReferenceWhite => self.pixels.picture(|p| white(p, 1.0)),
-            Pattern::ReferenceBlack => self.pixels.picture(|p| white(p, 0.0)),
+            // Quadratic in p: exact with two points.
+            Pattern::ReferenceWhite => self.pixels.picture(|_| GAUSS_2, |p| white(p, 1.0)),
+            Pattern::ReferenceBlack => self.pixels.picture(|_| GAUSS_2, |p| white(p, 0.0)),
             Pattern::GrayCode { axis, bit, inverse } => {
-                self.pixels.picture(|p| white(p, gray_code(axis, bit, inverse, scene.projector_from_slab.map(p))))
+                let code = GrayCode { axis, bit, inverse, blur_px: options.projector_blur_px };
+                let lit_mm = options.lit_pitch_mm() / options.step_projector_px as f64;
+                // Turn and keystone of the projector add little to a pixel's extent in projector px.
+                let pixel_px = 1.2 * self.pixels.pixel_mm() / lit_mm;
+                self.pixels.picture(
+                    |p| code.rule(scene.projector_from_slab.map(p), pixel_px),
+                    |p| white(p, code.brightness(scene.projector_from_slab.map(p))),
+                )
             }
             Pattern::SampleBlack | Pattern::Lattice { .. } => self.dark_sample.clone(),
         }
@@ -158,11 +183,21 @@ impl Studio {
         &self,
         options: &Options,
         dots: &[[usize; 2]],
-        drift_mm: Point,
+        moved: &ShotTruth,
         keep: impl Fn([usize; 2], Row) -> Result<()> + Sync,
     ) -> Result<Picture> {
-        let lit = 1.0 - options.projector_black;
-        let mut picture = self.dark_sample.clone();
+        let (lit, drift_mm) = (1.0 - options.projector_black, moved.drift_mm);
+        let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
+        // A camera that has moved sees every pixel elsewhere.
+        let own_pixels = match moved.camera_drift_px {
+            [0.0, 0.0] => None,
+            shift_px => Some(PixelGrid::new(&self.scene, shift_px)?),
+        };
+        let pixels = own_pixels.as_ref().unwrap_or(&self.pixels);
+        let mut picture = match &own_pixels {
+            None => self.dark_sample.clone(),
+            Some(pixels) => self.render_dark_sample(options, pixels),
+        };
         // A few dots at a time: their order in the sum is fixed, and memory is bounded.
         for group in dots.chunks(16) {
             let solve = |&dot: &[usize; 2]| {
@@ -175,11 +210,11 @@ impl Studio {
             };
             let fields: Vec<(Field, [f64; 3])> = group.par_iter().map(solve).collect::<Result<_>>()?;
             for (field, flux) in &fields {
-                self.pixels.add_field(&mut picture, &self.scene, field, flux.map(|f| lit * f));
+                pixels.add_field(&mut picture, &self.scene, field, voxel_mm, flux.map(|f| lit * f));
             }
         }
         for &dot_px in &self.scene.reference_dots {
-            self.pixels.add_frame_dot(&mut picture, &self.scene, dot_px, drift_mm, lit * FRAME_ALBEDO);
+            pixels.add_frame_dot(&mut picture, &self.scene, dot_px, drift_mm, lit * FRAME_ALBEDO);
         }
         Ok(picture)
     }
@@ -195,7 +230,8 @@ impl Studio {
             voxels: [self.box_voxels; 2],
         };
         let side = self.scene.grid.dot_projector_px;
-        let share = footprint(&domain, &self.scene.slab_from_projector, dot_px, center, side);
+        let share =
+            footprint(&domain, &self.scene.slab_from_projector, dot_px, center, side, options.projector_blur_px);
         let area_mm2 = (side * side) as f64 * self.scene.slab_from_projector.area_scale(dot_px);
         Ok((self.solve(&domain, [&share; 3])?, self.scene.white_irradiance(center).map(|e| e * area_mm2)))
     }
@@ -207,8 +243,11 @@ impl Studio {
         Ok(Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&red, &green, &blue]))
     }
 
-    /// Sample and frame under the projector's black and the ambient light.
-    fn render_dark_sample(&self, options: &Options) -> Result<Picture> {
+    /// The light of the sample under the projector's black and the ambient light; `None` without either.
+    fn solve_dark_sample(&self, options: &Options) -> Result<Option<Field>> {
+        if options.projector_black == 0.0 && options.ambient == 0.0 {
+            return Ok(None);
+        }
         let scene = &self.scene;
         let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
         let margin = SLAB_MARGIN_PITCHES * options.pitch_mm;
@@ -217,26 +256,34 @@ impl Studio {
             voxel_mm,
             voxels: scene.slab_size_mm.map(|s| (((s + 2.0 * margin) / voxel_mm).ceil() as usize).next_multiple_of(16)),
         };
-        let irradiance = |p: Point| scene.white_irradiance(p).map(|e| e * options.projector_black + options.ambient);
         let mut flux = [0, 1, 2].map(|_| vec![0.0; domain.columns()]);
         for i in 0..domain.columns() {
             let corner = domain.voxel_corner_mm([i % domain.voxels[0], i / domain.voxels[0]]);
             // Only what falls on the sample enters: the overlap of the voxel with it.
             let overlap = |a: usize| ((corner[a] + voxel_mm).min(scene.slab_size_mm[a]) - corner[a].max(0.0)).max(0.0);
             let area = overlap(0) * overlap(1);
-            let light = irradiance(corner.map(|c| c + 0.5 * voxel_mm));
+            let light = self.dark_irradiance(options, corner.map(|c| c + 0.5 * voxel_mm));
             flux.iter_mut().zip(light).for_each(|(flux, e)| flux[i] = e * area);
         }
-        let field = self.solve(&domain, [&flux[0], &flux[1], &flux[2]])?;
-        Ok(self.pixels.picture(|p| {
-            if scene.on_sample(p) {
-                field.at(p).map(f64::from)
-            } else if scene.on_frame_or_sample(p) {
-                irradiance(p).map(|e| e * FRAME_ALBEDO)
-            } else {
-                [0.0; 3]
-            }
-        }))
+        self.solve(&domain, [&flux[0], &flux[1], &flux[2]]).map(Some)
+    }
+
+    fn dark_irradiance(&self, options: &Options, p: Point) -> [f64; 3] {
+        self.scene.white_irradiance(p).map(|e| e * options.projector_black + options.ambient)
+    }
+
+    /// Sample and frame under the projector's black and the ambient light.
+    fn render_dark_sample(&self, options: &Options, pixels: &PixelGrid) -> Picture {
+        let scene = &self.scene;
+        let (pixel_mm, voxel_mm) = (pixels.pixel_mm(), options.pitch_mm / options.voxels_per_sample as f64);
+        let light = |p: Point| match &self.dark_field {
+            None => [0.0; 3],
+            Some(field) if scene.on_sample(p) => field.at(p).map(f64::from),
+            Some(_) if scene.on_frame_or_sample(p) => self.dark_irradiance(options, p).map(|e| e * FRAME_ALBEDO),
+            Some(_) => [0.0; 3],
+        };
+        let smooth = smooth_rule(pixel_mm, voxel_mm);
+        pixels.picture(|p| if scene.near_rim(p, pixel_mm) { GAUSS_6 } else { smooth }, light)
     }
 
     /// Sets the sensitivity so that the brightest of some dots reaches [`BRIGHTEST`] in the shortest exposure.
@@ -265,4 +312,11 @@ impl Studio {
     pub fn dot_field(&self, options: &Options, dot: [usize; 2], drift_mm: Point) -> Field {
         self.dot(options, dot, drift_mm).unwrap().0
     }
+}
+
+/// The lamp's output during one photograph, of its mean.
+fn lamp(flicker: f64, seed: u64) -> f64 {
+    let mut rng = Pcg64Mcg::seed_from_u64(mix_seed(seed, 0x1a3b));
+    let normal: f64 = StandardNormal.sample(&mut rng);
+    (1.0 + flicker * normal).max(0.0)
 }

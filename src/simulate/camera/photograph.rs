@@ -8,8 +8,10 @@ use std::path::Path;
 
 /// An exposure time as EXIF holds it: a fraction of whole numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct ExposureTime {
+pub struct ExposureTime {
+    /// Above the line.
     pub numerator: u32,
+    /// Below it.
     pub denominator: u32,
 }
 
@@ -39,8 +41,12 @@ fn gcd(a: u32, b: u32) -> u32 {
     if b == 0 { a.max(1) } else { gcd(b, a % b) }
 }
 
-/// Writes interleaved RGB code values. `taken_secs` counts from the capture's first photograph.
-pub(crate) fn write(
+/// Writes interleaved RGB code values, a JPEG's up to 255, and returns the file's length. `taken_secs` counts from the
+/// capture's first photograph.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn write(
     path: &Path,
     format: FileFormat,
     size_px: [usize; 2],
@@ -62,7 +68,8 @@ pub(crate) fn write(
             encoder.set_compression(png::Compression::Fastest);
             encoder.set_filter(png::Filter::Up);
             let mut writer = encoder.write_header().map_err(Error::internal)?;
-            let data: Vec<u8> = codes.iter().flat_map(|c| c.to_be_bytes()).collect();
+            let mut data = vec![0; 2 * codes.len()];
+            data.as_chunks_mut::<2>().0.iter_mut().zip(codes).for_each(|(to, c)| *to = c.to_be_bytes());
             writer.write_image_data(&data).map_err(Error::internal)?;
             writer.finish().map_err(Error::internal)?;
         }

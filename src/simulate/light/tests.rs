@@ -4,7 +4,7 @@ use super::diffusion::{Balance, Domain, Slab};
 use super::field::Field;
 use super::multigrid::{Columns, Multigrid};
 use crate::geometry::{Homography, Point};
-use crate::simulate::scene::render::{PROJECTOR_BLUR_PX, footprint};
+use crate::simulate::scene::render::footprint;
 use crate::simulate::slab::layout::{Place, build};
 use crate::simulate::slab::{Material, Volume, boundary_factor, normal_reflectance};
 use crate::simulate::{FileFormat, Options, studio::Studio};
@@ -14,6 +14,7 @@ const THICKNESS_MM: f64 = 4.0;
 /// Projector px on the slab, mm, and the dot's side, px.
 const PX_MM: f64 = 0.125;
 const DOT_PX: usize = 3;
+const BLUR_PX: f64 = 0.3;
 
 fn slab(material: Material, voxel_mm: f64) -> Slab {
     let place = Place { lit_origin_mm: [-8.0; 2], lit_side_mm: 16.0, size_mm: [16.0; 2] };
@@ -28,7 +29,7 @@ fn domain(voxel_mm: f64, voxels: usize, center: Point) -> Domain {
 /// The exitance of a dot at `center`, red in all channels, and where its light went.
 fn respond(slab: &Slab, domain: &Domain, center: Point) -> (Field, Balance) {
     let view = Homography::similarity(PX_MM, center);
-    let flux = footprint(domain, &view, [0.0, 0.0], center, DOT_PX);
+    let flux = footprint(domain, &view, [0.0, 0.0], center, DOT_PX, BLUR_PX);
     let solution = slab.solve(domain, &flux, 0).unwrap();
     let exitance = solution.exitance();
     let field = Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&exitance; 3]);
@@ -50,7 +51,7 @@ fn analytic_exitance(volume: &Volume, radii_mm: &[f64]) -> Vec<f64> {
     let (depths, frequencies, step) = (400, 4000, 0.01);
     let dz = THICKNESS_MM / f64::from(depths);
     let side = DOT_PX as f64 * PX_MM;
-    let variance = side * side / 12.0 + (PROJECTOR_BLUR_PX * PX_MM).powi(2);
+    let variance = side * side / 12.0 + (BLUR_PX * PX_MM).powi(2);
     let mut sums = vec![0.0; radii_mm.len()];
     for n in 0..frequencies {
         let k = (f64::from(n) + 0.5) * step;

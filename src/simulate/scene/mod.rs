@@ -1,16 +1,16 @@
 //! The bench: projector, camera, frame and board around the slab, and how far each lattice shot has drifted.
 
+pub(crate) mod drift;
 pub(crate) mod render;
 
-use crate::simulate::{FileFormat, Options, mix_seed};
+pub(crate) use drift::JUMP_REACH;
+
+use crate::simulate::Options;
 use crate::{
     Error, Result,
-    capture::{Board, Camera, Grid, Projector, ResponseCurve, Rig, WhiteReference},
+    capture::{Board, Camera, Grid, Projector, Rig, WhiteReference},
     geometry::{CameraView, Homography, Lens, Point},
 };
-use rand::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
-use rand_pcg::Pcg64Mcg;
 
 /// Width of the opaque frame, in outgoing pitches.
 const FRAME_PITCHES: f64 = 7.0;
@@ -24,11 +24,9 @@ const KEYSTONE: [f64; 2] = [0.015, -0.010];
 /// Tilt and turn of the camera, degrees.
 const CAMERA_TILT_DEG: f64 = 5.0;
 const CAMERA_TURN_DEG: f64 = 0.7;
-/// The lens, and the sensitivity lost at the corner.
-const LENS_K: [f64; 2] = [-0.05, 0.01];
-const CORNER_VIGNETTING: f64 = -0.15;
-/// Irradiance lost at the corner of the frame, and the projector's colour.
-const FALLOFF: f64 = 0.12;
+/// The second term of the lens's distortion, of the first.
+const LENS_K2: f64 = -0.2;
+/// The projector's colour.
 const PROJECTOR_COLOR: [f64; 3] = [1.0, 0.95, 0.85];
 
 /// Everything that does not change from shot to shot.
@@ -48,6 +46,10 @@ pub(crate) struct Scene {
     pub board: Board,
     pub reference_dots: Vec<Point>,
     pub white: WhiteReference,
+    /// Irradiance lost from the projector's brightest point to the corner of the frame, of itself.
+    falloff: f64,
+    /// Standard deviation of the projector's pixels, projector px.
+    pub projector_blur_px: f64,
 }
 
 impl Scene {
@@ -56,9 +58,9 @@ impl Scene {
         let centered = projector_view(options);
         let half = 0.5 * (options.grid as f64 - 1.0) * options.step_projector_px as f64;
         let corners = [[-half, -half], [half, -half], [-half, half], [half, half]].map(|p| centered.map(p));
-        // Drift reaches 3.4 times its root mean square; a third of a pitch more for rounding by anyone.
+        // As far as dots drift; a third of a pitch more for rounding by anyone.
         let px_mm = options.pitch_mm / options.camera_px_per_sample;
-        let border = (0.5 * options.window as f64 + 0.35) * options.pitch_mm + 3.5 * options.drift_px * px_mm;
+        let border = (0.5 * options.window as f64 + 0.35) * options.pitch_mm + options.drift_reach_px() * px_mm;
         let low: Point = std::array::from_fn(|a| fold(&corners, a, f64::min) - border);
         let slab_size_mm = std::array::from_fn(|a| fold(&corners, a, f64::max) + border - low[a]);
         let frame_mm = FRAME_PITCHES * options.pitch_mm;
@@ -80,6 +82,8 @@ impl Scene {
             camera,
             reference_dots: Vec::new(),
             white: WhiteReference { reflectance: [0.99; 3] },
+            falloff: options.falloff,
+            projector_blur_px: options.projector_blur_px,
         };
         scene.reference_dots = scene.reference_dots(options);
         Ok(scene)
@@ -112,11 +116,19 @@ impl Scene {
         (0..2).all(|a| p[a] >= -self.frame_mm && p[a] <= self.slab_size_mm[a] + self.frame_mm)
     }
 
+    /// Whether a rim of sample or frame passes within `reach_mm` of `p` (mm) along an axis.
+    pub fn near_rim(&self, p: Point, reach_mm: f64) -> bool {
+        (0..2).any(|a| {
+            let rims = [-self.frame_mm, 0.0, self.slab_size_mm[a], self.slab_size_mm[a] + self.frame_mm];
+            rims.iter().any(|rim| (p[a] - rim).abs() <= reach_mm)
+        })
+    }
+
     /// Irradiance of projector white at `p` (mm): smooth, brightest a little beside the centre, arbitrary unit.
     pub fn white_irradiance(&self, p: Point) -> [f64; 3] {
         let reach: f64 = self.slab_size_mm.iter().map(|s| (0.5 * s + self.frame_mm).powi(2)).sum();
         let r2: f64 = (0..2).map(|a| (p[a] - (0.48 + 0.05 * a as f64) * self.slab_size_mm[a]).powi(2)).sum();
-        let falloff = 1.0 - FALLOFF * r2 / reach;
+        let falloff = 1.0 - self.falloff * r2 / reach;
         PROJECTOR_COLOR.map(|c| c * falloff)
     }
 
@@ -152,7 +164,7 @@ impl Raster {
         let lit: Vec<Point> = outline.iter().map(|&p| centered_from_slab.map(p)).collect();
         let step = options.step_projector_px as f64;
         let px_per_camera_px = step * options.pitch_mm / (options.lit_pitch_mm() * options.camera_px_per_sample);
-        let margin = (IMAGE_MARGIN_PX + 4.0) * px_per_camera_px;
+        let margin = (image_margin_px(options) + 4.0) * px_per_camera_px;
         let half = 0.5 * (options.grid as f64 - 1.0) * step;
         let origin: Point =
             std::array::from_fn(|a| whole_dot(options, (margin - fold(&lit, a, f64::min) - half).ceil()));
@@ -174,30 +186,6 @@ impl Raster {
 /// The nearest centre of a dot of whole pixels: on a pixel for an odd side, between two for an even one.
 fn whole_dot(options: &Options, px: f64) -> f64 {
     if options.dot_projector_px.is_multiple_of(2) { px.floor() + 0.5 } else { px.round() }
-}
-
-/// A slow random walk, one step per lattice shot: camera px, root mean square length `rms_px`.
-pub(crate) fn drift_walk(shots: usize, rms_px: f64, seed: u64) -> Vec<Point> {
-    const MEMORY: f64 = 0.95;
-    let mut rng = Pcg64Mcg::seed_from_u64(mix_seed(seed, 0xd21f7));
-    let mut at = [0.0; 2];
-    let mut walk = Vec::with_capacity(shots);
-    for shot in 0..shots {
-        let step: Point = std::array::from_fn(|_| StandardNormal.sample(&mut rng));
-        let (keep, move_by) = if shot == 0 { (0.0, 1.0) } else { (MEMORY, (1.0 - MEMORY * MEMORY).sqrt()) };
-        at = std::array::from_fn(|a| keep * at[a] + move_by * step[a]);
-        walk.push(at);
-    }
-    let mean_square = walk.iter().map(|p| p[0] * p[0] + p[1] * p[1]).sum::<f64>() / shots.max(1) as f64;
-    let scale = if mean_square > 0.0 { rms_px / mean_square.sqrt() } else { 0.0 };
-    // No shot beyond 3.4 times the root mean square, so that every window stays on the sample.
-    walk.iter()
-        .map(|p| {
-            let length = p[0].hypot(p[1]) * scale;
-            let limit = if length > 3.4 * rms_px { 3.4 * rms_px / length } else { 1.0 };
-            p.map(|v| v * scale * limit)
-        })
-        .collect()
 }
 
 fn fold(points: &[Point], axis: usize, pick: fn(f64, f64) -> f64) -> f64 {
@@ -237,7 +225,7 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera) {
     let off = [1.3, -0.9];
     let mut view = CameraView {
         ideal_from_slab: about_center,
-        lens: Lens { center_px: off, focal_px, k1: LENS_K[0], k2: LENS_K[1] },
+        lens: Lens { center_px: off, focal_px, k1: options.distortion, k2: LENS_K2 * options.distortion },
     };
     let edge: Vec<Point> = (0..=40)
         .flat_map(|i| {
@@ -248,9 +236,9 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera) {
         })
         .map(|p| view.camera_from_slab(p))
         .collect();
-    let shift: Point = std::array::from_fn(|a| (IMAGE_MARGIN_PX - fold(&edge, a, f64::min)).round());
+    let shift: Point = std::array::from_fn(|a| (image_margin_px(options) - fold(&edge, a, f64::min)).round());
     let size_px: [usize; 2] =
-        std::array::from_fn(|a| (fold(&edge, a, f64::max) + shift[a] + IMAGE_MARGIN_PX).ceil() as usize + 1);
+        std::array::from_fn(|a| (fold(&edge, a, f64::max) + shift[a] + image_margin_px(options)).ceil() as usize + 1);
     view.ideal_from_slab = Homography::similarity(1.0, shift).after(&view.ideal_from_slab);
     view.lens.center_px = [off[0] + shift[0], off[1] + shift[1]];
     let principal_px = size_px.map(|s| 0.5 * (s as f64 - 1.0));
@@ -260,13 +248,15 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera) {
         size_px,
         focal_px: nominal_focal_px,
         principal_px,
-        response: match options.format {
-            FileFormat::Png => ResponseCurve::Linear,
-            FileFormat::Jpeg => ResponseCurve::Srgb,
-        },
-        vignetting: vec![1.2 * CORNER_VIGNETTING / corner2, -0.2 * CORNER_VIGNETTING / (corner2 * corner2)],
+        response: options.response().told(),
+        vignetting: vec![-1.2 * options.vignetting / corner2, 0.2 * options.vignetting / (corner2 * corner2)],
     };
     (view, camera)
+}
+
+/// What is seen around the frame, px: more when the camera moves.
+fn image_margin_px(options: &Options) -> f64 {
+    IMAGE_MARGIN_PX + options.camera_reach_px().ceil()
 }
 
 /// A board over slab and frame: squares of at least some 11 camera px (OpenCV finds them down to about 8), one even and one odd number of inner corners.
@@ -304,11 +294,27 @@ mod tests {
     }
 
     #[test]
-    fn drift_has_the_length_that_was_asked_for() {
-        let walk = drift_walk(400, 0.5, 7);
-        let rms = (walk.iter().map(|p| p[0] * p[0] + p[1] * p[1]).sum::<f64>() / 400.0).sqrt();
-        // The limit on single shots may shorten it by a little.
-        assert!((rms - 0.5).abs() < 0.01, "{rms}");
+    fn lens_vignetting_and_falloff_have_the_strength_that_was_asked_for() {
+        let scene = |distortion, vignetting, falloff| {
+            Scene::new(&Options { distortion, vignetting, falloff, ..Options::default() }).unwrap()
+        };
+        let (real, ideal) = (scene(-0.05, 0.15, 0.12), scene(0.0, 0.0, 0.0));
+        assert!((real.camera.vignetting_at([0.0, 0.0]) - 0.85).abs() < 1e-12);
+        assert_eq!(ideal.camera.vignetting_at([0.0, 0.0]), 1.0);
+        // Straight lines stay straight without distortion, and bend with it.
+        let bend = |scene: &Scene| {
+            let [w, h] = scene.slab_size_mm;
+            let [a, b, c] = [[0.0, 0.0], [0.5 * w, 0.0], [w, h * 0.0]].map(|p| scene.view.camera_from_slab(p));
+            ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])).abs() / (c[0] - a[0]).hypot(c[1] - a[1])
+        };
+        assert!(bend(&ideal) < 1e-9 && bend(&real) > 0.05, "{} {}", bend(&ideal), bend(&real));
+        let corner = |scene: &Scene| scene.white_irradiance([-scene.frame_mm; 2])[0];
+        // The brightest point is a little off the middle, so that the corner loses a little more or less.
+        assert!((corner(&real) - 0.88).abs() < 0.02 && corner(&ideal) == 1.0, "{}", corner(&real));
+    }
+
+    #[test]
+    fn drift_on_the_slab_is_seen_with_its_length_in_pixels() {
         let scene = Scene::new(&Options::default()).unwrap();
         let (c, mm) = (scene.center_mm(), scene.drift_mm([0.3, -0.4]));
         let (a, b) = (scene.view.camera_from_slab(c), scene.view.camera_from_slab([c[0] + mm[0], c[1] + mm[1]]));

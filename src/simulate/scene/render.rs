@@ -9,17 +9,18 @@ use crate::{
 };
 use rayon::prelude::*;
 
-/// Blur of the projector's pixels, projector px (standard deviation).
-pub(crate) const PROJECTOR_BLUR_PX: f64 = 0.3;
 /// Softness of the printed board's edges, camera px.
 const PRINT_BLUR_PX: f64 = 0.2;
 /// Albedo of the printed board, dark and light.
 const BOARD_ALBEDO: [f64; 2] = [0.05, 0.85];
 
-/// Nodes and weights of Gauss and Legendre on −½..½: three suit the smooth fields, six the edges.
-const GAUSS_3: [(f64, f64); 3] =
-    [(-0.387_298_334_620_741_7, 5.0 / 18.0), (0.0, 4.0 / 9.0), (0.387_298_334_620_741_7, 5.0 / 18.0)];
-const GAUSS_6: [(f64, f64); 6] = [
+/// Nodes and weights of Gauss and Legendre on −½..½: two are exact for what is cubic over a pixel, three suit the smooth
+/// fields, six the edges.
+pub(crate) type Rule = &'static [(f64, f64)];
+pub(crate) const GAUSS_2: Rule = &[(-0.288_675_134_594_812_9, 0.5), (0.288_675_134_594_812_9, 0.5)];
+pub(crate) const GAUSS_3: Rule =
+    &[(-0.387_298_334_620_741_7, 5.0 / 18.0), (0.0, 4.0 / 9.0), (0.387_298_334_620_741_7, 5.0 / 18.0)];
+pub(crate) const GAUSS_6: Rule = &[
     (-0.466_234_757_101_576, 0.085_662_246_189_585_2),
     (-0.330_604_693_233_132_3, 0.180_380_786_524_069_3),
     (-0.119_309_593_041_598_5, 0.233_956_967_286_345_5),
@@ -36,21 +37,23 @@ pub(crate) type Picture = Vec<[f32; 3]>;
 pub(crate) struct PixelGrid {
     size_px: [usize; 2],
     corners_mm: Vec<Point>,
+    /// How far the camera's picture has moved, px.
+    shift_px: Point,
 }
 
 impl PixelGrid {
-    /// Projects all corners back onto the slab.
-    pub fn new(scene: &Scene) -> Result<Self> {
+    /// Projects all corners back onto the slab, for a picture that has moved by `shift_px`.
+    pub fn new(scene: &Scene, shift_px: Point) -> Result<Self> {
         let size_px = scene.camera.size_px;
         let slab_from_ideal =
             scene.view.ideal_from_slab.inverse().ok_or_else(|| Error::internal("camera view is singular"))?;
         let across = size_px[0] + 1;
         let corner = |i: usize| {
-            let q = [(i % across) as f64 - 0.5, (i / across) as f64 - 0.5];
+            let q = [(i % across) as f64 - 0.5 - shift_px[0], (i / across) as f64 - 0.5 - shift_px[1]];
             slab_from_ideal.map(scene.view.lens.undistort(q))
         };
         let corners_mm = (0..across * (size_px[1] + 1)).into_par_iter().map(corner).collect();
-        Ok(Self { size_px, corners_mm })
+        Ok(Self { size_px, corners_mm, shift_px })
     }
 
     /// The mean of `f` over the area of pixel (x, y).
@@ -73,20 +76,43 @@ impl PixelGrid {
         sum
     }
 
-    /// A whole picture of `f`, edges averaged by 6 × 6 points a pixel.
-    pub fn picture(&self, f: impl Fn(Point) -> [f64; 3] + Sync) -> Picture {
+    /// A whole picture of `f`, averaged over each pixel by `rule(p)`, p the pixel's first corner: edges need more
+    /// points than what lies between them.
+    pub fn picture(&self, rule: impl Fn(Point) -> Rule + Sync, f: impl Fn(Point) -> [f64; 3] + Sync) -> Picture {
         let [width, height] = self.size_px;
-        let pixel = |i: usize| self.mean(&GAUSS_6, i % width, i / width, &f).map(|v| v as f32);
+        let pixel = |i: usize| {
+            let (x, y) = (i % width, i / width);
+            self.mean(rule(self.corners_mm[y * (width + 1) + x]), x, y, &f).map(|v| v as f32)
+        };
         (0..width * height).into_par_iter().map(pixel).collect()
     }
 
+    /// An upper bound of a pixel's extent on the slab along either axis, mm.
+    pub fn pixel_mm(&self) -> f64 {
+        let [width, height] = self.size_px;
+        let (across, corner) = (width + 1, |x: usize, y: usize| y * (width + 1) + x);
+        let places = [(0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1), (width / 2, height / 2)];
+        let extent = |(x, y): (usize, usize)| {
+            let i = corner(x, y);
+            let [p, q, r, s] = [i, i + 1, i + across, i + across + 1].map(|i| self.corners_mm[i]);
+            let along = |a: usize| {
+                let values = [p[a], q[a], r[a], s[a]];
+                values.iter().copied().fold(f64::MIN, f64::max) - values.iter().copied().fold(f64::MAX, f64::min)
+            };
+            along(0).max(along(1))
+        };
+        // Between these places the scale changes by less than a tenth.
+        1.1 * places.map(extent).into_iter().fold(0.0, f64::max)
+    }
+
     /// Adds `scale` times `field` where it is not zero and the sample is in view.
-    pub fn add_field(&self, picture: &mut Picture, scene: &Scene, field: &Field, scale: [f64; 3]) {
+    pub fn add_field(&self, picture: &mut Picture, scene: &Scene, field: &Field, voxel_mm: f64, scale: [f64; 3]) {
         let light = |p: Point| {
             if scene.on_sample(p) { field.at(p).map(f64::from) } else { [0.0; 3] }
         };
+        let rule = smooth_rule(self.pixel_mm(), voxel_mm);
         for (x, y) in self.seen(scene, field.bounds_mm()) {
-            let mean = self.mean(&GAUSS_3, x, y, light);
+            let mean = self.mean(rule, x, y, light);
             let pixel = &mut picture[y * self.size_px[0] + x];
             pixel.iter_mut().zip(mean).zip(scale).for_each(|((p, m), s)| *p += (m * s) as f32);
         }
@@ -95,7 +121,7 @@ impl PixelGrid {
     /// Adds a dot of the projector that falls on the frame, displaced by `drift_mm`.
     pub fn add_frame_dot(&self, picture: &mut Picture, scene: &Scene, dot_px: Point, drift_mm: Point, albedo_lit: f64) {
         let half = 0.5 * scene.grid.dot_projector_px as f64;
-        let reach = half + 5.0 * PROJECTOR_BLUR_PX;
+        let reach = half + 5.0 * scene.projector_blur_px;
         let corners = [[-reach, -reach], [reach, -reach], [-reach, reach], [reach, reach]].map(|r| {
             let p = scene.slab_from_projector.map([dot_px[0] + r[0], dot_px[1] + r[1]]);
             [p[0] + drift_mm[0], p[1] + drift_mm[1]]
@@ -104,11 +130,12 @@ impl PixelGrid {
         let high: Point = std::array::from_fn(|a| corners.iter().map(|p| p[a]).fold(f64::MIN, f64::max));
         let light = |p: Point| {
             let q = scene.projector_from_slab.map([p[0] - drift_mm[0], p[1] - drift_mm[1]]);
-            let lit = soft_box(q[0] - dot_px[0], half) * soft_box(q[1] - dot_px[1], half);
+            let blur = scene.projector_blur_px;
+            let lit = soft_box(q[0] - dot_px[0], half, blur) * soft_box(q[1] - dot_px[1], half, blur);
             scene.white_irradiance(p).map(|e| albedo_lit * lit * e)
         };
         for (x, y) in self.seen(scene, [low, high]) {
-            let mean = self.mean(&GAUSS_6, x, y, light);
+            let mean = self.mean(GAUSS_6, x, y, light);
             let pixel = &mut picture[y * self.size_px[0] + x];
             pixel.iter_mut().zip(mean).for_each(|(p, m)| *p += m as f32);
         }
@@ -118,8 +145,8 @@ impl PixelGrid {
     fn seen(&self, scene: &Scene, [low, high]: [Point; 2]) -> impl Iterator<Item = (usize, usize)> + use<> {
         let corners = [low, [high[0], low[1]], [low[0], high[1]], high].map(|p| scene.view.camera_from_slab(p));
         let range = |a: usize| {
-            let first = corners.iter().map(|q| q[a]).fold(f64::MAX, f64::min) - 1.5;
-            let last = corners.iter().map(|q| q[a]).fold(f64::MIN, f64::max) + 1.5;
+            let first = corners.iter().map(|q| q[a]).fold(f64::MAX, f64::min) + self.shift_px[a] - 1.5;
+            let last = corners.iter().map(|q| q[a]).fold(f64::MIN, f64::max) + self.shift_px[a] + 1.5;
             let limit = self.size_px[a] as f64 - 1.0;
             first.clamp(0.0, limit) as usize..last.clamp(0.0, limit) as usize + 1
         };
@@ -135,9 +162,9 @@ pub(crate) fn board_albedo(scene: &Scene, px_mm: f64, p: Point) -> f64 {
     // A square wave of each coordinate, −1 and +1, with soft edges; outside the squares there is only paper.
     let wave = |a: usize| {
         let t = (p[a] - board.origin_mm[a]) / board.square_mm;
-        let edge = t.round().clamp(0.0, board.inner_corners[a] as f64 - 1.0);
-        let sign = if edge as i64 % 2 == 0 { 1.0 } else { -1.0 };
-        sign * (2.0 * normal_cdf((t - edge) / soft) - 1.0)
+        let edge = nearest(t).clamp(0, board.inner_corners[a] as i64 - 1);
+        let sign = if edge % 2 == 0 { 1.0 } else { -1.0 };
+        sign * (2.0 * normal_cdf((t - edge as f64) / soft) - 1.0)
     };
     let inside = |a: usize| {
         let t = (p[a] - board.origin_mm[a]) / board.square_mm;
@@ -148,24 +175,73 @@ pub(crate) fn board_albedo(scene: &Scene, px_mm: f64, p: Point) -> f64 {
     light + darkness * (dark - light)
 }
 
-/// Brightness 0..1 of one bit of the Gray code at projector position `q`, blurred across its edges.
-pub(crate) fn gray_code(axis: Axis, bit: u32, inverse: bool, q: Point) -> f64 {
-    let t = match axis {
-        Axis::X => q[0],
-        Axis::Y => q[1],
+/// How to average the board over pixels that begin at `p` and reach `pixel_mm` far.
+pub(crate) fn board_rule(scene: &Scene, pixel_mm: f64, p: Point) -> Rule {
+    let reach = (pixel_mm * (1.0 + 6.0 * PRINT_BLUR_PX)) / scene.board.square_mm;
+    let between = |a: usize| {
+        let t = (p[a] - scene.board.origin_mm[a]) / scene.board.square_mm;
+        (t - nearest(t) as f64).abs() > reach
     };
-    // Bit j of n XOR (n >> 1) changes where n passes 2^j, 2^j + 2^(j+1), …; the edge lies half a pixel before.
-    let stripe = f64::from(2u32 << bit);
-    let first = f64::from(1u32 << bit) - 0.5;
-    let edge = ((t - first) / stripe).round();
-    let rises = edge.rem_euclid(2.0) == 0.0;
-    let after = normal_cdf((t - first - edge * stripe) / PROJECTOR_BLUR_PX);
-    if rises != inverse { after } else { 1.0 - after }
+    if between(0) && between(1) { GAUSS_2 } else { GAUSS_6 }
+}
+
+/// One bit of the Gray code, as projected.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct GrayCode {
+    pub axis: Axis,
+    pub bit: u32,
+    pub inverse: bool,
+    pub blur_px: f64,
+}
+
+impl GrayCode {
+    /// Signed distance (projector px) of projector position `q` from the nearest edge, and whether light begins there.
+    fn nearest_edge(&self, q: Point) -> (f64, bool) {
+        let t = match self.axis {
+            Axis::X => q[0],
+            Axis::Y => q[1],
+        };
+        // Bit j of n XOR (n >> 1) changes where n passes 2^j, 2^j + 2^(j+1), …; the edge lies half a pixel before.
+        let stripe = f64::from(2u32 << self.bit);
+        let first = f64::from(1u32 << self.bit) - 0.5;
+        let edge = nearest((t - first) / stripe);
+        (t - first - edge as f64 * stripe, (edge % 2 == 0) != self.inverse)
+    }
+
+    /// Brightness 0..1 at projector position `q`, blurred across its edges.
+    pub fn brightness(&self, q: Point) -> f64 {
+        let (distance, rises) = self.nearest_edge(q);
+        let after = blurred_step(distance, self.blur_px);
+        if rises { after } else { 1.0 - after }
+    }
+
+    /// How to average over pixels that begin at `q` and reach `pixel_px` far.
+    pub fn rule(&self, q: Point, pixel_px: f64) -> Rule {
+        let distance = self.nearest_edge(q).0.abs();
+        if distance > pixel_px + 6.0 * self.blur_px { GAUSS_2 } else { GAUSS_6 }
+    }
+}
+
+/// The nearest whole number; `round` is a slow call on processors without SSE 4.1.
+fn nearest(v: f64) -> i64 {
+    let below = (v + 0.5) as i64;
+    if below as f64 > v + 0.5 { below - 1 } else { below }
+}
+
+/// How to average a spline over pixels of voxels of `voxel_mm`: within a third of a voxel it is all but cubic.
+pub(crate) fn smooth_rule(pixel_mm: f64, voxel_mm: f64) -> Rule {
+    if 3.0 * pixel_mm < voxel_mm { GAUSS_2 } else { GAUSS_3 }
+}
+
+/// A step from 0 to 1 at 0, blurred by a normal distribution.
+fn blurred_step(t: f64, blur: f64) -> f64 {
+    // Sharp steps stay finite where both are zero.
+    normal_cdf(t / blur.max(1e-9))
 }
 
 /// A box of half width `half`, blurred as the projector's pixels are; its integral stays 2 · half.
-pub(crate) fn soft_box(t: f64, half: f64) -> f64 {
-    normal_cdf((t + half) / PROJECTOR_BLUR_PX) - normal_cdf((t - half) / PROJECTOR_BLUR_PX)
+pub(crate) fn soft_box(t: f64, half: f64, blur_px: f64) -> f64 {
+    blurred_step(t + half, blur_px) - blurred_step(t - half, blur_px)
 }
 
 /// Share of a dot's flux that each voxel column of `domain` receives (they sum to 1), the dot centred on `center_mm`.
@@ -177,11 +253,12 @@ pub(crate) fn footprint(
     dot_px: Point,
     center_mm: Point,
     dot_side_px: usize,
+    blur_px: f64,
 ) -> Vec<f64> {
     let j = slab_from_projector.jacobian(dot_px);
     let det = j[0][0] * j[1][1] - j[0][1] * j[1][0];
     let half = 0.5 * dot_side_px as f64;
-    let reach_px = half + 6.0 * PROJECTOR_BLUR_PX;
+    let reach_px = half + 6.0 * blur_px;
     let reach_mm: Point = std::array::from_fn(|a| reach_px * (j[a][0].abs() + j[a][1].abs()));
     let range = |a: usize| {
         let voxel = |v: f64| (v - domain.corner_mm[a]) / domain.voxel_mm;
@@ -194,14 +271,14 @@ pub(crate) fn footprint(
         for x in range(0) {
             let corner = domain.voxel_corner_mm([x, y]);
             let mut sum = 0.0;
-            for (v, wv) in GAUSS_6 {
-                for (u, wu) in GAUSS_6 {
+            for &(v, wv) in GAUSS_6 {
+                for &(u, wu) in GAUSS_6 {
                     let d = [
                         corner[0] + (u + 0.5) * domain.voxel_mm - center_mm[0],
                         corner[1] + (v + 0.5) * domain.voxel_mm - center_mm[1],
                     ];
                     let q = [(j[1][1] * d[0] - j[0][1] * d[1]) / det, (j[0][0] * d[1] - j[1][0] * d[0]) / det];
-                    sum += wu * wv * soft_box(q[0], half) * soft_box(q[1], half);
+                    sum += wu * wv * soft_box(q[0], half, blur_px) * soft_box(q[1], half, blur_px);
                 }
             }
             flux[y * domain.voxels[0] + x] = sum;
@@ -238,8 +315,15 @@ mod tests {
                 let expected = f64::from(((n ^ (n >> 1)) >> bit) & 1);
                 let q = [f64::from(n), f64::from(n)];
                 // Half a pixel from an edge is 1.7 standard deviations of the blur: under 5 % of the step.
-                assert!((gray_code(Axis::X, bit, false, q) - expected).abs() < 0.05, "bit {bit}, column {n}");
-                assert!((gray_code(Axis::Y, bit, true, q) + expected - 1.0).abs() < 0.05);
+                assert!(
+                    (GrayCode { axis: Axis::X, bit, inverse: false, blur_px: 0.3 }.brightness(q) - expected).abs()
+                        < 0.05,
+                    "bit {bit}, column {n}"
+                );
+                assert!(
+                    (GrayCode { axis: Axis::Y, bit, inverse: true, blur_px: 0.3 }.brightness(q) + expected - 1.0).abs()
+                        < 0.05
+                );
             }
         }
     }
@@ -249,7 +333,7 @@ mod tests {
         let domain = Domain { corner_mm: [0.0, 0.0], voxel_mm: 0.4, voxels: [20, 20] };
         let view = Homography::similarity(0.2, [0.0, 0.0]);
         let mean_x = |x: f64| {
-            let flux = footprint(&domain, &view, [0.0, 0.0], [x, 4.0], 3);
+            let flux = footprint(&domain, &view, [0.0, 0.0], [x, 4.0], 3, 0.3);
             flux.iter().enumerate().map(|(i, f)| f * ((i % 20) as f64 + 0.5) * 0.4).sum::<f64>()
         };
         for step in 0..8 {
