@@ -3,7 +3,7 @@
 use super::Context;
 use crate::{
     Result,
-    simulate::{self, Cause, FileFormat, Material, Options, Response, SensorKind},
+    simulate::{self, Cause, FileFormat, Material, Options, Response, SensorKind, Transport},
 };
 use std::path::PathBuf;
 
@@ -52,6 +52,12 @@ pub struct Args {
     /// Thickness of the slab, mm [default: that of the layers or voxels, or 4].
     #[arg(long, value_name = "MM", help_heading = "Slab")]
     thickness_mm: Option<f64>,
+    /// What solves for the light inside the slab.
+    #[arg(long, value_enum, default_value = "diffusion", help_heading = "Slab")]
+    transport: Transport,
+    /// Photons for a dot and channel, with --transport mc.
+    #[arg(long, value_name = "N", default_value_t = Options::default().photons, value_parser = photons, help_heading = "Slab")]
+    photons: u64,
     /// Voxels of the transport solver across an outgoing cell.
     #[arg(long, value_name = "N", default_value_t = Options::default().voxels_per_sample, help_heading = "Slab")]
     voxels_per_sample: usize,
@@ -168,6 +174,8 @@ impl Args {
             material: self.voxels.clone().map_or(self.material.clone(), Material::Voxels),
             anisotropy: self.anisotropy,
             voxels_blake3: None,
+            transport: self.transport,
+            photons: self.photons,
             thickness_mm: self.thickness_mm,
             voxels_per_sample: self.voxels_per_sample,
             grid: self.grid,
@@ -210,6 +218,16 @@ impl Args {
     }
 }
 
+/// A whole number, also as 1e6.
+fn photons(text: &str) -> std::result::Result<u64, String> {
+    let number: f64 = text.parse().map_err(|_| "a number such as 100000 or 1e6".to_owned())?;
+    if number.fract() == 0.0 && (0.0..1e15).contains(&number) {
+        Ok(number as u64)
+    } else {
+        Err("a whole number".into())
+    }
+}
+
 /// Runs the command.
 pub fn run(args: Args, context: &Context) -> Result<()> {
     let options = args.options()?;
@@ -219,8 +237,9 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         context.warn(warning);
     }
     let dir = args.dir.display();
+    let noise = summary.photon_noise.map_or(String::new(), |noise| format!(" (photon noise {:.2} %)", 100.0 * noise));
     context.done(format_args!(
-        "{dir}: {} photographs of {} shots, {} × {} px, {:.0} MB, and their truth in {:.1} s; next: acquire build-matrix {dir} --out {}.rd.zarr",
+        "{dir}: {} photographs of {} shots, {} × {} px, {:.0} MB, and their truth{noise} in {:.1} s; next: acquire build-matrix {dir} --out {}.rd.zarr",
         summary.photographs,
         summary.shots,
         summary.size_px[0],

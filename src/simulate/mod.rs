@@ -30,8 +30,8 @@ mod studio;
 
 pub use camera::photograph::{ExposureTime, write as write_photograph};
 pub use causes::Cause;
-pub use light::{diffusion::Balance, monte_carlo};
-pub use options::{FileFormat, Options, Response, SensorKind};
+pub use light::{beam::Beam, diffusion::Balance, monte_carlo};
+pub use options::{FileFormat, Options, Response, SensorKind, Transport};
 pub use slab::{Beyond, Material, Optics, SlabRecord, Volume};
 
 use crate::{
@@ -59,6 +59,8 @@ pub struct Summary {
     pub size_px: [usize; 2],
     /// Bytes of all photographs.
     pub photograph_bytes: u64,
+    /// Photon noise of the truth: standard error of all rows over the rows, both Euclidean. `None` for diffusion.
+    pub photon_noise: Option<f64>,
     /// Findings about the slab and how its light was solved for.
     pub warnings: Vec<Warning>,
 }
@@ -68,7 +70,10 @@ pub struct Summary {
 pub struct Truth {
     /// Scale of the sensor: electrons per second and unit of radiance at the principal point.
     pub electrons_per_sec_per_radiance: f64,
-    /// Thickness of the transport solver's layers, mm.
+    /// How far photon noise may put the matrix off the slab's own: see [`Summary::photon_noise`].
+    #[serde(default)]
+    pub photon_noise: Option<f64>,
+    /// Thickness of the layers that diffusion solves on, mm.
     pub layers_mm: Vec<f64>,
     /// The camera's response, whatever the rig file says: pairs of linear light and encoded value, both 0 to 1.
     #[serde(default)]
@@ -115,17 +120,12 @@ pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Su
         std::fs::create_dir(&folder).map_err(Error::io("create", &folder))?;
     }
 
-    let stage = progress.stage("light", 2);
-    let studio = Studio::new(options)?;
+    let studio = Studio::new(options, progress)?;
     let options = &Options { voxels_blake3: studio.record.voxels_blake3.clone(), ..options.clone() };
-    stage.advance(1);
     let plan = Plan::new(options, &studio);
-    stage.advance(1);
-    drop(stage);
 
     plan.manifest.write(&work)?;
     studio.scene.rig(studio.sensor.noise()).write(&work.join("calibration"))?;
-    write_truth(options, &studio, &plan, &work)?;
     let matrix = MatrixWriter::create(&work.join("truth.rd.zarr"), header(options, &studio, &plan)?)?;
 
     let bytes = AtomicU64::new(0);
@@ -138,6 +138,7 @@ pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Su
     })?;
     drop(stage);
     matrix.finish()?;
+    write_truth(options, &studio, &plan, &work)?;
 
     if dir.exists() {
         // Leaves with the scratch folder: nothing is lost should the next step fail.
@@ -149,6 +150,7 @@ pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Su
         photographs: plan.manifest.shots.iter().map(|s| s.photographs.len()).sum(),
         size_px: studio.scene.camera.size_px,
         photograph_bytes: bytes.into_inner(),
+        photon_noise: studio.photon_noise(),
         warnings: studio.warnings,
     })
 }
@@ -180,7 +182,8 @@ fn refuse_full(dir: &Path, force: bool) -> Result<()> {
 fn write_truth(options: &Options, studio: &Studio, plan: &Plan, work: &Path) -> Result<()> {
     let truth = Truth {
         electrons_per_sec_per_radiance: studio.electrons_per_sec,
-        layers_mm: studio.slab.layers_mm.clone(),
+        photon_noise: studio.photon_noise(),
+        layers_mm: studio.dots.slab.layers_mm.clone(),
         response_curve: options.response().samples(),
         options: options.clone(),
         medium: studio.record.clone(),

@@ -1,14 +1,16 @@
 //! One capture's light: solves for dots, renders shots, exposes and writes them.
 
 use super::{
-    Options, Plan, ShotTruth,
+    Options, Plan, ShotTruth, Transport,
     camera::photograph::{self, ExposureTime},
     camera::{hot_pixels::hot_pixels, psf, sensor::Sensor},
-    light::diffusion::{Domain, Slab},
+    light::beam::Beam,
+    light::diffusion::Domain,
+    light::dots::{Dots, Glow},
     light::field::Field,
     light::validity,
     mix_seed, plan,
-    scene::render::{GAUSS_2, GAUSS_6, GrayCode, Picture, PixelGrid, board_albedo, board_rule, footprint, smooth_rule},
+    scene::render::{GAUSS_2, GAUSS_6, GrayCode, Picture, PixelGrid, board_albedo, board_rule, smooth_rule},
     scene::{FRAME_ALBEDO, Scene},
     slab::SlabRecord,
     slab::layout::{self, Built, Place},
@@ -17,6 +19,7 @@ use crate::{
     Result, Warning,
     capture::Pattern,
     geometry::Point,
+    progress::Progress,
     transport::{MatrixWriter, Row},
 };
 use rand::SeedableRng;
@@ -25,13 +28,12 @@ use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::path::Path;
+use std::sync::Mutex;
 
 /// Shortest exposure of lattice shots, s⁻¹.
 const SHORTEST_PER_SEC: u32 = 256;
 /// Share of the range that the brightest pixel of the shortest exposure reaches.
 const BRIGHTEST: f64 = 0.70;
-/// Around a window the box of voxels goes on by this many pitches, so that its sides do not shape the tails.
-const BOX_MARGIN_PITCHES: usize = 4;
 /// Around the sample, for the response to light all over it.
 const SLAB_MARGIN_PITCHES: f64 = 6.0;
 /// Dots per axis that are solved beforehand to set the exposure.
@@ -41,7 +43,7 @@ const PILOTS: usize = 5;
 #[derive(Debug)]
 pub(super) struct Studio {
     pub scene: Scene,
-    pub slab: Slab,
+    pub dots: Dots,
     /// The slab, readable.
     pub record: SlabRecord,
     /// Findings about the slab.
@@ -57,23 +59,25 @@ pub(super) struct Studio {
     /// Electrons per second and unit of radiance at the principal point.
     pub electrons_per_sec: f64,
     white_shortest: ExposureTime,
-    box_voxels: usize,
+    /// Row, photon noise and light of every dot so far.
+    noise: Mutex<Vec<(usize, f64, f64)>>,
 }
 
 impl Studio {
     /// Sets the bench up, solves for the light all over the sample, and chooses the sensitivity.
-    pub fn new(options: &Options) -> Result<Self> {
+    pub fn new(options: &Options, progress: &Progress) -> Result<Self> {
         let scene = Scene::new(options)?;
-        let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
         let place =
             Place { lit_origin_mm: scene.lit_origin_mm, lit_side_mm: scene.lit_side_mm, size_mm: scene.slab_size_mm };
         let Built { volume, record, mut warnings } = layout::build(options, &place)?;
-        warnings.extend(validity::warnings(&volume, &record, options.window as f64 * options.pitch_mm));
-        let slab = Slab::new(&volume, voxel_mm, options.tolerance);
+        if options.transport == Transport::Diffusion {
+            warnings.extend(validity::warnings(&volume, &record, options.window as f64 * options.pitch_mm));
+        }
+        let middle = beam(options, &scene, [options.grid / 2; 2], [0.0; 2]);
+        let dots = Dots::new(options, &volume, scene.eye_mm, &middle, progress)?;
         let pixels = PixelGrid::new(&scene, [0.0; 2])?;
         let [width, height] = scene.camera.size_px;
         let sensitivity = |i: usize| scene.camera.vignetting_at([(i % width) as f64, (i / width) as f64]) as f32;
-        let samples = options.window + 2 * BOX_MARGIN_PITCHES;
         let mut studio = Self {
             sensor: Sensor::new(options),
             vignetting: (0..width * height).map(sensitivity).collect(),
@@ -82,9 +86,9 @@ impl Studio {
             dark_sample: Vec::new(),
             electrons_per_sec: 0.0,
             white_shortest: ExposureTime::one_over(1),
-            box_voxels: (samples * options.voxels_per_sample).next_multiple_of(8),
+            noise: Mutex::default(),
             scene,
-            slab,
+            dots,
             record,
             warnings,
             pixels,
@@ -97,8 +101,16 @@ impl Studio {
 
     /// Where a dot falls, mm.
     pub fn dot_mm(&self, dot: [usize; 2], drift_mm: Point) -> Point {
-        let p = self.scene.slab_from_projector.map(self.scene.grid.dot_projector_px(dot));
-        [p[0] + drift_mm[0], p[1] + drift_mm[1]]
+        dot_mm(&self.scene, dot, drift_mm)
+    }
+
+    /// The photon noise of the truth: the standard error of all rows over the rows, both Euclidean; `None` without noise.
+    pub fn photon_noise(&self) -> Option<f64> {
+        let mut noise = self.noise.lock().map(|noise| noise.clone()).unwrap_or_default();
+        // In the order of the rows, so that the sum does not depend on the threads.
+        noise.sort_by_key(|(row, ..)| *row);
+        let (error, light) = noise.iter().fold((0.0, 0.0), |(e, l), (_, error, light)| (e + error, l + light));
+        (error > 0.0).then(|| (error / light).sqrt())
     }
 
     /// The exposure times of a shot.
@@ -187,7 +199,6 @@ impl Studio {
         keep: impl Fn([usize; 2], Row) -> Result<()> + Sync,
     ) -> Result<Picture> {
         let (lit, drift_mm) = (1.0 - options.projector_black, moved.drift_mm);
-        let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
         // A camera that has moved sees every pixel elsewhere.
         let own_pixels = match moved.camera_drift_px {
             [0.0, 0.0] => None,
@@ -201,16 +212,20 @@ impl Studio {
         // A few dots at a time: their order in the sum is fixed, and memory is bounded.
         for group in dots.chunks(16) {
             let solve = |&dot: &[usize; 2]| {
-                let (field, flux) = self.dot(options, dot, drift_mm)?;
+                let (Glow { field, variance_sum }, flux) = self.dot(options, dot, drift_mm)?;
                 let center = self.dot_mm(dot, drift_mm);
                 let response = field.cell_means(center, [options.window; 2], options.pitch_mm);
+                if let Ok(mut noise) = self.noise.lock() {
+                    let light = response.iter().map(|r| f64::from(*r).powi(2)).sum();
+                    noise.push((dot[1] * options.grid + dot[0], variance_sum, light));
+                }
                 let (variance, valid) = (vec![0.0; response.len()], vec![true; response.len()]);
                 keep(dot, Row { response, variance, valid })?;
                 Ok((field, flux))
             };
             let fields: Vec<(Field, [f64; 3])> = group.par_iter().map(solve).collect::<Result<_>>()?;
             for (field, flux) in &fields {
-                pixels.add_field(&mut picture, &self.scene, field, voxel_mm, flux.map(|f| lit * f));
+                pixels.add_field(&mut picture, &self.scene, field, flux.map(|f| lit * f));
             }
         }
         for &dot_px in &self.scene.reference_dots {
@@ -219,28 +234,14 @@ impl Studio {
         Ok(picture)
     }
 
-    /// The exitance of one dot per unit of its flux, and its flux under full white.
-    fn dot(&self, options: &Options, dot: [usize; 2], drift_mm: Point) -> Result<(Field, [f64; 3])> {
-        let dot_px = self.scene.grid.dot_projector_px(dot);
-        let center = self.dot_mm(dot, drift_mm);
-        let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
-        let domain = Domain {
-            corner_mm: center.map(|c| c - 0.5 * self.box_voxels as f64 * voxel_mm),
-            voxel_mm,
-            voxels: [self.box_voxels; 2],
-        };
+    /// The light of one dot per unit of its flux, and its flux under full white.
+    fn dot(&self, options: &Options, dot: [usize; 2], drift_mm: Point) -> Result<(Glow, [f64; 3])> {
+        let beam = beam(options, &self.scene, dot, drift_mm);
         let side = self.scene.grid.dot_projector_px;
-        let share =
-            footprint(&domain, &self.scene.slab_from_projector, dot_px, center, side, options.projector_blur_px);
+        let dot_px = self.scene.grid.dot_projector_px(dot);
         let area_mm2 = (side * side) as f64 * self.scene.slab_from_projector.area_scale(dot_px);
-        Ok((self.solve(&domain, [&share; 3])?, self.scene.white_irradiance(center).map(|e| e * area_mm2)))
-    }
-
-    /// The exitance for flux arriving at the columns of `domain`, per channel.
-    fn solve(&self, domain: &Domain, flux: [&[f64]; 3]) -> Result<Field> {
-        let channel = |c: usize| Ok(self.slab.solve(domain, flux[c], c)?.exitance());
-        let [red, green, blue] = [channel(0)?, channel(1)?, channel(2)?];
-        Ok(Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&red, &green, &blue]))
+        let flux = self.scene.white_irradiance(beam.center_mm).map(|e| e * area_mm2);
+        Ok((self.dots.glow(&beam, dot[1] * options.grid + dot[0])?, flux))
     }
 
     /// The light of the sample under the projector's black and the ambient light; `None` without either.
@@ -265,7 +266,7 @@ impl Studio {
             let light = self.dark_irradiance(options, corner.map(|c| c + 0.5 * voxel_mm));
             flux.iter_mut().zip(light).for_each(|(flux, e)| flux[i] = e * area);
         }
-        self.solve(&domain, [&flux[0], &flux[1], &flux[2]]).map(Some)
+        self.dots.diffuse(&domain, &flux).map(Some)
     }
 
     fn dark_irradiance(&self, options: &Options, p: Point) -> [f64; 3] {
@@ -292,7 +293,7 @@ impl Studio {
         let place = |n: usize| ((2 * n + 1) * options.grid) / (2 * pilots);
         let peak = |n: usize| {
             let dot = [place(n % pilots), place(n / pilots)];
-            let (field, flux) = self.dot(options, dot, [0.0; 2])?;
+            let (Glow { field, .. }, flux) = self.dot(options, dot, [0.0; 2])?;
             let px_mm = options.pitch_mm / options.camera_px_per_sample;
             let means = field.cell_means(self.dot_mm(dot, [0.0; 2]), [5, 5], px_mm);
             Ok(means.iter().enumerate().map(|(i, m)| f64::from(*m) * flux[i % 3]).fold(0.0, f64::max))
@@ -310,7 +311,23 @@ impl Studio {
     /// What [`Self::dot`] is made of, for tests.
     #[cfg(test)]
     pub fn dot_field(&self, options: &Options, dot: [usize; 2], drift_mm: Point) -> Field {
-        self.dot(options, dot, drift_mm).unwrap().0
+        self.dot(options, dot, drift_mm).unwrap().0.field
+    }
+}
+
+/// Where a dot falls, mm.
+fn dot_mm(scene: &Scene, dot: [usize; 2], drift_mm: Point) -> Point {
+    let p = scene.slab_from_projector.map(scene.grid.dot_projector_px(dot));
+    [p[0] + drift_mm[0], p[1] + drift_mm[1]]
+}
+
+/// The light of a dot as it arrives.
+fn beam(options: &Options, scene: &Scene, dot: [usize; 2], drift_mm: Point) -> Beam {
+    Beam {
+        center_mm: dot_mm(scene, dot, drift_mm),
+        mm_from_px: scene.slab_from_projector.jacobian(scene.grid.dot_projector_px(dot)),
+        side_px: scene.grid.dot_projector_px as f64,
+        blur_px: options.projector_blur_px,
     }
 }
 

@@ -1,9 +1,11 @@
 //! Where light goes inside the slab: the transport solvers, and the continuous field of what leaves it.
 
+pub(crate) mod beam;
 pub(crate) mod coefficients;
 #[cfg(test)]
 mod depth_tests;
 pub(crate) mod diffusion;
+pub(crate) mod dots;
 pub(crate) mod field;
 pub mod monte_carlo;
 pub(crate) mod multigrid;

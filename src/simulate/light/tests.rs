@@ -1,10 +1,10 @@
 //! The transport solver against an analytic solution, and the laws that it must keep.
 
+use super::beam::Beam;
 use super::diffusion::{Balance, Domain, Slab};
 use super::field::Field;
 use super::multigrid::{Columns, Multigrid};
-use crate::geometry::{Homography, Point};
-use crate::simulate::scene::render::footprint;
+use crate::geometry::Point;
 use crate::simulate::slab::layout::{Place, build};
 use crate::simulate::slab::{Material, Volume, boundary_factor, normal_reflectance};
 use crate::simulate::{FileFormat, Options, studio::Studio};
@@ -28,8 +28,8 @@ fn domain(voxel_mm: f64, voxels: usize, center: Point) -> Domain {
 
 /// The exitance of a dot at `center`, red in all channels, and where its light went.
 fn respond(slab: &Slab, domain: &Domain, center: Point) -> (Field, Balance) {
-    let view = Homography::similarity(PX_MM, center);
-    let flux = footprint(domain, &view, [0.0, 0.0], center, DOT_PX, BLUR_PX);
+    let mm_from_px = [[PX_MM, 0.0], [0.0, PX_MM]];
+    let flux = Beam { center_mm: center, mm_from_px, side_px: DOT_PX as f64, blur_px: BLUR_PX }.footprint(domain);
     let solution = slab.solve(domain, &flux, 0).unwrap();
     let exitance = solution.exitance();
     let field = Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&exitance; 3]);
@@ -157,7 +157,7 @@ fn point_sources_and_detectors_are_reciprocal() {
 #[test]
 fn the_response_moves_with_its_dot() {
     let options = Options { grid: 4, window: 9, material: Material::homogeneous(), ..Options::default() };
-    let studio = Studio::new(&options).unwrap();
+    let studio = Studio::new(&options, &crate::progress::Progress::silent()).unwrap();
     let means = |drift: Point| {
         let field = studio.dot_field(&options, [1, 2], drift);
         field.cell_means(studio.dot_mm([1, 2], drift), [9, 9], options.pitch_mm)
@@ -170,7 +170,7 @@ fn the_response_moves_with_its_dot() {
     }
     // Over a chessboard of 1 mm squares, towards an edge, the peak changes smoothly: second differences stay small.
     let options = Options { material: Material::chessboard(8), grid: 16, ..options };
-    let studio = Studio::new(&options).unwrap();
+    let studio = Studio::new(&options, &crate::progress::Progress::silent()).unwrap();
     let peak = |x: f64| {
         let field = studio.dot_field(&options, [1, 2], [x, 0.0]);
         f64::from(field.cell_means(studio.dot_mm([1, 2], [x, 0.0]), [1, 1], options.pitch_mm)[0])

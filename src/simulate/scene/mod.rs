@@ -42,6 +42,8 @@ pub(crate) struct Scene {
     pub projector_from_slab: Homography,
     pub projector: Projector,
     pub view: CameraView,
+    /// Where the camera is, slab mm; z is negative above the slab.
+    pub eye_mm: [f64; 3],
     pub camera: Camera,
     pub board: Board,
     pub reference_dots: Vec<Point>,
@@ -66,7 +68,7 @@ impl Scene {
         let frame_mm = FRAME_PITCHES * options.pitch_mm;
         let slab_from_centered = Homography::similarity(1.0, low.map(|v| -v)).after(&centered);
         let raster = Raster::around(options, &slab_from_centered, &outline(slab_size_mm, frame_mm))?;
-        let (view, camera) = camera(options, slab_size_mm, frame_mm);
+        let (view, camera, eye_mm) = camera(options, slab_size_mm, frame_mm);
         let lit_side_mm = options.grid as f64 * options.lit_pitch_mm();
         let mut scene = Self {
             slab_size_mm,
@@ -78,6 +80,7 @@ impl Scene {
             projector_from_slab: raster.projector_from_slab,
             projector: Projector { size_px: raster.size_px },
             view,
+            eye_mm,
             board: board(slab_size_mm, frame_mm, &camera),
             camera,
             reference_dots: Vec::new(),
@@ -208,7 +211,7 @@ fn projector_view(options: &Options) -> Homography {
 }
 
 /// A pinhole turned and tilted over the slab's centre, its lens, and an image just large enough for slab and frame.
-fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera) {
+fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera, [f64; 3]) {
     let px_per_mm = options.camera_px_per_sample / options.pitch_mm;
     let extent_px = size.map(|s| (s + 2.0 * frame) * px_per_mm);
     let focal_px = (2.0 * extent_px[0].max(extent_px[1])).round();
@@ -218,6 +221,12 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera) {
     // R = Rx(tilt) · Rz(turn); a point of the plane is (x, y, 0) about the slab's centre.
     let columns =
         [[cos_r, -sin_r, 0.0], [cos_t * sin_r, cos_t * cos_r, 0.0], [sin_t * sin_r, sin_t * cos_r, distance_mm]];
+    // The camera is where R · p + (0, 0, distance) = 0: against its third row.
+    let eye_mm = [
+        0.5 * size[0] - distance_mm * sin_t * sin_r,
+        0.5 * size[1] - distance_mm * sin_t * cos_r,
+        -distance_mm * cos_t,
+    ];
     let pinhole =
         Homography { matrix: std::array::from_fn(|i| columns[i].map(|v| if i < 2 { focal_px * v } else { v })) };
     let about_center = pinhole.after(&Homography::similarity(1.0, [-0.5 * size[0], -0.5 * size[1]]));
@@ -251,7 +260,7 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera) {
         response: options.response().told(),
         vignetting: vec![-1.2 * options.vignetting / corner2, 0.2 * options.vignetting / (corner2 * corner2)],
     };
-    (view, camera)
+    (view, camera, eye_mm)
 }
 
 /// What is seen around the frame, px: more when the camera moves.

@@ -1,12 +1,8 @@
 //! What the camera receives: the light of a scene averaged over the area of each pixel.
 
 use super::Scene;
-use crate::simulate::light::{diffusion::Domain, field::Field};
-use crate::{
-    Error, Result,
-    capture::Axis,
-    geometry::{Homography, Point},
-};
+use crate::simulate::light::field::Field;
+use crate::{Error, Result, capture::Axis, geometry::Point};
 use rayon::prelude::*;
 
 /// Softness of the printed board's edges, camera px.
@@ -106,11 +102,11 @@ impl PixelGrid {
     }
 
     /// Adds `scale` times `field` where it is not zero and the sample is in view.
-    pub fn add_field(&self, picture: &mut Picture, scene: &Scene, field: &Field, voxel_mm: f64, scale: [f64; 3]) {
+    pub fn add_field(&self, picture: &mut Picture, scene: &Scene, field: &Field, scale: [f64; 3]) {
         let light = |p: Point| {
             if scene.on_sample(p) { field.at(p).map(f64::from) } else { [0.0; 3] }
         };
-        let rule = smooth_rule(self.pixel_mm(), voxel_mm);
+        let rule = smooth_rule(self.pixel_mm(), field.cell_mm());
         for (x, y) in self.seen(scene, field.bounds_mm()) {
             let mean = self.mean(rule, x, y, light);
             let pixel = &mut picture[y * self.size_px[0] + x];
@@ -244,53 +240,6 @@ pub(crate) fn soft_box(t: f64, half: f64, blur_px: f64) -> f64 {
     blurred_step(t + half, blur_px) - blurred_step(t - half, blur_px)
 }
 
-/// Share of a dot's flux that each voxel column of `domain` receives (they sum to 1), the dot centred on `center_mm`.
-///
-/// The square is mapped by the projector's derivative at the dot, and each column integrated by 6 × 6 Gauss points.
-pub(crate) fn footprint(
-    domain: &Domain,
-    slab_from_projector: &Homography,
-    dot_px: Point,
-    center_mm: Point,
-    dot_side_px: usize,
-    blur_px: f64,
-) -> Vec<f64> {
-    let j = slab_from_projector.jacobian(dot_px);
-    let det = j[0][0] * j[1][1] - j[0][1] * j[1][0];
-    let half = 0.5 * dot_side_px as f64;
-    let reach_px = half + 6.0 * blur_px;
-    let reach_mm: Point = std::array::from_fn(|a| reach_px * (j[a][0].abs() + j[a][1].abs()));
-    let range = |a: usize| {
-        let voxel = |v: f64| (v - domain.corner_mm[a]) / domain.voxel_mm;
-        let limit = domain.voxels[a] as f64;
-        let (from, to) = (voxel(center_mm[a] - reach_mm[a]).floor(), voxel(center_mm[a] + reach_mm[a]).ceil());
-        from.clamp(0.0, limit) as usize..to.clamp(0.0, limit) as usize
-    };
-    let mut flux = vec![0.0; domain.columns()];
-    for y in range(1) {
-        for x in range(0) {
-            let corner = domain.voxel_corner_mm([x, y]);
-            let mut sum = 0.0;
-            for &(v, wv) in GAUSS_6 {
-                for &(u, wu) in GAUSS_6 {
-                    let d = [
-                        corner[0] + (u + 0.5) * domain.voxel_mm - center_mm[0],
-                        corner[1] + (v + 0.5) * domain.voxel_mm - center_mm[1],
-                    ];
-                    let q = [(j[1][1] * d[0] - j[0][1] * d[1]) / det, (j[0][0] * d[1] - j[1][0] * d[0]) / det];
-                    sum += wu * wv * soft_box(q[0], half, blur_px) * soft_box(q[1], half, blur_px);
-                }
-            }
-            flux[y * domain.voxels[0] + x] = sum;
-        }
-    }
-    let total: f64 = flux.iter().sum();
-    if total > 0.0 {
-        flux.iter_mut().for_each(|f| *f /= total);
-    }
-    flux
-}
-
 /// The standard normal distribution function, absolute error below 1e-7 (Abramowitz & Stegun 7.1.26 for erf).
 pub(crate) fn normal_cdf(t: f64) -> f64 {
     let x = t.abs() / std::f64::consts::SQRT_2;
@@ -325,21 +274,6 @@ mod tests {
                         < 0.05
                 );
             }
-        }
-    }
-
-    #[test]
-    fn the_footprint_moves_smoothly() {
-        let domain = Domain { corner_mm: [0.0, 0.0], voxel_mm: 0.4, voxels: [20, 20] };
-        let view = Homography::similarity(0.2, [0.0, 0.0]);
-        let mean_x = |x: f64| {
-            let flux = footprint(&domain, &view, [0.0, 0.0], [x, 4.0], 3, 0.3);
-            flux.iter().enumerate().map(|(i, f)| f * ((i % 20) as f64 + 0.5) * 0.4).sum::<f64>()
-        };
-        for step in 0..8 {
-            let x = 4.0 + 0.05 * f64::from(step);
-            // Voxel columns hold only masses, so their centroid may differ by the second moment within a voxel.
-            assert!((mean_x(x) - x).abs() < 0.02, "{x}: {}", mean_x(x));
         }
     }
 }

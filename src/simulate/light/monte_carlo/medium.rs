@@ -29,11 +29,11 @@ pub(super) struct Layer {
     first: usize,
 }
 
-/// The slab for one channel.
+/// A slab as one channel's photons meet it.
 #[derive(Debug, Clone)]
-pub(super) struct Medium {
-    pub refractive_index: f64,
-    pub layers: Vec<Layer>,
+pub struct Medium {
+    pub(super) refractive_index: f64,
+    pub(super) layers: Vec<Layer>,
     voxels: [i64; 2],
     origin_mm: [f64; 2],
     per_mm: [f64; 2],
@@ -42,7 +42,7 @@ pub(super) struct Medium {
 }
 
 impl Medium {
-    /// The volume as `channel` sees it.
+    /// `volume` as `channel` (0 to 2) sees it.
     pub fn new(volume: &Volume, channel: usize) -> Self {
         let plane = volume.voxels[0] * volume.voxels[1];
         let local = |o: &crate::simulate::Optics| {
@@ -91,7 +91,7 @@ impl Medium {
 
     /// The coefficients of `layer` at (x, y).
     #[inline]
-    pub fn local(&self, layer: &Layer, x: f64, y: f64) -> Local {
+    pub(super) fn local(&self, layer: &Layer, x: f64, y: f64) -> Local {
         if let Some(uniform) = layer.uniform {
             return uniform;
         }
@@ -107,7 +107,7 @@ impl Medium {
 
     /// The optical depth from `p` in `layer` along direction `d` (d[2] ≠ 0) to the face that it meets; infinite beyond [`OPAQUE`].
     #[inline]
-    pub fn depth_to_face(&self, layer: usize, p: [f64; 3], d: [f64; 3]) -> f64 {
+    pub(super) fn depth_to_face(&self, layer: usize, p: [f64; 3], d: [f64; 3]) -> f64 {
         let up = d[2] < 0.0;
         let (mut depth, mut z, mut layer) = (0.0, p[2], layer);
         loop {

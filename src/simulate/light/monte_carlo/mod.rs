@@ -18,6 +18,7 @@
 //!
 //! Sources: Wang et al. 1995 (MCML), Woodcock et al. 1965, Henyey & Greenstein 1941.
 
+mod eye;
 mod fresnel;
 mod medium;
 mod phase;
@@ -26,9 +27,12 @@ mod tally;
 mod tests;
 mod walk;
 
+pub use medium::Medium;
 pub use tally::{Estimate, Map, Outcome};
 
-use crate::{Error, Result, geometry::Point, progress::Stage, simulate::mix_seed, simulate::slab::Volume};
+use super::beam::Beam;
+use crate::{Error, Result, geometry::Point, progress::Stage, simulate::mix_seed};
+use eye::Eye;
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
@@ -41,26 +45,6 @@ pub const BATCHES: u64 = 100;
 /// Light that wanders further than this many thicknesses from the beam is given up as lost through the sides.
 const LOST_THICKNESSES: f64 = 1000.0;
 
-/// Light that arrives along the normal, spread evenly over a square of projector pixels and blurred.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Beam {
-    /// Its centre, mm.
-    pub center_mm: Point,
-    /// Slab mm for projector px: the derivative of the projector's view.
-    pub mm_from_px: [[f64; 2]; 2],
-    /// Side of the square, projector px.
-    pub side_px: f64,
-    /// Standard deviation of the blur, projector px.
-    pub blur_px: f64,
-}
-
-impl Beam {
-    /// All light at one point.
-    pub fn pencil(center_mm: Point) -> Self {
-        Self { center_mm, mm_from_px: [[1.0, 0.0], [0.0, 1.0]], side_px: 0.0, blur_px: 0.0 }
-    }
-}
-
 /// Square cells over the top of the slab.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Window {
@@ -70,6 +54,19 @@ pub struct Window {
     pub cell_mm: f64,
     /// Cells along x and y.
     pub cells: [usize; 2],
+}
+
+impl Window {
+    /// Length along axis `a`, mm.
+    fn side_mm(&self, a: usize) -> f64 {
+        self.cell_mm * self.cells[a] as f64
+    }
+
+    /// Its inverse.
+    #[inline]
+    fn per_side(&self, a: usize) -> f64 {
+        1.0 / self.side_mm(a)
+    }
 }
 
 /// Rings around the beam's centre, all of one width.
@@ -91,10 +88,8 @@ impl Rings {
 /// What to trace, and what to count besides the totals.
 #[derive(Debug, Clone, Copy)]
 pub struct Setup<'a> {
-    /// The slab.
-    pub volume: &'a Volume,
-    /// Channel, 0 to 2.
-    pub channel: usize,
+    /// The slab, as the channel sees it.
+    pub medium: &'a Medium,
     /// Where light arrives.
     pub beam: Beam,
     /// First and last corner of a slab with sides, mm; `None` for one without end.
@@ -111,9 +106,9 @@ pub struct Setup<'a> {
 
 impl<'a> Setup<'a> {
     /// A pencil beam at the origin; only totals.
-    pub fn totals(volume: &'a Volume, channel: usize) -> Self {
+    pub fn totals(medium: &'a Medium) -> Self {
         let beam = Beam::pencil([0.0; 2]);
-        Self { volume, channel, beam, extent_mm: None, window: None, exitance: false, eye_mm: None, rings: None }
+        Self { medium, beam, extent_mm: None, window: None, exitance: false, eye_mm: None, rings: None }
     }
 }
 
@@ -160,7 +155,7 @@ pub fn trace(setup: &Setup, options: &Options, stage: Option<&Stage>) -> Result<
 }
 
 fn walk<'a>(setup: &'a Setup) -> Walk<'a> {
-    let medium = medium::Medium::new(setup.volume, setup.channel);
+    let medium = setup.medium;
     let reach = setup.window.map_or(0.0, |w| w.cell_mm * w.cells[0].max(w.cells[1]) as f64);
     let lost = LOST_THICKNESSES * (medium.thickness_mm() + reach);
     let around = [setup.beam.center_mm.map(|c| c - lost), setup.beam.center_mm.map(|c| c + lost)];
@@ -170,7 +165,7 @@ fn walk<'a>(setup: &'a Setup) -> Walk<'a> {
         beam: &setup.beam,
         window: setup.window.as_ref(),
         rings: setup.rings.as_ref(),
-        eye_mm: setup.eye_mm,
+        eye: setup.eye_mm.zip(setup.window.as_ref()).map(|(eye, window)| Eye::new(eye, window, medium)),
         exitance: setup.exitance,
     }
 }

@@ -1,7 +1,7 @@
 //! The photon walk against published numbers, and the laws that it must keep.
 
 use super::*;
-use crate::simulate::{Beyond, Optics};
+use crate::simulate::{Beyond, Optics, Volume};
 use std::f64::consts::PI;
 
 /// A layer in the units of the papers: µa, µs in cm⁻¹, thickness in cm.
@@ -23,7 +23,7 @@ fn isotropic(scattering_per_mm: f64, absorption_per_mm: f64) -> Optics {
 }
 
 fn totals(volume: &Volume, channel: usize, photons: u64) -> Outcome {
-    trace(&Setup::totals(volume, channel), &Options { photons, seed: 1 }, None).unwrap()
+    trace(&Setup::totals(&Medium::new(volume, channel)), &Options { photons, seed: 1 }, None).unwrap()
 }
 
 /// Within 3 standard errors of `expected`, which has an error of its own (its last digit, or its own noise), and known to 0.1 %.
@@ -81,7 +81,7 @@ fn three_layers_agree_with_the_sample_of_mcml() {
     let volume = Volume::layered(&layers, 1.37);
     let rings = Some(Rings { width_mm: 0.1, count: 20 });
     let options = Options { photons: 6_000_000, seed: 1 };
-    let outcome = trace(&Setup { rings, ..Setup::totals(&volume, 0) }, &options, None).unwrap();
+    let outcome = trace(&Setup { rings, ..Setup::totals(&Medium::new(&volume, 0)) }, &options, None).unwrap();
     assert!((outcome.specular - 0.024_372_9).abs() < 1e-7);
     // Theirs scatters by √6 times ours in each: a million photons against six.
     let joint = |ours: Estimate| 6f64.sqrt() * ours.standard_error;
@@ -122,7 +122,8 @@ fn shown(volume: &Volume, mu: f64, azimuth: f64, photons: u64) -> Estimate {
     let window = Some(Window { corner_mm: [-0.5 * wide; 2], cell_mm: wide, cells: [1; 2] });
     let aside = (1.0 - mu * mu).sqrt() * 1e9;
     let eye_mm = Some([aside * azimuth.cos(), aside * azimuth.sin(), -mu * 1e9]);
-    let setup = Setup { window, eye_mm, ..Setup::totals(volume, 0) };
+    let medium = Medium::new(&volume, 0);
+    let setup = Setup { window, eye_mm, ..Setup::totals(&medium) };
     // Another seed for each eye, so that their errors are independent.
     let seed = (1e6 * (mu + azimuth)) as u64;
     let map = trace(&setup, &Options { photons, seed }, None).unwrap().radiance.unwrap();
@@ -202,7 +203,8 @@ fn a_heterogeneous_slab_is_reciprocal() {
         let beam = Beam { center_mm: from, mm_from_px, side_px: 1.0, blur_px: 0.0 };
         let window = Some(Window { corner_mm: at.map(|c| c - 0.5 * side), cell_mm: side, cells: [1; 2] });
         let eye_mm = Some([0.0, 0.0, -1e9]);
-        let setup = Setup { beam, window, eye_mm, ..Setup::totals(&volume, 0) };
+        let medium = Medium::new(&volume, 0);
+        let setup = Setup { beam, window, eye_mm, ..Setup::totals(&medium) };
         let map = trace(&setup, &Options { photons: 2_000_000, seed: 5 + (100.0 * from[0]) as u64 }, None)
             .unwrap()
             .radiance
@@ -221,8 +223,11 @@ fn a_heterogeneous_slab_is_reciprocal() {
 fn energy_balances_in_a_heterogeneous_slab_with_sides() {
     let volume = heterogeneous();
     let extent_mm = Some([[-1.0, -1.5], [2.0, 1.0]]);
-    let outcome =
-        trace(&Setup { extent_mm, ..Setup::totals(&volume, 0) }, &Options { photons: 400_000, seed: 2 }, None);
+    let outcome = trace(
+        &Setup { extent_mm, ..Setup::totals(&Medium::new(&volume, 0)) },
+        &Options { photons: 400_000, seed: 2 },
+        None,
+    );
     let outcome = outcome.unwrap();
     let Estimate { mean, standard_error } = outcome.spent;
     println!("spent {mean} ± {standard_error}, {outcome:?}");
@@ -234,7 +239,8 @@ fn energy_balances_in_a_heterogeneous_slab_with_sides() {
 fn the_same_seed_gives_the_same_numbers_on_any_number_of_threads() {
     let volume = heterogeneous();
     let window = Some(Window { corner_mm: [-2.0; 2], cell_mm: 0.25, cells: [16; 2] });
-    let setup = Setup { window, exitance: true, eye_mm: Some([3.0, 0.0, -90.0]), ..Setup::totals(&volume, 0) };
+    let medium = Medium::new(&volume, 0);
+    let setup = Setup { window, exitance: true, eye_mm: Some([3.0, 0.0, -90.0]), ..Setup::totals(&medium) };
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| trace(&setup, &Options { photons: 10_000, seed: 9 }, None).unwrap())
@@ -248,7 +254,7 @@ fn the_same_seed_gives_the_same_numbers_on_any_number_of_threads() {
 fn standard_errors_are_right() {
     let volume = heterogeneous();
     let outcomes: Vec<Outcome> = (0..40)
-        .map(|seed| trace(&Setup::totals(&volume, 0), &Options { photons: 5_000, seed }, None).unwrap())
+        .map(|seed| trace(&Setup::totals(&Medium::new(&volume, 0)), &Options { photons: 5_000, seed }, None).unwrap())
         .collect();
     let mean = outcomes.iter().map(|o| o.reflected.mean).sum::<f64>() / 40.0;
     let scatter = (outcomes.iter().map(|o| (o.reflected.mean - mean).powi(2)).sum::<f64>() / 39.0).sqrt();
@@ -271,7 +277,8 @@ fn extreme_media_end_and_balance() {
     ];
     for (name, volume) in cases {
         let window = Some(Window { corner_mm: [-2.0; 2], cell_mm: 0.5, cells: [8; 2] });
-        let setup = Setup { window, exitance: true, eye_mm: Some([0.0, 0.0, -50.0]), ..Setup::totals(&volume, 0) };
+        let medium = Medium::new(&volume, 0);
+        let setup = Setup { window, exitance: true, eye_mm: Some([0.0, 0.0, -50.0]), ..Setup::totals(&medium) };
         let outcome = trace(&setup, &Options { photons: 20_000, seed: 4 }, None).unwrap();
         let Estimate { mean, standard_error } = outcome.spent;
         // Where nothing is random the sum is 1 to rounding.
@@ -284,4 +291,38 @@ fn extreme_media_end_and_balance() {
     agrees("empty slab", empty.ballistic, 0.96 / 1.04, 0.0);
     let rings = PI * Rings { width_mm: 0.5, count: 2 }.area_mm2(1) / PI;
     assert!((rings - PI * (1.0 - 0.25)).abs() < 1e-12);
+}
+#[test]
+fn probe() {
+    let skin = Optics { reduced_scattering_per_mm: [1.09; 3], absorption_per_mm: [0.013; 3], anisotropy: [0.0; 3] };
+    let milk = Optics { reduced_scattering_per_mm: [2.55; 3], absorption_per_mm: [0.0011; 3], anisotropy: [0.0; 3] };
+    let mut chess = Volume::uniform(skin, 1.3, 4.0);
+    chess.voxels = [2, 2];
+    chess.voxel_mm = [2.0; 2];
+    chess.beyond = Beyond::Repeat;
+    chess.optics = vec![skin, milk, milk, skin];
+    let mut forward = Volume::uniform(Optics { anisotropy: [0.8; 3], ..milk }, 1.3, 4.0);
+    for (name, volume) in [("milk", Volume::uniform(milk, 1.3, 4.0)), ("chess", chess), ("forward", forward)] {
+        let window = Some(Window { corner_mm: [-10.0; 2], cell_mm: 0.125, cells: [160; 2] });
+        let beam = Beam { center_mm: [0.3, 0.2], mm_from_px: [[0.125, 0.0], [0.0, 0.125]], side_px: 3.0, blur_px: 0.3 };
+        let medium = Medium::new(&volume, 0);
+        let setup = Setup { window, beam, eye_mm: Some([3.0, 5.0, -80.0]), ..Setup::totals(&medium) };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        for _ in 0..2 {
+            let start = std::time::Instant::now();
+            let o = pool.install(|| trace(&setup, &Options { photons: 400_000, seed: 1 }, None).unwrap());
+            let t = start.elapsed().as_secs_f64();
+            let m = o.radiance.unwrap();
+            let e = m.relative_error();
+            println!(
+                "probe {name} {:.5} err {e:.5} time {t:.3} merit {:.1}",
+                m.mean.iter().sum::<f64>() / 64.0,
+                1.0 / (e * e * t)
+            );
+        }
+        let start = std::time::Instant::now();
+        let setup = Setup { beam, ..Setup::totals(&medium) };
+        pool.install(|| trace(&setup, &Options { photons: 400_000, seed: 1 }, None).unwrap());
+        println!("probe {name} totals only {:.3}", start.elapsed().as_secs_f64());
+    }
 }

@@ -1,43 +1,39 @@
 //! One photon's way through the slab.
 
 use super::{
-    Beam, Rings, Window,
+    Rings, Window,
+    eye::Eye,
     fresnel::{Passage, face},
-    medium::{Local, Medium},
-    phase::{density, scatter},
+    medium::Medium,
+    phase::scatter,
     tally::Tally,
 };
-use crate::geometry::Point;
+use crate::{geometry::Point, simulate::light::beam::Beam};
 use rand::RngExt;
-use rand_distr::{Distribution, Exp1, StandardNormal};
+use rand_distr::{Distribution, Exp1};
 use rand_pcg::Pcg64Mcg;
-use std::f64::consts::PI;
 
 /// Below this weight a photon is played for: it goes on with [`SURVIVAL`], made heavier by as much.
 const LIGHT: f64 = 0.02;
 const SURVIVAL: f64 = 0.1;
-/// Collisions deeper than this many free paths show themselves to the eye only at times, and then as bright as all.
-const DEEP: f64 = 3.0;
-const SHOWN: f64 = 0.125;
-
 /// All that does not change from photon to photon.
 #[derive(Debug)]
 pub(super) struct Walk<'a> {
-    pub medium: Medium,
+    pub medium: &'a Medium,
     pub beam: &'a Beam,
     pub window: Option<&'a Window>,
     pub rings: Option<&'a Rings>,
-    pub eye_mm: Option<[f64; 3]>,
+    pub eye: Option<Eye<'a>>,
     pub exitance: bool,
     pub extent_mm: [Point; 2],
 }
 
 /// Where a photon is, where it goes, and what it is worth.
-struct Photon {
-    p: [f64; 3],
-    d: [f64; 3],
-    layer: usize,
-    weight: f64,
+pub(super) struct Photon {
+    pub p: [f64; 3],
+    pub d: [f64; 3],
+    pub layer: usize,
+    pub weight: f64,
     scattered: bool,
 }
 
@@ -175,93 +171,20 @@ impl Walk<'_> {
             }
             photon.weight /= SURVIVAL;
         }
-        if let (Some(eye), Some(window)) = (self.eye_mm, self.window) {
-            self.show(photon, local, eye, window, rng, tally);
+        if let Some(eye) = &self.eye {
+            eye.receive(photon, local, rng, &mut tally.radiance);
         }
         photon.d = scatter(photon.d, local.g, rng);
         true
-    }
-
-    /// Adds what the eye receives of this scattering: the expected light that flies to it without another one, straight
-    /// or by way of the faces, which reflect a part of it.
-    ///
-    /// With Φ scattered by p per steradian inside, and dω' cosθ' n² = dω cosθ across the face, π times the radiance that
-    /// leaves is π Φ p e^(−τ) (1 − F)/(n² cosθ') per area. The direction is the eye's from above the collision; from
-    /// where the light leaves it differs by less than depth over distance to the eye.
-    fn show(
-        &self,
-        photon: &Photon,
-        local: Local,
-        eye: [f64; 3],
-        window: &Window,
-        rng: &mut Pcg64Mcg,
-        tally: &mut Tally,
-    ) {
-        let n = self.medium.refractive_index;
-        let to: [f64; 3] = [eye[0] - photon.p[0], eye[1] - photon.p[1], eye[2]];
-        let scale = 1.0 / (to[0] * to[0] + to[1] * to[1] + to[2] * to[2]).sqrt();
-        let Passage { reflectance, cosine } = face(1.0 / n, -to[2] * scale);
-        let up = [to[0] * scale / n, to[1] * scale / n, -cosine];
-        let down = [up[0], up[1], cosine];
-        let value = photon.weight * PI / (n * n * cosine);
-        let turned = |d: [f64; 3]| density(local.g, photon.d[0] * d[0] + photon.d[1] * d[1] + photon.d[2] * d[2]);
-        let mut add = |at: [f64; 3], light: f64| {
-            if let Some(cell) = window.cell(at[0], at[1]) {
-                tally.radiance[cell] += (1.0 - reflectance) * light;
-            }
-        };
-        let slope = [up[0] / cosine, up[1] / cosine];
-        let along = |p: [f64; 3], z: f64| [p[0] + (p[2] - z).abs() * slope[0], p[1] + (p[2] - z).abs() * slope[1], z];
-        let medium = &self.medium;
-        // Little light comes up from the deep: an eighth of those collisions stand for all.
-        let played = local.extinction * photon.p[2] > DEEP;
-        if !played || rng.random::<f64>() < SHOWN {
-            let light = value * turned(up) * (-medium.depth_to_face(photon.layer, photon.p, up)).exp();
-            add(along(photon.p, 0.0), if played { light / SHOWN } else { light });
-        }
-        // What the faces send back is little too: the bottom first, or the top and then the bottom.
-        if reflectance > 0.0 && rng.random::<f64>() < SHOWN {
-            let (last, thickness) = (medium.layers.len() - 1, medium.thickness_mm());
-            let from_top = value * turned(up) * (-medium.depth_to_face(photon.layer, photon.p, up)).exp() * reflectance;
-            let starts = [(photon.p, photon.layer, value * turned(down)), (along(photon.p, 0.0), 0, from_top)];
-            for (mut p, mut layer, light) in starts {
-                let mut light = light / SHOWN;
-                loop {
-                    let bottom = along(p, thickness);
-                    let depth = medium.depth_to_face(layer, p, down) + medium.depth_to_face(last, bottom, up);
-                    light *= reflectance * (-depth).exp();
-                    (p, layer) = (along(bottom, 0.0), 0);
-                    add(p, light);
-                    light *= reflectance / SHOWN;
-                    if light == 0.0 || rng.random::<f64>() >= SHOWN {
-                        break;
-                    }
-                }
-            }
-        }
-    }
-}
-
-impl Beam {
-    /// Where a photon of the beam arrives.
-    #[inline]
-    fn sample(&self, rng: &mut Pcg64Mcg) -> Point {
-        if self.side_px == 0.0 && self.blur_px == 0.0 {
-            return self.center_mm;
-        }
-        let q: Point = std::array::from_fn(|_| {
-            let normal: f64 = StandardNormal.sample(rng);
-            self.side_px * (rng.random::<f64>() - 0.5) + self.blur_px * normal
-        });
-        std::array::from_fn(|a| self.center_mm[a] + self.mm_from_px[a][0] * q[0] + self.mm_from_px[a][1] * q[1])
     }
 }
 
 impl Window {
     /// The cell that holds (x, y).
     #[inline]
-    fn cell(&self, x: f64, y: f64) -> Option<usize> {
-        let (u, v) = ((x - self.corner_mm[0]) / self.cell_mm, (y - self.corner_mm[1]) / self.cell_mm);
+    pub(super) fn cell(&self, x: f64, y: f64) -> Option<usize> {
+        let per_mm = 1.0 / self.cell_mm;
+        let (u, v) = ((x - self.corner_mm[0]) * per_mm, (y - self.corner_mm[1]) * per_mm);
         let inside = u >= 0.0 && v >= 0.0 && u < self.cells[0] as f64 && v < self.cells[1] as f64;
         inside.then(|| v as usize * self.cells[0] + u as usize)
     }

@@ -1,0 +1,147 @@
+//! What an eye above the slab receives of a scattering inside it.
+
+use super::{
+    Window,
+    fresnel::{Passage, face},
+    medium::{Local, Medium},
+    phase::density,
+    walk::Photon,
+};
+use rand::RngExt;
+use rand_pcg::Pcg64Mcg;
+use std::f64::consts::PI;
+
+/// Patches along each axis of the window, each of which has one direction towards the eye.
+const PATCHES: usize = 32;
+/// Collisions deeper than this many free paths show themselves to the eye only at times, and then as bright as all.
+const DEEP: f64 = 3.0;
+const SHOWN: f64 = 0.125;
+/// By way of both faces over this many free paths next to nothing comes: played for even more rarely.
+const FAR: f64 = 8.0;
+const SHOWN_FAR: f64 = 1.0 / 256.0;
+
+/// The way from one patch to the eye.
+#[derive(Debug, Clone, Copy)]
+struct Sight {
+    /// Direction inside the slab, upwards.
+    up: [f64; 3],
+    /// Shift along x and y per depth.
+    slope: [f64; 2],
+    /// Share of light that the face turns back.
+    reflectance: f64,
+    /// π times radiance per unit of flux and inverse steradian inside: π (1 − F)/(n² cosθ').
+    value: f64,
+}
+
+/// An eye and the window through which it looks.
+#[derive(Debug)]
+pub(super) struct Eye<'a> {
+    window: &'a Window,
+    medium: &'a Medium,
+    sights: Vec<Sight>,
+}
+
+impl<'a> Eye<'a> {
+    /// The eye at `eye_mm`, above the slab.
+    pub fn new(eye_mm: [f64; 3], window: &'a Window, medium: &'a Medium) -> Self {
+        let n = medium.refractive_index;
+        let sight = |i: usize| {
+            let share = [i % PATCHES, i / PATCHES].map(|p| (p as f64 + 0.5) / PATCHES as f64);
+            let at: [f64; 2] = std::array::from_fn(|a| window.corner_mm[a] + share[a] * window.side_mm(a));
+            let to = [eye_mm[0] - at[0], eye_mm[1] - at[1], eye_mm[2]];
+            let length = to.iter().map(|v| v * v).sum::<f64>().sqrt();
+            let Passage { reflectance, cosine } = face(1.0 / n, -to[2] / length);
+            let up = [to[0] / length / n, to[1] / length / n, -cosine];
+            Sight {
+                up,
+                slope: [up[0] / cosine, up[1] / cosine],
+                reflectance,
+                value: PI * (1.0 - reflectance) / (n * n * cosine),
+            }
+        };
+        Self { window, medium, sights: (0..PATCHES * PATCHES).map(sight).collect() }
+    }
+
+    /// The way to the eye from above `p`, for places beside the window that from its border.
+    #[inline]
+    fn sight(&self, p: [f64; 3]) -> &Sight {
+        let patch = |a: usize| {
+            let share = (p[a] - self.window.corner_mm[a]) * self.window.per_side(a);
+            // Casting stops at the ends of the range.
+            ((share * PATCHES as f64) as usize).min(PATCHES - 1)
+        };
+        &self.sights[patch(1) * PATCHES + patch(0)]
+    }
+
+    /// Adds what the eye receives of this scattering to `radiance`: the expected light that flies to it without another
+    /// one, straight or by way of the faces, which reflect a part of it.
+    ///
+    /// With Φ scattered by p per steradian inside, and dω' cosθ' n² = dω cosθ across the face, π times the radiance that
+    /// leaves is π Φ p e^(−τ) (1 − F)/(n² cosθ') per area.
+    pub fn receive(&self, photon: &Photon, local: Local, rng: &mut Pcg64Mcg, radiance: &mut [f64]) {
+        let sight = self.sight(photon.p);
+        let depth = local.extinction * photon.p[2];
+        // Little light comes up from the deep: an eighth of those collisions stand for all.
+        let share = if depth > DEEP { SHOWN } else { 1.0 };
+        if share == 1.0 || rng.random::<f64>() < share {
+            let light = self.starts(photon, local, sight, sight.up) / share;
+            let up = self.medium.depth_to_face(photon.layer, photon.p, sight.up);
+            self.add(sight.along(photon.p, 0.0), light * (-up).exp(), radiance);
+        }
+        if sight.reflectance > 0.0 {
+            let far = local.extinction * self.medium.thickness_mm() > FAR;
+            let share = if far { SHOWN_FAR } else { SHOWN };
+            if rng.random::<f64>() < share {
+                self.receive_reflected(photon, local, share, rng, radiance);
+            }
+        }
+    }
+
+    /// What comes by way of the faces: the bottom first, or the top and then the bottom, and so on from top to bottom.
+    fn receive_reflected(&self, photon: &Photon, local: Local, share: f64, rng: &mut Pcg64Mcg, radiance: &mut [f64]) {
+        let (medium, sight) = (self.medium, self.sight(photon.p));
+        let (last, thickness) = (medium.layers.len() - 1, medium.thickness_mm());
+        let down = [sight.up[0], sight.up[1], -sight.up[2]];
+        let to_top = (-medium.depth_to_face(photon.layer, photon.p, sight.up)).exp() * sight.reflectance;
+        let starts = [
+            (photon.p, photon.layer, self.starts(photon, local, sight, down) / share),
+            (sight.along(photon.p, 0.0), 0, self.starts(photon, local, sight, sight.up) / share * to_top),
+        ];
+        for (mut p, mut layer, mut light) in starts {
+            loop {
+                let bottom = sight.along(p, thickness);
+                let depth = medium.depth_to_face(layer, p, down) + medium.depth_to_face(last, bottom, sight.up);
+                light *= sight.reflectance * (-depth).exp();
+                (p, layer) = (sight.along(bottom, 0.0), 0);
+                self.add(p, light, radiance);
+                light *= sight.reflectance / SHOWN;
+                if light == 0.0 || rng.random::<f64>() >= SHOWN {
+                    break;
+                }
+            }
+        }
+    }
+
+    /// What starts into direction `d`, worth of π times the radiance that it becomes.
+    #[inline]
+    fn starts(&self, photon: &Photon, local: Local, sight: &Sight, d: [f64; 3]) -> f64 {
+        let turn = photon.d[0] * d[0] + photon.d[1] * d[1] + photon.d[2] * d[2];
+        photon.weight * sight.value * density(local.g, turn)
+    }
+
+    #[inline]
+    fn add(&self, at: [f64; 3], light: f64, radiance: &mut [f64]) {
+        if let Some(cell) = self.window.cell(at[0], at[1]) {
+            radiance[cell] += light;
+        }
+    }
+}
+
+impl Sight {
+    /// Where light from `p` on this way, up or down, is at depth `z`.
+    #[inline]
+    fn along(&self, p: [f64; 3], z: f64) -> [f64; 3] {
+        let depth = (p[2] - z).abs();
+        [p[0] + depth * self.slope[0], p[1] + depth * self.slope[1], z]
+    }
+}
