@@ -217,6 +217,7 @@ impl Studio {
             voxel_mm,
             voxels: scene.slab_size_mm.map(|s| (((s + 2.0 * margin) / voxel_mm).ceil() as usize).next_multiple_of(16)),
         };
+        self.slab.check_size(&domain)?;
         let irradiance = |p: Point| scene.white_irradiance(p).map(|e| e * options.projector_black + options.ambient);
         let mut flux = [0, 1, 2].map(|_| vec![0.0; domain.columns()]);
         for i in 0..domain.columns() {
