@@ -134,14 +134,7 @@ fn reflectance_in_depth(layers: &[(Optics, f64)], refractive_index: f64) -> f64 
     let thickness: f64 = layers.iter().map(|l| l.1).sum();
     let dz = thickness / n as f64;
     let volume = Volume::layered(layers, refractive_index);
-    let at = |i: usize| {
-        let mut bottom = 0.0;
-        let inside = |l: &&(Optics, f64)| {
-            bottom += l.1;
-            (i as f64 + 0.5) * dz < bottom
-        };
-        volume.optics[layers.iter().take_while(|l| !inside(l)).count().min(layers.len() - 1)]
-    };
+    let at = |i: usize| volume.optics[volume.depth_shares(i as f64 * dz, (i as f64 + 1.0) * dz)[0].0];
     let (s, e): (Vec<f64>, Vec<f64>) =
         (0..n).map(|i| (at(i).reduced_scattering_per_mm[0], at(i).extinction_per_mm(0))).unzip();
     let d: Vec<f64> = e.iter().map(|e| 1.0 / (3.0 * e)).collect();
