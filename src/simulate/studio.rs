@@ -63,7 +63,7 @@ impl Studio {
             Place { lit_origin_mm: scene.lit_origin_mm, lit_side_mm: scene.lit_side_mm, size_mm: scene.slab_size_mm };
         let Built { volume, record, mut warnings } = layout::build(options, &place)?;
         warnings.extend(validity::warnings(&volume, &record, options.window as f64 * options.pitch_mm));
-        let slab = Slab::new(&volume, voxel_mm, options.tolerance);
+        let slab = Slab::new(volume, voxel_mm, options.tolerance);
         let pixels = PixelGrid::new(&scene)?;
         let [width, height] = scene.camera.size_px;
         let sensitivity = |i: usize| scene.camera.vignetting_at([(i % width) as f64, (i / width) as f64]) as f32;

@@ -15,7 +15,7 @@ fn domain(voxel_mm: f64, voxels: usize) -> Domain {
 
 /// The exitance of light that falls on four columns in the middle, and where it went, relative to the source.
 fn solve(volume: &Volume, domain: &Domain, channel: usize) -> (Vec<f32>, f64) {
-    let slab = Slab::new(volume, domain.voxel_mm, 1e-6);
+    let slab = Slab::new(volume.clone(), domain.voxel_mm, 1e-6);
     let mut flux = vec![0.0; domain.columns()];
     let [nx, ny] = domain.voxels;
     for i in [0, 1, nx, nx + 1] {
@@ -60,7 +60,7 @@ fn equal_layers_are_one_slab() {
     // Where one voxel far away forbids to join the layers, the maps per layer are used: a different sum, the same slab.
     let mut deep = Volume { voxels: [2, 1], voxel_mm: [100.0, 100.0], ..Volume::uniform(milk, 1.3, 4.0) };
     (deep.layers_mm, deep.optics) = (vec![4.0 - 0.1, 0.1], vec![milk, milk, milk, optics(2.5, 0.0011)]);
-    let slab = Slab::new(&deep, 0.25, 1e-6);
+    let slab = Slab::new(deep, 0.25, 1e-6);
     let uniform = Slab { volume: Volume::uniform(milk, 1.3, 4.0), ..slab.clone() };
     let domain = domain(0.25, 48);
     let flux: Vec<f64> = (0..48 * 48).map(|i| f64::from(u8::from(i == 24 * 48 + 24))).collect();

@@ -146,7 +146,7 @@ impl Solution {
 
 impl Slab {
     /// The slab for a solver whose voxels are `voxel_mm` wide.
-    pub fn new(volume: &Volume, voxel_mm: f64, tolerance: f64) -> Self {
+    pub fn new(volume: Volume, voxel_mm: f64, tolerance: f64) -> Self {
         let volume = volume.merged();
         Self { layers_mm: layers_mm(&volume, voxel_mm), volume, tolerance }
     }
