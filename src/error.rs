@@ -182,6 +182,18 @@ pub enum Error {
         /// Its index, readable.
         at: String,
     },
+    /// A voxel file holds what makes no slab.
+    #[error("{}: {array}: expected {expected}, found {found}", path.display())]
+    Voxels {
+        /// The file or group.
+        path: PathBuf,
+        /// The array, or "archive", "group", "file".
+        array: String,
+        /// What it should have been.
+        expected: String,
+        /// What it was.
+        found: String,
+    },
     /// Diffusion has no usable answer for a slab.
     #[error(
         "the light of channel {channel} cannot be solved for by diffusion: after {iterations} iterations the residual is {residual:.1e} and {missing:.1e} of the light is missing"
@@ -278,6 +290,7 @@ impl Error {
             Self::BrokenImage { .. } => "give an OpenEXR, PNG or JPEG image",
             Self::Mismatch { .. } => "compare outputs of the same capture, grid and window",
             Self::Setting { .. } => "see `acquire help` for the range of each option",
+            Self::Voxels { .. } => "docs/simulation.md describes voxel files, with an example that writes one",
             Self::Diffusion { .. } => "follow the photons instead: --transport mc",
             Self::NotFinite { .. } => "the file, or what it is made from, was damaged or not written by `acquire`",
             Self::Internal { .. } => "this is a bug in acquire; please report it with the command line",

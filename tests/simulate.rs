@@ -6,6 +6,7 @@ use acquire::{
     simulate::{FileFormat, Material, Options, Truth, simulate},
     transport::MatrixReader,
 };
+use npyz::WriterBuilder;
 use std::path::Path;
 
 fn tiny() -> Options {
@@ -111,4 +112,77 @@ fn a_folder_is_replaced_only_when_asked_and_only_an_earlier_simulation() {
     simulate(&force, &path, &Progress::silent()).unwrap();
     assert!(path.join("capture.toml").exists() && !path.join("precious.txt").exists());
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "nothing is left beside the capture");
+}
+
+fn truth(dir: &Path) -> Truth {
+    toml::from_str(&std::fs::read_to_string(dir.join("truth.toml")).unwrap()).unwrap()
+}
+
+#[test]
+fn the_truth_records_the_media_and_findings_are_told() {
+    let dir = tempfile::tempdir().unwrap();
+    for (n, (text, media, findings)) in [
+        ("layered:skin1=0.5,cream=2", &["skin1", "cream"][..], 0),
+        ("chessboard-3x3:apple,potato", &["apple", "potato"], 0),
+        // Black in blue, where it absorbs and scatters nothing.
+        ("one-channel-black", &["one-channel-black"], 1),
+        // Marble has another refractive index than cream.
+        ("layered:marble=1,cream=2", &["marble", "cream"], 1),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let options = Options { material: text.parse().unwrap(), grid: 2, ..tiny() };
+        let path = dir.path().join(n.to_string());
+        let summary = simulate(&options, &path, &Progress::silent()).unwrap();
+        assert_eq!(summary.warnings.len(), findings, "{text}: {:?}", summary.warnings);
+        let truth = truth(&path);
+        assert_eq!(truth.options, options);
+        assert_eq!(truth.medium.media.iter().map(|m| m.name.as_str()).collect::<Vec<_>>(), media);
+        let rows = MatrixReader::open(&path.join("truth.rd.zarr")).unwrap().read(0..4).unwrap();
+        let blue_is_black = rows.response.iter().skip(2).step_by(3).all(|&r| r == 0.0);
+        assert_eq!(blue_is_black, text == "one-channel-black");
+    }
+}
+
+/// A voxel file of two layers is the layered slab, and the record of it refuses another file.
+#[test]
+fn a_voxel_file_is_simulated_and_its_hash_is_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("slab.npz");
+    let write = |scattering: f64| {
+        let layers = |top: [f64; 3], below: [f64; 3]| [top, below].map(|rgb| [rgb; 4]).as_flattened().concat();
+        let scattering = layers([0.74, 0.88, 1.01], [scattering, 5.47, 3.15]);
+        let absorption = layers([0.032, 0.17, 0.48], [0.0002, 0.0028, 0.0163]);
+        let mut zip = zip::ZipWriter::new(std::fs::File::create(&file).unwrap());
+        for (name, shape, values) in [
+            ("reduced_scattering_per_mm", &[2u64, 2, 2, 3][..], scattering),
+            ("absorption_per_mm", &[2, 2, 2, 3], absorption),
+            ("voxel_mm", &[3], vec![3.0, 3.0, 1.0]),
+        ] {
+            zip.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
+            let options = npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut zip);
+            let mut writer = options.begin_nd().unwrap();
+            writer.extend(values).unwrap();
+            writer.finish().unwrap();
+        }
+        zip.finish().unwrap();
+    };
+    write(7.38);
+    let options = Options { material: Material::Voxels(file.clone()), ..tiny() };
+    let path = dir.path().join("voxels");
+    simulate(&options, &path, &Progress::silent()).unwrap();
+    let layered = Options { material: "layered:skin1=1,cream=1".parse().unwrap(), ..tiny() };
+    simulate(&layered, &dir.path().join("layered"), &Progress::silent()).unwrap();
+    let rows = |dir: &Path| MatrixReader::open(&dir.join("truth.rd.zarr")).unwrap().read(0..9).unwrap().response;
+    for (a, b) in rows(&path).iter().zip(rows(&dir.path().join("layered"))) {
+        // The same numbers by sums over other voxels.
+        assert!((a / b - 1.0).abs() < 1e-4, "{a} {b}");
+    }
+    let recorded = truth(&path).options;
+    assert_eq!(recorded.voxels_blake3.as_ref().map(String::len), Some(64));
+    simulate(&recorded, &dir.path().join("again"), &Progress::silent()).unwrap();
+    write(7.37);
+    let error = simulate(&recorded, &dir.path().join("other"), &Progress::silent()).unwrap_err();
+    assert!(error.to_string().contains("BLAKE3") && !dir.path().join("other").exists(), "{error}");
 }

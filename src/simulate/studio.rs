@@ -257,6 +257,7 @@ impl Studio {
             voxel_mm,
             voxels: scene.slab_size_mm.map(|s| (((s + 2.0 * margin) / voxel_mm).ceil() as usize).next_multiple_of(16)),
         };
+        self.dots.slab.check_size(&domain)?;
         let mut flux = [0, 1, 2].map(|_| vec![0.0; domain.columns()]);
         for i in 0..domain.columns() {
             let corner = domain.voxel_corner_mm([i % domain.voxels[0], i / domain.voxels[0]]);

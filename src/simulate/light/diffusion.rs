@@ -34,6 +34,8 @@ const MOST_REFINEMENTS: usize = 6;
 const FAILED_ABOVE: f64 = 1e-3;
 /// What a refinement lessens the residual by.
 const REFINEMENT: f64 = 1e-3;
+/// The most voxels of a box: 40 to 90 bytes each.
+const MOST_VOXELS: usize = 1 << 26;
 /// Channels as messages name them.
 pub(crate) const CHANNEL_NAMES: [char; 3] = ['R', 'G', 'B'];
 
@@ -144,9 +146,27 @@ impl Solution {
 
 impl Slab {
     /// The slab for a solver whose voxels are `voxel_mm` wide.
-    pub fn new(volume: &Volume, voxel_mm: f64, tolerance: f64) -> Self {
+    pub fn new(volume: Volume, voxel_mm: f64, tolerance: f64) -> Self {
         let volume = volume.merged();
         Self { layers_mm: layers_mm(&volume, voxel_mm), volume, tolerance }
+    }
+
+    /// Refuses a box of more voxels than memory is meant for.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] naming `--voxels-per-sample`.
+    pub fn check_size(&self, domain: &Domain) -> Result<()> {
+        let voxels = domain.columns().saturating_mul(self.layers_mm.len());
+        match voxels <= MOST_VOXELS {
+            true => Ok(()),
+            false => Err(Error::Setting {
+                setting: "--voxels-per-sample",
+                expected: format!(
+                    "a sample of at most {MOST_VOXELS} voxels (a smaller grid or window, or fewer voxels per sample)"
+                ),
+                found: format!("{} × {} × {} voxels", domain.voxels[0], domain.voxels[1], self.layers_mm.len()),
+            }),
+        }
     }
 
     /// Solves for `flux` arriving at the columns (row-major).

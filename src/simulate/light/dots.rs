@@ -60,7 +60,7 @@ impl Dots {
         let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
         let samples = options.window + 2 * BOX_MARGIN_PITCHES;
         let mut dots = Self {
-            slab: Slab::new(volume, voxel_mm, options.tolerance),
+            slab: Slab::new(volume.clone(), voxel_mm, options.tolerance),
             voxel_mm,
             box_voxels: (samples * options.voxels_per_sample).next_multiple_of(8),
             tracer: None,

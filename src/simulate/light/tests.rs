@@ -19,7 +19,7 @@ const BLUR_PX: f64 = 0.3;
 fn slab(material: Material, voxel_mm: f64) -> Slab {
     let place = Place { lit_origin_mm: [-8.0; 2], lit_side_mm: 16.0, size_mm: [16.0; 2] };
     let options = Options { material, thickness_mm: Some(THICKNESS_MM), ..Options::default() };
-    Slab::new(&build(&options, &place).unwrap().volume, voxel_mm, 1e-6)
+    Slab::new(build(&options, &place).unwrap().volume, voxel_mm, 1e-6)
 }
 
 fn domain(voxel_mm: f64, voxels: usize, center: Point) -> Domain {

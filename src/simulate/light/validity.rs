@@ -43,6 +43,9 @@ fn too_dark(name: &str, optics: &Optics, channel: usize) -> Option<Warning> {
     })
 }
 
+/// Fewer voxels than this share of a file are not worth a warning: light that meets them meets others within a mean free path.
+const NOTED_SHARE: f64 = 0.1;
+
 /// The clearest and the darkest of the voxels that fall short, with their number.
 fn of_voxels(volume: &Volume, channel: usize, shortest: (&str, f64)) -> Vec<Warning> {
     let all = volume.optics.len();
@@ -51,6 +54,7 @@ fn of_voxels(volume: &Volume, channel: usize, shortest: (&str, f64)) -> Vec<Warn
         let (count, worst) = badness.fold((0, None), |(count, worst): (usize, Option<(&Optics, f64)>), next| {
             (count + 1, Some(worst.filter(|w| w.1 >= next.1).unwrap_or(next)))
         });
+        let worst = worst.filter(|_| count as f64 >= NOTED_SHARE * all as f64);
         worst.map(|(optics, _)| (format!("{count} of {all} voxels, the worst"), optics))
     };
     let clear = worst(&|o| Some(-o.extinction_per_mm(channel)).filter(|e| -e * shortest.1 < 1.0));

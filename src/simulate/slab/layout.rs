@@ -126,7 +126,7 @@ fn agree(options: &Options, own_mm: f64) -> Result<()> {
     match options.thickness_mm {
         Some(asked) if (asked - own_mm).abs() > 1e-9 * own_mm => Err(Error::Setting {
             setting: "--thickness-mm",
-            expected: format!("{own_mm}, which the material has, or no such option"),
+            expected: format!("{}, which the material has, or no such option", (1e6 * own_mm).round() / 1e6),
             found: asked.to_string(),
         }),
         _ => Ok(()),
@@ -137,7 +137,7 @@ fn from_file(path: &std::path::Path, options: &Options, place: &Place) -> Result
     let file = voxels::read(path, options.anisotropy)?;
     agree(options, file.volume.thickness_mm())?;
     if let Some(recorded) = options.voxels_blake3.as_ref().filter(|hash| **hash != file.blake3) {
-        return Err(Error::field(path, "BLAKE3 of the file", recorded, &file.blake3));
+        return Err(voxels::refused(path, "file", format!("the file whose BLAKE3 is {recorded}"), &file.blake3));
     }
     let mut volume = file.volume;
     volume.origin_mm = std::array::from_fn(|a| {

@@ -60,9 +60,13 @@ impl Volume {
     }
 
     /// The same slab with neighbouring layers of equal voxels joined.
-    pub fn merged(&self) -> Self {
+    pub fn merged(self) -> Self {
         let plane = self.voxels[0] * self.voxels[1];
-        let mut merged = Self { layers_mm: Vec::new(), optics: Vec::new(), ..*self };
+        let layer = |k: usize| &self.optics[k * plane..(k + 1) * plane];
+        if (1..self.layers_mm.len()).all(|k| layer(k - 1) != layer(k)) {
+            return self;
+        }
+        let mut merged = Self { layers_mm: Vec::new(), optics: Vec::new(), ..self };
         for (layer, thickness) in self.optics.chunks(plane).zip(&self.layers_mm) {
             match (merged.optics.len().checked_sub(plane), merged.layers_mm.last_mut()) {
                 (Some(last), Some(above)) if merged.optics[last..] == *layer => *above += thickness,
@@ -159,6 +163,23 @@ mod tests {
         let at = |beyond, t| row(beyond).voxel_at(0, t);
         assert_eq!([0.9, 1.1, 2.4, 2.6].map(|t| at(Beyond::Repeat, t)), [2, 0, 2, 0]);
         assert_eq!([0.9, 1.1, 2.4, 2.6].map(|t| at(Beyond::Extend, t)), [0, 0, 2, 2]);
+    }
+
+    #[test]
+    fn equal_layers_are_joined_and_others_kept() {
+        let [a, b] = [1.0, 2.0].map(|s| Optics {
+            reduced_scattering_per_mm: [s; 3],
+            absorption_per_mm: [0.0; 3],
+            anisotropy: [0.0; 3],
+        });
+        let slab = Volume::layered(&[(a, 1.0), (a, 0.5), (b, 1.0), (a, 0.25), (a, 0.25)], 1.3);
+        assert_eq!(slab.merged(), Volume::layered(&[(a, 1.5), (b, 1.0), (a, 0.5)], 1.3));
+        let plain = Volume::layered(&[(a, 1.0), (b, 1.0)], 1.3);
+        assert_eq!(plain.clone().merged(), plain);
+        let shares = plain.depth_shares(0.5, 1.75);
+        assert!(shares.iter().zip([(0, 0.4), (1, 0.6)]).all(|(s, e)| s.0 == e.0 && (s.1 - e.1).abs() < 1e-12));
+        // Rounding may put the solver's bottom a little deeper than the slab's.
+        assert_eq!(plain.depth_shares(1.5, 2.0 + 1e-12), [(1, 1.0)]);
     }
 
     #[test]

@@ -51,7 +51,7 @@ trait Arrays {
 /// Reads a voxel file; `anisotropy` is that of every voxel, for a file that has none of its own.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Field`] naming file and array for what cannot be used; [`Error::Setting`] when both
+/// [`Error::Io`]; [`Error::Voxels`] naming file and array for what cannot be used; [`Error::Setting`] when both
 /// `--anisotropy` and the file say g.
 pub fn read(path: &Path, anisotropy: Option<f64>) -> Result<VoxelFile> {
     let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
@@ -62,40 +62,40 @@ pub fn read(path: &Path, anisotropy: Option<f64>) -> Result<VoxelFile> {
 }
 
 fn assemble(path: &Path, arrays: &mut dyn Arrays, anisotropy: Option<f64>) -> Result<Volume> {
-    let missing = |name: &str| Error::field(path, name, "an array of this name", "none");
+    let missing = |name: &str| refused(path, name, "an array of this name", "none");
     // The small ones first: their mistakes cost nothing.
     let side = arrays.array("voxel_mm", 3)?.ok_or_else(|| missing("voxel_mm"))?;
     let sides: [f64; 3] = match side.values[..] {
         [s] => [s; 3],
         [x, y, z] => [x, y, z],
-        _ => return Err(Error::field(path, "voxel_mm", "three sides x, y, z or one", format!("{:?}", side.shape))),
+        _ => return Err(refused(path, "voxel_mm", "three sides x, y, z or one", format!("{:?}", side.shape))),
     };
     for s in sides {
-        Error::unless_within(path, "voxel_mm", s, 1e-4, 1e3)?;
+        within(path, "voxel_mm", s, 1e-4, 1e3)?;
     }
     let refractive_index = match arrays.array("refractive_index", 1)? {
         Some(Array { values, shape }) => match values[..] {
             [n] => n,
-            _ => return Err(Error::field(path, "refractive_index", "one number", format!("shape {shape:?}"))),
+            _ => return Err(refused(path, "refractive_index", "one number", format!("shape {shape:?}"))),
         },
         None => 1.3,
     };
-    Error::unless_within(path, "refractive_index", refractive_index, 1.0, 2.5)?;
+    within(path, "refractive_index", refractive_index, 1.0, 2.5)?;
 
     let most = 3 * MOST_VOXELS;
     let scattering = arrays.array(SCATTERING, most)?.ok_or_else(|| missing(SCATTERING))?;
     let shape = scattering.shape.clone();
     let &[nz, ny, nx, 3] = &shape[..] else {
-        return Err(Error::field(path, SCATTERING, "shape [z, y, x, 3]", format!("{shape:?}")));
+        return Err(refused(path, SCATTERING, "shape [z, y, x, 3]", format!("{shape:?}")));
     };
     if nz * ny * nx == 0 {
-        return Err(Error::field(path, SCATTERING, "a voxel or more", format!("shape {shape:?}")));
+        return Err(refused(path, SCATTERING, "a voxel or more", format!("shape {shape:?}")));
     }
-    Error::unless_within(path, "voxel_mm: the slab's thickness in mm", nz as f64 * sides[2], 1e-2, 1e3)?;
+    within(path, "voxel_mm, the slab's thickness in mm", nz as f64 * sides[2], 1e-2, 1e3)?;
     let absorption = arrays.array(ABSORPTION, most)?.ok_or_else(|| missing(ABSORPTION))?;
     if absorption.shape != shape {
         let expected = format!("shape {shape:?}, as {SCATTERING}");
-        return Err(Error::field(path, ABSORPTION, expected, format!("{:?}", absorption.shape)));
+        return Err(refused(path, ABSORPTION, expected, format!("{:?}", absorption.shape)));
     }
     check(path, SCATTERING, &scattering, 0.0, 1e6)?;
     check(path, ABSORPTION, &absorption, 0.0, 1e6)?;
@@ -129,7 +129,7 @@ fn anisotropies(path: &Path, arrays: &mut dyn Arrays, asked: Option<f64>, shape:
     }
     if array.values.len() != 1 && array.shape != shape {
         let expected = format!("one number or shape {shape:?}, as {SCATTERING}");
-        return Err(Error::field(path, ANISOTROPY, expected, format!("{:?}", array.shape)));
+        return Err(refused(path, ANISOTROPY, expected, format!("{:?}", array.shape)));
     }
     check(path, ANISOTROPY, &array, -0.99, 0.99)?;
     Ok(array.values)
@@ -145,7 +145,24 @@ fn check(path: &Path, name: &str, array: &Array, low: f64, high: f64) -> Result<
         rest /= n;
     }
     let expected = format!("numbers from {} to {}", crate::error::number(low), crate::error::number(high));
-    Err(Error::field(path, name, expected, format!("{} at {index:?}", crate::error::number(array.values[at]))))
+    Err(refused(path, name, expected, format!("{} at {index:?}", crate::error::number(array.values[at]))))
+}
+
+pub(super) fn refused(
+    path: &Path,
+    array: impl Into<String>,
+    expected: impl Into<String>,
+    found: impl std::fmt::Display,
+) -> Error {
+    Error::Voxels { path: path.into(), array: array.into(), expected: expected.into(), found: found.to_string() }
+}
+
+fn within(path: &Path, array: &str, value: f64, low: f64, high: f64) -> Result<()> {
+    let number = crate::error::number;
+    match value >= low && value <= high {
+        true => Ok(()),
+        false => Err(refused(path, array, format!("{} to {}", number(low), number(high)), number(value))),
+    }
 }
 
 /// The number of values of `shape`, unless it is more than `most`.
@@ -153,7 +170,7 @@ fn count(path: &Path, name: &str, shape: &[u64], most: usize) -> Result<usize> {
     let product = shape.iter().try_fold(1u64, |product, &n| product.checked_mul(n));
     product.filter(|n| *n <= most as u64).map(|n| n as usize).ok_or_else(|| {
         let expected = format!("at most {most} numbers");
-        Error::field(path, name, expected, format!("shape {shape:?}"))
+        refused(path, name, expected, format!("shape {shape:?}"))
     })
 }
 

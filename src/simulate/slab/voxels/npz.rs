@@ -2,7 +2,7 @@
 //!
 //! The header of an array is read here rather than by `npyz`, whose parser trusts its sizes.
 
-use super::{Array, Arrays, count};
+use super::{Array, Arrays, count, refused};
 use crate::{Error, Result};
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -21,7 +21,7 @@ pub(super) struct Archive {
 impl Archive {
     pub fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(Error::io("read", path))?;
-        let broken = |e: ZipError| Error::field(path, "archive", "an NPZ archive or a Zarr group", e);
+        let broken = |e: ZipError| refused(path, "archive", "an NPZ archive or a Zarr group", e);
         Ok(Self { path: path.to_path_buf(), zip: ZipArchive::new(BufReader::new(file)).map_err(broken)? })
     }
 }
@@ -29,7 +29,7 @@ impl Archive {
 impl Arrays for Archive {
     fn array(&mut self, name: &str, most: usize) -> Result<Option<Array>> {
         let path = &self.path;
-        let broken = |reason: &dyn std::fmt::Display| Error::field(path, name, "a whole NumPy array", reason);
+        let broken = |reason: &dyn std::fmt::Display| refused(path, name, "a whole NumPy array", reason);
         let mut entry = match self.zip.by_name(&format!("{name}.npy")) {
             Ok(entry) => entry,
             Err(ZipError::FileNotFound) => return Ok(None),

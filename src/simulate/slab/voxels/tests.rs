@@ -79,7 +79,7 @@ fn arrays_that_cannot_be_used_are_named() {
         change(&mut arrays[which]);
         let named = arrays[which].0;
         let error = read_npz(&arrays).unwrap_err();
-        assert!(matches!(&error, Error::Field { field, .. } if field.starts_with(named)), "{named}: {error}");
+        assert!(matches!(&error, Error::Voxels { array, .. } if array.starts_with(named)), "{named}: {error}");
         error.to_string()
     };
     for value in [f64::NAN, f64::INFINITY, -1.0, 1e7] {
@@ -133,7 +133,7 @@ fn a_shape_larger_than_its_numbers_costs_no_memory() {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), zip.finish().unwrap().into_inner()).unwrap();
         let error = read(file.path(), None).unwrap_err();
-        assert!(matches!(&error, Error::Field { field, .. } if field == SCATTERING), "{shape}: {error}");
+        assert!(matches!(&error, Error::Voxels { array, .. } if array == SCATTERING), "{shape}: {error}");
     }
 }
 

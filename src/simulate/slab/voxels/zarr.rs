@@ -1,6 +1,6 @@
 //! Arrays of a Zarr group.
 
-use super::{Array, Arrays, count};
+use super::{Array, Arrays, count, refused};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -18,7 +18,7 @@ pub(super) struct Group {
 
 impl Group {
     pub fn open(path: &Path) -> Result<Self> {
-        let broken = |e: &dyn std::fmt::Display| Error::field(path, "group", "an NPZ archive or a Zarr group", e);
+        let broken = |e: &dyn std::fmt::Display| refused(path, "group", "an NPZ archive or a Zarr group", e);
         if path.to_str().is_none() {
             return Err(broken(&"a path that is not UTF-8"));
         }
@@ -36,7 +36,7 @@ impl Arrays for Group {
         if !path.join(name).is_dir() {
             return Ok(None);
         }
-        let broken = |e: &dyn std::fmt::Display| Error::field(path, name, "a whole Zarr array", e);
+        let broken = |e: &dyn std::fmt::Display| refused(path, name, "a whole Zarr array", e);
         let array = zarrs::array::Array::open(self.store.clone(), &format!("/{name}")).map_err(|e| broken(&e))?;
         let len = count(path, name, array.shape(), most)?;
         let shape: Vec<usize> = array.shape().iter().map(|&n| n as usize).collect();
@@ -46,7 +46,7 @@ impl Arrays for Group {
         // A chunk is decoded whole, however little of it the array has.
         let chunk = array.chunk_shape(&vec![0; shape.len()]).map_err(|e| broken(&e))?;
         let sides: Vec<u64> = chunk.iter().map(|n| n.get()).collect();
-        count(path, &format!("{name}: chunks"), &sides, 8 * most)?;
+        count(path, &format!("{name}, its chunks"), &sides, 8 * most)?;
         let all = array.subset_all();
         let values = if *array.data_type() == data_type::float32() {
             let values: Vec<f32> = array.retrieve_array_subset(&all).map_err(|e| broken(&e))?;
@@ -73,7 +73,7 @@ impl Arrays for Group {
                 }
                 if files.len() > MOST_FILES {
                     let found = format!("{} and more", files.len());
-                    return Err(Error::field(&self.path, "group", format!("at most {MOST_FILES} files"), found));
+                    return Err(refused(&self.path, "group", format!("at most {MOST_FILES} files"), found));
                 }
             }
         }
