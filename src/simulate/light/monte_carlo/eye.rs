@@ -14,8 +14,8 @@ use std::f64::consts::PI;
 /// Patches along each axis of the window, each of which has one direction towards the eye.
 const PATCHES: usize = 32;
 /// Collisions deeper than this many free paths show themselves to the eye only at times, and then as bright as all.
-const DEEP: f64 = 3.0;
-const SHOWN: f64 = 0.125;
+const DEEP: f64 = 2.0;
+const SHOWN: f64 = 0.0625;
 /// By way of both faces over this many free paths next to nothing comes: played for even more rarely.
 const FAR: f64 = 8.0;
 const SHOWN_FAR: f64 = 1.0 / 256.0;
@@ -81,7 +81,7 @@ impl<'a> Eye<'a> {
     pub fn receive(&self, photon: &Photon, local: Local, rng: &mut Pcg64Mcg, radiance: &mut [f64]) {
         let sight = self.sight(photon.p);
         let depth = local.extinction * photon.p[2];
-        // Little light comes up from the deep: an eighth of those collisions stand for all.
+        // Little light comes up from the deep: one in sixteen of those collisions stands for all.
         let share = if depth > DEEP { SHOWN } else { 1.0 };
         if share == 1.0 || rng.random::<f64>() < share {
             let light = self.starts(photon, local, sight, sight.up) / share;

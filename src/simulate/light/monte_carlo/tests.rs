@@ -301,7 +301,7 @@ fn probe() {
     chess.voxel_mm = [2.0; 2];
     chess.beyond = Beyond::Repeat;
     chess.optics = vec![skin, milk, milk, skin];
-    let mut forward = Volume::uniform(Optics { anisotropy: [0.8; 3], ..milk }, 1.3, 4.0);
+    let forward = Volume::uniform(Optics { anisotropy: [0.8; 3], ..milk }, 1.3, 4.0);
     for (name, volume) in [("milk", Volume::uniform(milk, 1.3, 4.0)), ("chess", chess), ("forward", forward)] {
         let window = Some(Window { corner_mm: [-10.0; 2], cell_mm: 0.125, cells: [160; 2] });
         let beam = Beam { center_mm: [0.3, 0.2], mm_from_px: [[0.125, 0.0], [0.0, 0.125]], side_px: 3.0, blur_px: 0.3 };
