@@ -1,5 +1,8 @@
 //! One capture's light: solves for dots, renders shots, exposes and writes them.
 
+#[cfg(test)]
+mod tests;
+
 use super::{
     Options, Plan, ShotTruth,
     camera::photograph::{self, ExposureTime},
@@ -7,7 +10,7 @@ use super::{
     light::diffusion::{Domain, Slab, graded_layers},
     light::field::Field,
     mix_seed, plan,
-    scene::render::{GAUSS_2, GAUSS_6, GrayCode, Picture, PixelGrid, board_albedo, board_rule, footprint, smooth_rule},
+    scene::render::{GAUSS_1, GAUSS_6, GrayCode, Picture, PixelGrid, board_albedo, board_rule, footprint, smooth_rule},
     scene::{FRAME_ALBEDO, Scene},
     slab::Medium,
 };
@@ -153,11 +156,10 @@ impl Studio {
                     |p| irradiance(p, 1.0).map(|e| e * board_albedo(scene, px_mm, p)),
                 )
             }
-            // Quadratic in p: exact with two points.
-            Pattern::ReferenceWhite => self.pixels.picture(|_| GAUSS_2, |p| white(p, 1.0)),
-            Pattern::ReferenceBlack => self.pixels.picture(|_| GAUSS_2, |p| white(p, 0.0)),
+            Pattern::ReferenceWhite => self.pixels.picture(|_| GAUSS_1, |p| white(p, 1.0)),
+            Pattern::ReferenceBlack => self.pixels.picture(|_| GAUSS_1, |p| white(p, 0.0)),
             Pattern::GrayCode { axis, bit, inverse } => {
-                let code = GrayCode { axis, bit, inverse, blur_px: options.projector_blur_px };
+                let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
                 let lit_mm = options.lit_pitch_mm() / options.step_projector_px as f64;
                 // Turn and keystone of the projector add little to a pixel's extent in projector px.
                 let pixel_px = 1.2 * self.pixels.pixel_mm() / lit_mm;
@@ -223,7 +225,7 @@ impl Studio {
         };
         let side = self.scene.grid.dot_projector_px;
         let share =
-            footprint(&domain, &self.scene.slab_from_projector, dot_px, center, side, options.projector_blur_px);
+            footprint(&domain, &self.scene.slab_from_projector, dot_px, center, side, self.scene.projector_blur_px);
         let area_mm2 = (side * side) as f64 * self.scene.slab_from_projector.area_scale(dot_px);
         Ok((self.solve(&domain, [&share; 3])?, self.scene.white_irradiance(center).map(|e| e * area_mm2)))
     }
