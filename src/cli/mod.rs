@@ -42,7 +42,7 @@ const MOST_THREADS: usize = 1024;
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Simulate(simulate::Args),
+    Simulate(Box<simulate::Args>),
     BuildMatrix(build_matrix::Args),
     Factor(factor::Args),
     Evaluate(evaluate::Args),
@@ -142,7 +142,7 @@ fn run(cli: Cli) -> Result<()> {
     let progress = if cli.quiet { Progress::silent() } else { Progress::terminal() };
     let context = Context { progress, quiet: cli.quiet };
     match cli.command {
-        Command::Simulate(args) => simulate::run(args, &context),
+        Command::Simulate(args) => simulate::run(*args, &context),
         Command::BuildMatrix(args) => build_matrix::run(args, &context),
         Command::Factor(args) => factor::run(args, &context),
         Command::Evaluate(args) => evaluate::run(args, &context),

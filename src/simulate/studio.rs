@@ -1,5 +1,8 @@
 //! One capture's light: solves for dots, renders shots, exposes and writes them.
 
+#[cfg(test)]
+mod tests;
+
 use super::{
     Options, Plan, ShotTruth, Transport,
     camera::photograph::{self, ExposureTime},
@@ -10,7 +13,7 @@ use super::{
     light::field::Field,
     light::validity,
     mix_seed, plan,
-    scene::render::{GAUSS_2, GAUSS_6, GrayCode, Picture, PixelGrid, board_albedo, board_rule, smooth_rule},
+    scene::render::{GAUSS_1, GAUSS_6, GrayCode, Picture, PixelGrid, board_albedo, board_rule, smooth_rule},
     scene::{FRAME_ALBEDO, Scene},
     slab::SlabRecord,
     slab::layout::{self, Built, Place},
@@ -173,11 +176,10 @@ impl Studio {
                     |p| irradiance(p, 1.0).map(|e| e * board_albedo(scene, px_mm, p)),
                 )
             }
-            // Quadratic in p: exact with two points.
-            Pattern::ReferenceWhite => self.pixels.picture(|_| GAUSS_2, |p| white(p, 1.0)),
-            Pattern::ReferenceBlack => self.pixels.picture(|_| GAUSS_2, |p| white(p, 0.0)),
+            Pattern::ReferenceWhite => self.pixels.picture(|_| GAUSS_1, |p| white(p, 1.0)),
+            Pattern::ReferenceBlack => self.pixels.picture(|_| GAUSS_1, |p| white(p, 0.0)),
             Pattern::GrayCode { axis, bit, inverse } => {
-                let code = GrayCode { axis, bit, inverse, blur_px: options.projector_blur_px };
+                let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
                 let lit_mm = options.lit_pitch_mm() / options.step_projector_px as f64;
                 // Turn and keystone of the projector add little to a pixel's extent in projector px.
                 let pixel_px = 1.2 * self.pixels.pixel_mm() / lit_mm;
@@ -328,7 +330,7 @@ fn beam(options: &Options, scene: &Scene, dot: [usize; 2], drift_mm: Point) -> B
         center_mm: dot_mm(scene, dot, drift_mm),
         mm_from_px: scene.slab_from_projector.jacobian(scene.grid.dot_projector_px(dot)),
         side_px: scene.grid.dot_projector_px as f64,
-        blur_px: options.projector_blur_px,
+        blur_px: scene.projector_blur_px,
     }
 }
 

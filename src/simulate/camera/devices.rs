@@ -16,7 +16,7 @@ pub(crate) struct Device {
 }
 
 impl Device {
-    /// Gain and noise as used for noise-aware merging (`Hanji2020`).
+    /// Gain and noise as published from photon transfer; the noise of converters dominates but in the A7R.
     pub const fn of(kind: SensorKind) -> Self {
         let (gain_dn_per_electron, read_noise_electrons, adc_noise_dn, bits, black_dn) = match kind {
             SensorKind::SonyA7r3 => (0.40, 0.71, 3.0, 14, 512.0),

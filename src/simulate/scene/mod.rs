@@ -24,6 +24,9 @@ const KEYSTONE: [f64; 2] = [0.015, -0.010];
 /// Tilt and turn of the camera, degrees.
 const CAMERA_TILT_DEG: f64 = 5.0;
 const CAMERA_TURN_DEG: f64 = 0.7;
+/// Softness (standard deviation, camera px) of the sharpest projected edge that six points a pixel average without
+/// displacing it by more than some thousandths of a pixel.
+const FINEST_EDGE_PX: f64 = 0.12;
 /// The second term of the lens's distortion, of the first.
 const LENS_K2: f64 = -0.2;
 /// The projector's colour.
@@ -50,7 +53,7 @@ pub(crate) struct Scene {
     pub white: WhiteReference,
     /// Irradiance lost from the projector's brightest point to the corner of the frame, of itself.
     falloff: f64,
-    /// Standard deviation of the projector's pixels, projector px.
+    /// Blur of the projector's pixels (standard deviation), projector px; never sharper than can be rendered.
     pub projector_blur_px: f64,
 }
 
@@ -86,7 +89,7 @@ impl Scene {
             reference_dots: Vec::new(),
             white: WhiteReference { reflectance: [0.99; 3] },
             falloff: options.falloff,
-            projector_blur_px: options.projector_blur_px,
+            projector_blur_px: options.projector_blur_px.max(FINEST_EDGE_PX * projector_px_per_camera_px(options)),
         };
         scene.reference_dots = scene.reference_dots(options);
         Ok(scene)
@@ -166,8 +169,7 @@ impl Raster {
         let centered_from_slab = invert(slab_from_centered)?;
         let lit: Vec<Point> = outline.iter().map(|&p| centered_from_slab.map(p)).collect();
         let step = options.step_projector_px as f64;
-        let px_per_camera_px = step * options.pitch_mm / (options.lit_pitch_mm() * options.camera_px_per_sample);
-        let margin = (image_margin_px(options) + 4.0) * px_per_camera_px;
+        let margin = (image_margin_px(options) + 4.0) * projector_px_per_camera_px(options);
         let half = 0.5 * (options.grid as f64 - 1.0) * step;
         let origin: Point =
             std::array::from_fn(|a| whole_dot(options, (margin - fold(&lit, a, f64::min) - half).ceil()));
@@ -261,6 +263,12 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera, [f
         vignetting: vec![-1.2 * options.vignetting / corner2, 0.2 * options.vignetting / (corner2 * corner2)],
     };
     (view, camera, eye_mm)
+}
+
+/// Size of a camera pixel in projector pixels, about.
+fn projector_px_per_camera_px(options: &Options) -> f64 {
+    let camera_px_mm = options.pitch_mm / options.camera_px_per_sample;
+    camera_px_mm * options.step_projector_px as f64 / options.lit_pitch_mm()
 }
 
 /// What is seen around the frame, px: more when the camera moves.
