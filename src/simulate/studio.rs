@@ -76,7 +76,7 @@ impl Studio {
         if options.transport == Transport::Diffusion {
             warnings.extend(validity::warnings(&volume, &record, options.window as f64 * options.pitch_mm));
         }
-        let middle = beam(options, &scene, [options.grid / 2; 2], [0.0; 2]);
+        let middle = beam(&scene, [options.grid / 2; 2], [0.0; 2]);
         let dots = Dots::new(options, &volume, scene.eye_mm, &middle, progress)?;
         let pixels = PixelGrid::new(&scene, [0.0; 2])?;
         let [width, height] = scene.camera.size_px;
@@ -238,7 +238,7 @@ impl Studio {
 
     /// The light of one dot per unit of its flux, and its flux under full white.
     fn dot(&self, options: &Options, dot: [usize; 2], drift_mm: Point) -> Result<(Glow, [f64; 3])> {
-        let beam = beam(options, &self.scene, dot, drift_mm);
+        let beam = beam(&self.scene, dot, drift_mm);
         let side = self.scene.grid.dot_projector_px;
         let dot_px = self.scene.grid.dot_projector_px(dot);
         let area_mm2 = (side * side) as f64 * self.scene.slab_from_projector.area_scale(dot_px);
@@ -269,7 +269,7 @@ impl Studio {
             let light = self.dark_irradiance(options, corner.map(|c| c + 0.5 * voxel_mm));
             flux.iter_mut().zip(light).for_each(|(flux, e)| flux[i] = e * area);
         }
-        self.dots.diffuse(&domain, &flux).map(Some)
+        self.dots.diffuse(&domain, [&flux[0], &flux[1], &flux[2]]).map(Some)
     }
 
     fn dark_irradiance(&self, options: &Options, p: Point) -> [f64; 3] {
@@ -325,7 +325,7 @@ fn dot_mm(scene: &Scene, dot: [usize; 2], drift_mm: Point) -> Point {
 }
 
 /// The light of a dot as it arrives.
-fn beam(options: &Options, scene: &Scene, dot: [usize; 2], drift_mm: Point) -> Beam {
+fn beam(scene: &Scene, dot: [usize; 2], drift_mm: Point) -> Beam {
     Beam {
         center_mm: dot_mm(scene, dot, drift_mm),
         mm_from_px: scene.slab_from_projector.jacobian(scene.grid.dot_projector_px(dot)),

@@ -34,6 +34,8 @@ pub(crate) struct Dots {
     voxel_mm: f64,
     box_voxels: usize,
     tracer: Option<Tracer>,
+    /// For a slab that is the same everywhere: what leaves around a dot in its middle, and that dot's place.
+    everywhere: Option<(Glow, Point)>,
 }
 
 /// What Monte Carlo needs.
@@ -44,12 +46,11 @@ struct Tracer {
     photons: u64,
     seed: u64,
     voxels_per_sample: usize,
-    /// What leaves around any dot of a slab that is the same everywhere, and that dot's place.
-    everywhere: Option<(Glow, Point)>,
 }
 
 impl Dots {
-    /// Prepares the solver; for a slab that is the same everywhere, Monte Carlo traces its one answer here, for `middle`.
+    /// Prepares the solver. A slab that is the same everywhere has one answer for all dots: it is found here, for `middle`.
+    /// The others' footprints differ from that by the projector's keystone, and the camera sees them from a little more aside.
     pub fn new(
         options: &Options,
         volume: &Volume,
@@ -59,46 +60,56 @@ impl Dots {
     ) -> Result<Self> {
         let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
         let samples = options.window + 2 * BOX_MARGIN_PITCHES;
+        let tracer = |transport| match transport {
+            Transport::Diffusion => None,
+            Transport::Mc => Some(Tracer {
+                media: [0, 1, 2].map(|channel| Medium::new(volume, channel)),
+                eye_mm,
+                photons: options.photons,
+                seed: options.seed,
+                voxels_per_sample: options.voxels_per_sample,
+            }),
+        };
         let mut dots = Self {
             slab: Slab::new(volume.clone(), voxel_mm, options.tolerance),
             voxel_mm,
             box_voxels: (samples * options.voxels_per_sample).next_multiple_of(8),
-            tracer: None,
+            tracer: tracer(options.transport),
+            everywhere: None,
         };
-        if options.transport == Transport::Mc {
-            let media = [0, 1, 2].map(|channel| Medium::new(volume, channel));
-            let (photons, voxels_per_sample) = (options.photons, options.voxels_per_sample);
-            let mut tracer = Tracer { media, eye_mm, photons, seed: options.seed, voxels_per_sample, everywhere: None };
-            if volume.is_laterally_uniform() {
-                let shared = photons.saturating_mul((options.grid * options.grid) as u64);
-                let shared = shared.min(photons.max(MOST_SHARED_PHOTONS));
-                let glow = tracer.trace(&dots.domain(middle.center_mm), middle, shared, 0, progress)?;
-                tracer.everywhere = Some((glow, middle.center_mm));
-            }
-            dots.tracer = Some(tracer);
+        if volume.is_laterally_uniform() {
+            let all = options.photons.saturating_mul((options.grid * options.grid) as u64);
+            let photons = all.min(options.photons.max(MOST_SHARED_PHOTONS));
+            dots.everywhere = Some((dots.solve(middle, photons, 0, progress)?, middle.center_mm));
         }
         Ok(dots)
     }
 
     /// The light of `beam`; `number` tells its random numbers from other dots'.
     pub fn glow(&self, beam: &Beam, number: usize) -> Result<Glow> {
+        if let Some((glow, center_mm)) = &self.everywhere {
+            let by = std::array::from_fn(|a| beam.center_mm[a] - center_mm[a]);
+            return Ok(Glow { field: glow.field.moved(by), ..*glow });
+        }
+        let photons = self.tracer.as_ref().map_or(0, |tracer| tracer.photons);
+        self.solve(beam, photons, 1 + number, &Progress::silent())
+    }
+
+    fn solve(&self, beam: &Beam, photons: u64, number: usize, progress: &Progress) -> Result<Glow> {
         let domain = self.domain(beam.center_mm);
-        let Some(tracer) = &self.tracer else {
-            let field = self.diffuse(&domain, &[0, 1, 2].map(|_| beam.footprint(&domain)))?;
-            return Ok(Glow { field, variance_sum: 0.0 });
-        };
-        match &tracer.everywhere {
-            Some((glow, center_mm)) => {
-                let by = std::array::from_fn(|a| beam.center_mm[a] - center_mm[a]);
-                Ok(Glow { field: glow.field.moved(by), ..*glow })
+        match &self.tracer {
+            Some(tracer) => tracer.trace(&domain, beam, photons, number, progress),
+            None => {
+                let flux = beam.footprint(&domain);
+                let field = self.diffuse(&domain, [&flux; 3])?;
+                Ok(Glow { field, variance_sum: 0.0 })
             }
-            None => tracer.trace(&domain, beam, tracer.photons, 1 + number, &Progress::silent()),
         }
     }
 
     /// What leaves by diffusion for flux arriving at the columns of `domain`, per channel.
-    pub fn diffuse(&self, domain: &Domain, flux: &[Vec<f64>; 3]) -> Result<Field> {
-        let channel = |c: usize| Ok(self.slab.solve(domain, &flux[c], c)?.exitance());
+    pub fn diffuse(&self, domain: &Domain, flux: [&[f64]; 3]) -> Result<Field> {
+        let channel = |c: usize| Ok(self.slab.solve(domain, flux[c], c)?.exitance());
         let [red, green, blue] = [channel(0)?, channel(1)?, channel(2)?];
         Ok(Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&red, &green, &blue]))
     }

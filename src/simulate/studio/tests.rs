@@ -3,8 +3,6 @@
 use super::super::{Cause, Plan, Response, Truth, simulate};
 use super::*;
 use crate::capture::{Manifest, ResponseCurve, Rig};
-use crate::progress::Progress;
-use crate::progress::Progress;
 use std::collections::BTreeMap;
 
 /// One lattice shot of four dots, without noise, all else ideal but `causes`.
