@@ -74,6 +74,20 @@ fn a_noisy_capture_gives_the_matrix_to_three_percent_and_its_variance_is_right()
     }
 }
 
+/// Photon noise makes the slab's light rough between the samples, which the reconstruction cannot follow: 1.5 %, not 1 %.
+#[test]
+fn a_capture_by_monte_carlo_gives_its_matrix() {
+    let mc = Options { transport: acquire::simulate::Transport::Mc, photons: 20_000, ..Options::default() };
+    for material in ["homogeneous", "chessboard-4x4", "layered:skin1=0.4,ketchup=1"] {
+        let options =
+            Options { material: material.parse().unwrap(), grid: 3, window: 11, noise_free: true, ..mc.clone() };
+        let (_folder, dir) = common::capture(&options);
+        let (matrix, _) = build(&dir);
+        let found = compare(&matrix, &dir.join("truth.rd.zarr"));
+        assert!(found.rel_rmse < 0.015 && found.valid == 1.0, "{material}: {found:?}");
+    }
+}
+
 #[test]
 fn a_lattice_of_many_dots_gives_the_matrix_to_one_percent() {
     let pitch_mm = Options::default().pitch_mm;

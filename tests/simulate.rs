@@ -3,7 +3,7 @@
 use acquire::{
     capture::{Manifest, Pattern, Rig},
     progress::Progress,
-    simulate::{FileFormat, Material, Options, Truth, simulate},
+    simulate::{FileFormat, Material, Options, Transport, Truth, simulate},
     transport::MatrixReader,
 };
 use npyz::WriterBuilder;
@@ -34,11 +34,19 @@ fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
 
 #[test]
 fn one_and_two_threads_write_the_same_bytes() {
+    let traced = Options { transport: Transport::Mc, photons: 2_000, ..tiny() };
+    let everywhere = Options { material: Material::homogeneous(), ..traced.clone() };
+    for options in [tiny(), traced, everywhere] {
+        same_for_any_number_of_threads(&options);
+    }
+}
+
+fn same_for_any_number_of_threads(options: &Options) {
     let dir = tempfile::tempdir().unwrap();
     let write = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let path = dir.path().join(format!("threads-{threads}"));
-        pool.install(|| simulate(&tiny(), &path, &Progress::silent())).unwrap();
+        pool.install(|| simulate(options, &path, &Progress::silent())).unwrap();
         files(&path)
     };
     let (one, two) = (write(1), write(2));

@@ -57,93 +57,135 @@ pub enum Response {
 }
 
 /// Everything that makes a simulated capture; the same options give the same bytes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, clap::Args)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
-    /// The material. Homogeneous: the simplest truth.
-    pub material: Material,
-    /// Mean cosine g of the scattering angle in every medium, σ'_s as it is. None: the voxel file's, or 0, as the table of media has none.
-    pub anisotropy: Option<f64>,
-    /// BLAKE3 of the voxel file: `simulate` records it, and refuses another file when it is given.
-    pub voxels_blake3: Option<String>,
-    /// What solves for the light. Diffusion: seconds.
-    pub transport: Transport,
-    /// Photons that Monte Carlo traces for a dot and channel. 100,000: about 1 % of noise in a row, half a second a dot.
-    pub photons: u64,
-    /// Lit points along each axis. 16: minutes of a lab's time, seconds of ours.
-    pub grid: usize,
-    /// Outgoing samples of a window along each axis, odd. 15: the peak and most of the tails.
-    pub window: usize,
-    /// Seed of noise, drift and veins.
-    pub seed: u64,
-    /// No photon and read noise, only rounding. False: as a camera.
-    pub noise_free: bool,
-    /// Root mean square displacement of the lattice shots' dots, camera px at the slab's centre. 0.5: a bench that was touched.
-    pub drift_px: f64,
-    /// Side of an outgoing cell, mm. 0.5: responses of the default materials fall by 3 to 4 decades within a window of 31.
-    pub pitch_mm: f64,
-    /// Nominal distance of lit points, mm. None: the pitch.
-    pub lit_pitch_mm: Option<f64>,
-    /// Distance of the dots of one shot in lit points. None: one and a half windows, so that no dot lights another's window.
-    pub spacing: Option<usize>,
-    /// Exposures of each lattice shot. 5.
-    pub exposures: usize,
-    /// Stops between them. 2: five exposures reach over the 16 bits of a response.
-    pub stops: f64,
-    /// The photographs' format. PNG.
-    pub format: FileFormat,
-    /// Whose sensor. A7R III: a current camera.
-    pub sensor: SensorKind,
-    /// Bits of the sensor's converter. None: its own. A JPEG file has 8 always.
-    pub bits: Option<u32>,
-    /// How code values encode light. None: linear for PNG, sRGB for JPEG.
-    pub response: Option<Response>,
-    /// Lens distortion, Brown's k₁; k₂ is −k₁/5. −0.05: a good lens, 3 px at the corner of a picture of 1000.
-    pub distortion: f64,
-    /// Sensitivity lost at the corner of the picture. 0.15: a good lens, stopped down.
-    pub vignetting: f64,
-    /// Standard deviation of the lens's point-spread function, px. 0: pixels average over their area, and that is all.
-    pub psf_px: f64,
-    /// Share of the light that the lens scatters into a wide halo. 0.
-    pub glare: f64,
-    /// Share of the photosites that are hot. 0.
-    pub hot_pixels: f64,
-    /// Standard deviation of the lamp's output from photograph to photograph, relative. 0.
-    pub flicker: f64,
-    /// Distance that the projected pattern jumps, camera px at the slab's centre. 0.
-    pub jump_px: f64,
-    /// How often it jumps during the sweep of lattice shots. 3.
-    pub jumps: usize,
-    /// Root mean square displacement of the camera during the sweep, px. 0.
-    pub camera_drift_px: f64,
-    /// Distance that the camera's picture jumps, px. 0.
-    pub camera_jump_px: f64,
-    /// How often it jumps. 3.
-    pub camera_jumps: usize,
-    /// Camera pixels across an outgoing cell, about. 3: enough for sub-cell registration.
-    pub camera_px_per_sample: f64,
-    /// Thickness of the slab, mm. None: the material's own, or 4, thin enough to confine light to the window.
-    pub thickness_mm: Option<f64>,
-    /// Voxels across an outgoing cell. 2.
-    pub voxels_per_sample: usize,
-    /// Projector pixels between neighbouring lit points. 4.
-    pub step_projector_px: usize,
-    /// Side of a dot, projector px. 3: a dark pixel between neighbours.
-    pub dot_projector_px: usize,
-    /// Irradiance of a black projector pixel over that of a white one. 1/5000: more would saturate the longest of five exposures
-    /// all over the sample, and a bench is set up so that it does not.
-    pub projector_black: f64,
-    /// Irradiance that the projector loses from its brightest point to the corner of the frame, of itself. 0.12.
-    pub falloff: f64,
-    /// Blur of the projector's pixels: standard deviation, projector px. 0.3.
-    pub projector_blur_px: f64,
-    /// Ambient irradiance over the projector's white. 5e-5: a dark room.
-    pub ambient: f64,
-    /// Relative residual at which a transport solve stops. 1e-6: far below what 5 exposures can see.
-    pub tolerance: f64,
-    /// Replace a folder that exists.
+    /// Replace DIR when it is an earlier simulation.
+    #[arg(long)]
     #[serde(skip)]
     pub force: bool,
+    /// The slab's material; the forms are listed below. Marble: the simplest truth.
+    #[arg(long, default_value = "homogeneous", help_heading = "Slab")]
+    pub material: Material,
+    /// Mean cosine of the scattering angle in every medium, −0.99 to 0.99; the reduced scattering stays as it is
+    /// [default: 0]
+    #[arg(long, value_name = "G", allow_negative_numbers = true, help_heading = "Slab")]
+    pub anisotropy: Option<f64>,
+    /// BLAKE3 of the voxel file: `simulate` records it, and refuses another file when it is given.
+    #[arg(skip)]
+    pub voxels_blake3: Option<String>,
+    /// Thickness of the slab, mm [default: that of the layers or voxels, or 4]
+    #[arg(long, value_name = "MM", help_heading = "Slab")]
+    pub thickness_mm: Option<f64>,
+    /// What solves for the light inside the slab. Diffusion takes seconds.
+    #[arg(long, value_enum, default_value = "diffusion", help_heading = "Slab")]
+    pub transport: Transport,
+    /// Photons for a dot and channel, with --transport mc. 100,000: about half a per cent of noise in a row.
+    #[arg(long, value_name = "N", default_value_t = Options::default().photons, value_parser = photons, help_heading = "Slab")]
+    pub photons: u64,
+    /// Voxels of the transport solver across an outgoing cell.
+    #[arg(long, value_name = "N", default_value_t = Options::default().voxels_per_sample, help_heading = "Slab")]
+    pub voxels_per_sample: usize,
+    /// Relative residual at which diffusion stops. 1e-6: far below what 5 exposures can see.
+    #[arg(skip = Options::default().tolerance)]
+    pub tolerance: f64,
+    /// Lit points along each axis. 16: minutes of a lab's time, seconds of ours.
+    #[arg(long, value_name = "N", default_value_t = Options::default().grid, help_heading = "Capture")]
+    pub grid: usize,
+    /// Outgoing samples of a window along each axis, odd. 15: the peak and most of the tails.
+    #[arg(long, value_name = "N", default_value_t = Options::default().window, help_heading = "Capture")]
+    pub window: usize,
+    /// Side of an outgoing cell, mm. 0.5: responses of most materials fall by 3 to 4 decades within a window of 31.
+    #[arg(long, value_name = "MM", default_value_t = Options::default().pitch_mm, help_heading = "Capture")]
+    pub pitch_mm: f64,
+    /// Distance of lit points, mm [default: the pitch]
+    #[arg(long, value_name = "MM", help_heading = "Capture")]
+    pub lit_pitch_mm: Option<f64>,
+    /// Distance of the dots of one shot, in lit points [default: one and a half windows]
+    #[arg(long, value_name = "N", help_heading = "Capture")]
+    pub spacing: Option<usize>,
+    /// Exposures of each lattice shot.
+    #[arg(long, value_name = "N", default_value_t = Options::default().exposures, help_heading = "Capture")]
+    pub exposures: usize,
+    /// Stops between exposures. 2: five exposures reach over the 16 bits of a response.
+    #[arg(long, value_name = "STOPS", default_value_t = Options::default().stops, help_heading = "Capture")]
+    pub stops: f64,
+    /// Seed of everything random: noise, drift, jumps, flicker, hot pixels, veins.
+    #[arg(long, value_name = "N", default_value_t = Options::default().seed, help_heading = "Capture")]
+    pub seed: u64,
+    /// Whose sensor: gain, noise, bits and black level. The A7R III is a current camera.
+    #[arg(long, value_enum, default_value = "sony-a7r3", help_heading = "Camera")]
+    pub sensor: SensorKind,
+    /// Bits of its converter [default: its own]
+    #[arg(long, value_name = "BITS", help_heading = "Camera")]
+    pub bits: Option<u32>,
+    /// Format of the photographs.
+    #[arg(long, value_enum, default_value = "png", help_heading = "Camera")]
+    pub format: FileFormat,
+    /// Response curve; the rig file takes `film` for sRGB [default: linear for PNG, srgb for JPEG]
+    #[arg(long, value_enum, help_heading = "Camera")]
+    pub response: Option<Response>,
+    /// Camera pixels across an outgoing cell. 3: enough for sub-cell registration.
+    #[arg(long, value_name = "PX", default_value_t = Options::default().camera_px_per_sample, help_heading = "Camera")]
+    pub camera_px_per_sample: f64,
+    /// Lens distortion, Brown's k1. −0.05: a good lens, 3 px at the corner of a picture of 1000; k2 is −k1/5.
+    #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = Options::default().distortion, help_heading = "Camera")]
+    pub distortion: f64,
+    /// Sensitivity lost at the corner. 0.15: a good lens, stopped down.
+    #[arg(long, value_name = "SHARE", default_value_t = Options::default().vignetting, help_heading = "Camera")]
+    pub vignetting: f64,
+    /// Standard deviation of the point-spread function, px. 0: pixels average over their area, and that is all.
+    #[arg(long, value_name = "PX", default_value_t = Options::default().psf_px, help_heading = "Camera")]
+    pub psf_px: f64,
+    /// Share of the light in a halo of 20 px.
+    #[arg(long, value_name = "SHARE", default_value_t = Options::default().glare, help_heading = "Camera")]
+    pub glare: f64,
+    /// Share of the photosites that are hot.
+    #[arg(long, value_name = "SHARE", default_value_t = Options::default().hot_pixels, help_heading = "Camera")]
+    pub hot_pixels: f64,
+    /// Projector pixels between neighbouring lit points.
+    #[arg(long, value_name = "PX", default_value_t = Options::default().step_projector_px, help_heading = "Projector")]
+    pub step_projector_px: usize,
+    /// Side of a dot, projector pixels. 3: a dark pixel between neighbours.
+    #[arg(long, value_name = "PX", default_value_t = Options::default().dot_projector_px, help_heading = "Projector")]
+    pub dot_projector_px: usize,
+    /// Blur of a projector pixel (standard deviation), projector pixels.
+    #[arg(long, value_name = "PX", default_value_t = Options::default().projector_blur_px, help_heading = "Projector")]
+    pub projector_blur_px: f64,
+    /// Irradiance of a black projector pixel over that of a white one. 1/5000: more would saturate the longest of
+    /// five exposures all over the sample.
+    #[arg(long, value_name = "RATIO", default_value_t = Options::default().projector_black, help_heading = "Projector")]
+    pub projector_black: f64,
+    /// Irradiance lost towards the corner.
+    #[arg(long, value_name = "SHARE", default_value_t = Options::default().falloff, help_heading = "Projector")]
+    pub falloff: f64,
+    /// Standard deviation of the lamp from photograph to photograph, of its output.
+    #[arg(long, value_name = "RATIO", default_value_t = Options::default().flicker, help_heading = "Projector")]
+    pub flicker: f64,
+    /// Ambient irradiance over that of projector white. 5e-5: a dark room.
+    #[arg(long, value_name = "RATIO", default_value_t = Options::default().ambient, help_heading = "Projector")]
+    pub ambient: f64,
+    /// Slow walk of the pattern: root mean square over the lattice shots, camera px. 0.5: a bench that was touched.
+    #[arg(long, value_name = "PX", default_value_t = Options::default().drift_px, help_heading = "Drift")]
+    pub drift_px: f64,
+    /// Length of its jumps, camera px.
+    #[arg(long, value_name = "PX", default_value_t = Options::default().jump_px, help_heading = "Drift")]
+    pub jump_px: f64,
+    /// Number of its jumps.
+    #[arg(long, value_name = "N", default_value_t = Options::default().jumps, help_heading = "Drift")]
+    pub jumps: usize,
+    /// Slow walk of the camera's picture, root mean square, px.
+    #[arg(long, value_name = "PX", default_value_t = Options::default().camera_drift_px, help_heading = "Drift")]
+    pub camera_drift_px: f64,
+    /// Length of its jumps, px.
+    #[arg(long, value_name = "PX", default_value_t = Options::default().camera_jump_px, help_heading = "Drift")]
+    pub camera_jump_px: f64,
+    /// Number of its jumps.
+    #[arg(long, value_name = "N", default_value_t = Options::default().camera_jumps, help_heading = "Drift")]
+    pub camera_jumps: usize,
+    /// No photon and read noise, only rounding: as `--without noise`.
+    #[arg(long, help_heading = "Switches")]
+    pub noise_free: bool,
 }
 
 impl Default for Options {
@@ -285,4 +327,14 @@ impl Options {
 /// A slow walk goes no farther than 3.4 times its root mean square (3.5 with some margin), jumps no farther than [`super::scene::JUMP_REACH`] of their size.
 fn reach_px(walk_px: f64, jump_px: f64) -> f64 {
     3.5 * walk_px + super::scene::JUMP_REACH * jump_px
+}
+
+/// A whole number, also as 1e6.
+fn photons(text: &str) -> std::result::Result<u64, String> {
+    let number: f64 = text.parse().map_err(|_| "a number such as 100000 or 1e6".to_owned())?;
+    if number.fract() == 0.0 && (0.0..1e15).contains(&number) {
+        Ok(number as u64)
+    } else {
+        Err("a whole number".into())
+    }
 }

@@ -15,7 +15,7 @@ const BOX_MARGIN_PITCHES: usize = 4;
 /// Photons are counted in cells this much finer than diffusion's voxels: the spline through them blurs by half a cell.
 const FINER: usize = 2;
 /// A slab that is the same everywhere gets all dots' photons at once, but no more than this.
-const MOST_SHARED_PHOTONS: u64 = 20_000_000;
+const MOST_SHARED_PHOTONS: u64 = 5_000_000;
 
 /// What leaves around one dot, per unit of its flux.
 #[derive(Debug, Clone)]
