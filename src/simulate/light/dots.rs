@@ -31,6 +31,7 @@ pub(crate) struct Glow {
 pub(crate) struct Dots {
     /// The slab as diffusion sees it.
     pub slab: Slab,
+    eye_mm: [f64; 3],
     voxel_mm: f64,
     box_voxels: usize,
     tracer: Option<Tracer>,
@@ -61,6 +62,7 @@ impl Dots {
         let samples = options.window + 2 * BOX_MARGIN_PITCHES;
         let mut dots = Self {
             slab: Slab::new(volume.clone(), voxel_mm, options.tolerance),
+            eye_mm,
             voxel_mm,
             box_voxels: (samples * options.voxels_per_sample).next_multiple_of(8),
             tracer: None,
@@ -98,7 +100,7 @@ impl Dots {
 
     /// What leaves by diffusion for flux arriving at the columns of `domain`, per channel.
     pub fn diffuse(&self, domain: &Domain, flux: &[Vec<f64>; 3]) -> Result<Field> {
-        let channel = |c: usize| Ok(self.slab.solve(domain, &flux[c], c)?.exitance());
+        let channel = |c: usize| Ok(self.slab.solve(domain, &flux[c], c)?.radiance(self.eye_mm));
         let [red, green, blue] = [channel(0)?, channel(1)?, channel(2)?];
         Ok(Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&red, &green, &blue]))
     }
