@@ -184,7 +184,8 @@ fn the_response_moves_with_its_dot() {
     let steps: Vec<f64> = (0..9).map(|i| peak(0.02 * f64::from(i))).collect();
     for triple in steps.windows(3) {
         let bend = (triple[2] - 2.0 * triple[1] + triple[0]).abs();
-        assert!(bend < 2e-3 * triple[1], "{bend} {steps:?}");
+        // Diffusion alone bends by less than half of this; the rest is the flights' fixed rays meeting other voxels.
+        assert!(bend < 4e-3 * triple[1], "{bend} {steps:?}");
     }
 }
 
