@@ -30,7 +30,7 @@ mod studio;
 
 pub use camera::photograph::{ExposureTime, write as write_photograph};
 pub use causes::Cause;
-pub use light::{beam::Beam, diffusion::Balance, monte_carlo};
+pub use light::{beam::Beam, monte_carlo, solution::Balance};
 pub use options::{FileFormat, Options, Response, SensorKind, Transport};
 pub use slab::{Beyond, Material, Optics, SlabRecord, Volume};
 

@@ -214,20 +214,22 @@ impl Studio {
         // A few dots at a time: their order in the sum is fixed, and memory is bounded.
         for group in dots.chunks(16) {
             let solve = |&dot: &[usize; 2]| {
-                let (Glow { field, variance_sum }, flux) = self.dot(options, dot, drift_mm)?;
+                let (glow, flux) = self.dot(options, dot, drift_mm)?;
                 let center = self.dot_mm(dot, drift_mm);
-                let response = field.cell_means(center, [options.window; 2], options.pitch_mm);
+                let response = glow.cell_means(center, [options.window; 2], options.pitch_mm);
                 if let Ok(mut noise) = self.noise.lock() {
                     let light = response.iter().map(|r| f64::from(*r).powi(2)).sum();
-                    noise.push((dot[1] * options.grid + dot[0], variance_sum, light));
+                    noise.push((dot[1] * options.grid + dot[0], glow.variance_sum, light));
                 }
                 let (variance, valid) = (vec![0.0; response.len()], vec![true; response.len()]);
                 keep(dot, Row { response, variance, valid })?;
-                Ok((field, flux))
+                Ok((glow, flux))
             };
-            let fields: Vec<(Field, [f64; 3])> = group.par_iter().map(solve).collect::<Result<_>>()?;
-            for (field, flux) in &fields {
-                pixels.add_field(&mut picture, &self.scene, field, flux.map(|f| lit * f));
+            let glows: Vec<(Glow, [f64; 3])> = group.par_iter().map(solve).collect::<Result<_>>()?;
+            for (glow, flux) in &glows {
+                for field in &glow.fields {
+                    pixels.add_field(&mut picture, &self.scene, field, flux.map(|f| lit * f));
+                }
             }
         }
         for &dot_px in &self.scene.reference_dots {
@@ -296,9 +298,9 @@ impl Studio {
         let place = |n: usize| ((2 * n + 1) * options.grid) / (2 * pilots);
         let peak = |n: usize| {
             let dot = [place(n % pilots), place(n / pilots)];
-            let (Glow { field, .. }, flux) = self.dot(options, dot, [0.0; 2])?;
+            let (glow, flux) = self.dot(options, dot, [0.0; 2])?;
             let px_mm = options.pitch_mm / options.camera_px_per_sample;
-            let means = field.cell_means(self.dot_mm(dot, [0.0; 2]), [5, 5], px_mm);
+            let means = glow.cell_means(self.dot_mm(dot, [0.0; 2]), [5, 5], px_mm);
             Ok(means.iter().enumerate().map(|(i, m)| f64::from(*m) * flux[i % 3]).fold(0.0, f64::max))
         };
         let peaks: Vec<f64> = (0..pilots * pilots).into_par_iter().map(peak).collect::<Result<_>>()?;
@@ -313,8 +315,8 @@ impl Studio {
 
     /// What [`Self::dot`] is made of, for tests.
     #[cfg(test)]
-    pub fn dot_field(&self, options: &Options, dot: [usize; 2], drift_mm: Point) -> Field {
-        self.dot(options, dot, drift_mm).unwrap().0.field
+    pub fn dot_glow(&self, options: &Options, dot: [usize; 2], drift_mm: Point) -> Glow {
+        self.dot(options, dot, drift_mm).unwrap().0
     }
 }
 

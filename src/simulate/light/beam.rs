@@ -39,13 +39,17 @@ impl Beam {
         std::array::from_fn(|a| self.center_mm[a] + self.mm_from_px[a][0] * q[0] + self.mm_from_px[a][1] * q[1])
     }
 
+    /// How far from its centre it has light, along x and y, mm: to six standard deviations of the blur.
+    pub(crate) fn reach_mm(&self) -> Point {
+        let reach_px = 0.5 * self.side_px + 6.0 * self.blur_px;
+        self.mm_from_px.map(|row| reach_px * (row[0].abs() + row[1].abs()))
+    }
+
     /// Share of the beam that each voxel column of `domain` receives (they sum to 1), by 6 × 6 Gauss points a column.
     pub(crate) fn footprint(&self, domain: &Domain) -> Vec<f64> {
         let (j, center_mm) = (self.mm_from_px, self.center_mm);
         let det = j[0][0] * j[1][1] - j[0][1] * j[1][0];
-        let half = 0.5 * self.side_px;
-        let reach_px = half + 6.0 * self.blur_px;
-        let reach_mm: Point = std::array::from_fn(|a| reach_px * (j[a][0].abs() + j[a][1].abs()));
+        let (half, reach_mm) = (0.5 * self.side_px, self.reach_mm());
         let range = |a: usize| {
             let voxel = |v: f64| (v - domain.corner_mm[a]) / domain.voxel_mm;
             let limit = domain.voxels[a] as f64;

@@ -7,8 +7,14 @@ mod depth_tests;
 pub(crate) mod diffusion;
 pub(crate) mod dots;
 pub(crate) mod field;
+mod first_flights;
+#[cfg(test)]
+mod flight_tests;
+mod fresnel;
+mod last_flight;
 pub mod monte_carlo;
 pub(crate) mod multigrid;
+pub(crate) mod solution;
 #[cfg(test)]
 mod tests;
 pub(crate) mod validity;

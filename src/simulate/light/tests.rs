@@ -1,9 +1,10 @@
 //! The transport solver against an analytic solution, and the laws that it must keep.
 
 use super::beam::Beam;
-use super::diffusion::{Balance, Domain, Slab};
+use super::diffusion::{Domain, Slab};
 use super::field::Field;
 use super::multigrid::{Columns, Multigrid};
+use super::solution::Balance;
 use crate::geometry::Point;
 use crate::simulate::slab::layout::{Place, build};
 use crate::simulate::slab::{Material, Volume, boundary_factor, normal_reflectance};
@@ -16,10 +17,11 @@ const PX_MM: f64 = 0.125;
 const DOT_PX: usize = 3;
 const BLUR_PX: f64 = 0.3;
 
+/// The slab of diffusion alone, without flights before it.
 fn slab(material: Material, voxel_mm: f64) -> Slab {
     let place = Place { lit_origin_mm: [-8.0; 2], lit_side_mm: 16.0, size_mm: [16.0; 2] };
     let options = Options { material, thickness_mm: Some(THICKNESS_MM), ..Options::default() };
-    Slab::new(build(&options, &place).unwrap().volume, voxel_mm, 1e-6)
+    Slab { flights: 0, ..Slab::new(build(&options, &place).unwrap().volume, voxel_mm, 1e-6) }
 }
 
 fn domain(voxel_mm: f64, voxels: usize, center: Point) -> Domain {
@@ -114,13 +116,15 @@ fn the_sides_of_the_box_do_not_shape_the_window() {
 #[test]
 fn energy_balances() {
     for material in [Material::homogeneous(), Material::chessboard(4), Material::marble()] {
-        let slab = slab(material.clone(), 0.25);
-        let (_, b) = respond(&slab, &domain(0.25, 64, [0.7, -0.3]), [0.7, -0.3]);
-        let spent = b.spent();
-        // The residual's sum: the solver's tolerance (1e-6, Euclidean) times the root of the voxels it may add up over.
-        assert!((spent / b.source - 1.0).abs() < 2e-5, "{material:?}: {spent} of {}", b.source);
-        let most = 1.0 - normal_reflectance(slab.volume.refractive_index);
-        assert!(b.source < most && b.source > 0.9 * most);
+        for flights in [0, 2] {
+            let slab = Slab { flights, ..slab(material.clone(), 0.25) };
+            let (_, b) = respond(&slab, &domain(0.25, 64, [0.7, -0.3]), [0.7, -0.3]);
+            let spent = b.spent();
+            // The residual's sum: the solver's tolerance (1e-6, Euclidean) times the root of the voxels it may add up over.
+            assert!((spent / b.source - 1.0).abs() < 2e-5, "{material:?}, {flights}: {spent} of {}", b.source);
+            let most = 1.0 - normal_reflectance(slab.volume.refractive_index);
+            assert!(b.source < most && b.source > 0.9 * most);
+        }
     }
 }
 
@@ -159,26 +163,29 @@ fn the_response_moves_with_its_dot() {
     let options = Options { grid: 4, window: 9, material: Material::homogeneous(), ..Options::default() };
     let studio = Studio::new(&options, &crate::progress::Progress::silent()).unwrap();
     let means = |drift: Point| {
-        let field = studio.dot_field(&options, [1, 2], drift);
+        let field = studio.dot_glow(&options, [1, 2], drift);
         field.cell_means(studio.dot_mm([1, 2], drift), [9, 9], options.pitch_mm)
     };
     let still = means([0.0, 0.0]);
     for drift in [[0.013, 0.0], [0.1, -0.07], [0.125, 0.125]] {
-        // Homogeneous: the window goes with the dot, to the rounding of f32 solves.
+        // Homogeneous: the window goes with the dot, but is seen from a little aside: a thousandth of the distance to the eye turns
+        // the view by as much, and shifts light from 1 mm deep by 1 µm where the window changes by up to 5 per mm.
         let worst = still.iter().zip(means(drift)).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f32::max);
-        assert!(worst < 1e-4, "{drift:?}: {worst}");
+        println!("{drift:?}: {worst:.1e}");
+        assert!(worst < 1e-2, "{drift:?}: {worst}");
     }
     // Over a chessboard of 1 mm squares, towards an edge, the peak changes smoothly: second differences stay small.
     let options = Options { material: Material::chessboard(8), grid: 16, ..options };
     let studio = Studio::new(&options, &crate::progress::Progress::silent()).unwrap();
     let peak = |x: f64| {
-        let field = studio.dot_field(&options, [1, 2], [x, 0.0]);
+        let field = studio.dot_glow(&options, [1, 2], [x, 0.0]);
         f64::from(field.cell_means(studio.dot_mm([1, 2], [x, 0.0]), [1, 1], options.pitch_mm)[0])
     };
     let steps: Vec<f64> = (0..9).map(|i| peak(0.02 * f64::from(i))).collect();
     for triple in steps.windows(3) {
         let bend = (triple[2] - 2.0 * triple[1] + triple[0]).abs();
-        assert!(bend < 2e-3 * triple[1], "{bend} {steps:?}");
+        // Diffusion alone bends by less than half of this; the rest is the flights' fixed rays meeting other voxels.
+        assert!(bend < 4e-3 * triple[1], "{bend} {steps:?}");
     }
 }
 

@@ -2,11 +2,11 @@
 
 use super::{
     Window,
-    fresnel::{Passage, face},
     medium::{Local, Medium},
     phase::density,
     walk::Photon,
 };
+use crate::simulate::light::fresnel::{Passage, face};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 use std::f64::consts::PI;

@@ -19,7 +19,6 @@
 //! Sources: Wang et al. 1995 (MCML), Woodcock et al. 1965, Henyey & Greenstein 1941.
 
 mod eye;
-mod fresnel;
 mod medium;
 mod phase;
 mod tally;

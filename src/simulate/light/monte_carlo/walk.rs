@@ -1,13 +1,7 @@
 //! One photon's way through the slab.
 
-use super::{
-    Rings, Window,
-    eye::Eye,
-    fresnel::{Passage, face},
-    medium::Medium,
-    phase::scatter,
-    tally::Tally,
-};
+use super::{Rings, Window, eye::Eye, medium::Medium, phase::scatter, tally::Tally};
+use crate::simulate::light::fresnel::{Passage, face};
 use crate::{geometry::Point, simulate::light::beam::Beam};
 use rand::RngExt;
 use rand_distr::{Distribution, Exp1};

@@ -2,7 +2,7 @@
 
 /// Light on one side of a face, seen from the side with refractive index `eta` relative to the other.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Passage {
+pub(crate) struct Passage {
     /// Share that is reflected.
     pub reflectance: f64,
     /// Cosine to the normal beyond the face; 0 when all is reflected.
@@ -11,7 +11,7 @@ pub(super) struct Passage {
 
 /// Fresnel's equations for light that meets a face at `cosine` (> 0) to its normal, `eta` the index on its side over the other's.
 #[inline]
-pub(super) fn face(eta: f64, cosine: f64) -> Passage {
+pub(crate) fn face(eta: f64, cosine: f64) -> Passage {
     if eta == 1.0 {
         return Passage { reflectance: 0.0, cosine };
     }
