@@ -97,10 +97,7 @@ impl PixelGrid {
         let [width, height] = self.size_px;
         let mut picture = vec![[0.0; 3]; width * height];
         picture.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
-            pulp::Arch::new().dispatch(
-                #[inline(always)]
-                || row.iter_mut().enumerate().for_each(|(x, to)| *to = light(&self.pixel(x, y))),
-            );
+            row.iter_mut().enumerate().for_each(|(x, to)| *to = light(&self.pixel(x, y)));
         });
         picture
     }
@@ -132,21 +129,17 @@ impl PixelGrid {
 
     /// Adds `scale` times `field` where it is not zero and the sample is in view.
     pub fn add_field(&self, picture: &mut Picture, scene: &Scene, field: &Field, scale: [f64; 3]) {
-        let (mean, scale) = (FieldMean::new(self.pixel_mm(), field), scale.map(|s| s as f32));
-        let width = self.size_px[0];
+        let mean = FieldMean::new(self.pixel_mm(), field);
         let [xs, ys] = self.seen(scene, field.bounds_mm());
-        for y in ys {
-            let row = &mut picture[y * width..][..width];
-            pulp::Arch::new().dispatch(
-                #[inline(always)]
-                || {
-                    for x in xs.clone() {
-                        let light = mean.on_sample(scene, &self.pixel(x, y));
-                        row[x].iter_mut().zip(light).zip(scale).for_each(|((p, m), s)| *p += m * s);
-                    }
-                },
-            );
-        }
+        pulp::Arch::new().dispatch(AddField {
+            pixels: self,
+            picture,
+            scene,
+            mean,
+            scale: scale.map(|s| s as f32),
+            xs,
+            ys,
+        });
     }
 
     /// Adds a dot of the projector that falls on the frame, displaced by `drift_mm`.
@@ -183,6 +176,35 @@ impl PixelGrid {
             first.clamp(0.0, limit) as usize..last.clamp(0.0, limit) as usize + 1
         };
         [range(0), range(1)]
+    }
+}
+
+/// Light to be added to some columns and rows, as a value: so all of it is compiled for each kind of processor.
+struct AddField<'a> {
+    pixels: &'a PixelGrid,
+    picture: &'a mut Picture,
+    scene: &'a Scene,
+    mean: FieldMean<'a>,
+    scale: [f32; 3],
+    xs: Range<usize>,
+    ys: Range<usize>,
+}
+
+impl pulp::NullaryFnOnce for AddField<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let width = self.pixels.size_px[0];
+        for y in self.ys {
+            let row = &mut self.picture[y * width..][..width];
+            for x in self.xs.clone() {
+                let light = self.mean.on_sample(self.scene, &self.pixels.pixel(x, y));
+                for c in 0..3 {
+                    row[x][c] += light[c] * self.scale[c];
+                }
+            }
+        }
     }
 }
 
