@@ -1,16 +1,27 @@
 //! What a simulation costs beside its image encoder: the whole of `simulate` against only encoding and writing the same photographs, on all cores.
 //!
 //! `cargo bench --bench simulate [-- GRID CAMERA_PX_PER_SAMPLE png|jpeg]` (by default 16 points of a 31×31 window, 3 px a
-//! sample, PNG); prints both times and their ratio, thrice in turn, and the median of the ratios.
+//! sample, PNG); thrice in turn, in folders of their own. Prints elapsed times, processor times (Linux; they hardly depend on
+//! what else the machine does) and their ratios, then the medians.
 
 use acquire::progress::Progress;
-use acquire::simulate::{ExposureTime, FileFormat, Options, simulate, write_photograph};
+use acquire::simulate::{ExposureTime, FileFormat, Options, PhotographWriter, simulate};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Photographs held in memory at a time.
-const BATCH: usize = 32;
+const BATCH: usize = 64;
+/// Folders are removed between rounds only when they hold this many bytes: for half a minute after files were removed ext4
+/// is slow to create others.
+const MUCH: u64 = 1 << 30;
+
+/// Seconds elapsed, and seconds of all processors together.
+#[derive(Debug, Clone, Copy, Default)]
+struct Cost {
+    elapsed: f64,
+    processor: f64,
+}
 
 fn main() -> acquire::Result<()> {
     let folder = tempfile::tempdir().map_err(acquire::Error::io("create", "a temporary folder"))?;
@@ -21,54 +32,80 @@ fn main() -> acquire::Result<()> {
         window: 31,
         camera_px_per_sample: number(1).unwrap_or(3.0),
         format: if typed.get(2).is_some_and(|f| f == "jpeg") { FileFormat::Jpeg } else { FileFormat::Png },
-        force: true,
         ..Options::default()
     };
-    let dir = folder.path().join("capture");
-    let mut ratios = Vec::new();
-    for _ in 0..3 {
-        let start = Instant::now();
-        let summary = simulate(&options, &dir, &Progress::silent())?;
-        let whole = start.elapsed().as_secs_f64();
-        let encode = encode_again(&dir, &folder.path().join("again"), options.format)?;
+    let mut ratios = [const { Vec::new() }; 2];
+    for round in 0..3 {
+        let dir = folder.path().join(format!("capture-{round}"));
+        let (summary, whole) = cost(|| simulate(&options, &dir, &Progress::silent()))?;
+        let again = folder.path().join(format!("again-{round}"));
+        let encode = encode_again(&dir, &again, options.format, summary.size_px)?;
         let [width, height] = summary.size_px;
         println!(
-            "{} photographs of {width} × {height} px: simulate {whole:.2} s, encode {encode:.2} s, ratio {:.2}",
+            "{} photographs of {width} × {height} px, {:.1} MB: simulate {:.2} s ({:.2} s of processors), encode {:.2} s ({:.2} s)",
             summary.photographs,
-            whole / encode
+            summary.photograph_bytes as f64 / 1e6,
+            whole.elapsed,
+            whole.processor,
+            encode.elapsed,
+            encode.processor,
         );
-        ratios.push(whole / encode);
+        ratios[0].push(whole.elapsed / encode.elapsed);
+        ratios[1].push(whole.processor / encode.processor);
+        if summary.photograph_bytes > MUCH {
+            [dir, again]
+                .iter()
+                .try_for_each(|d| std::fs::remove_dir_all(d).map_err(acquire::Error::io("remove", d)))?;
+        }
     }
-    ratios.sort_by(f64::total_cmp);
-    println!("ratio {:.2}", ratios[1]);
+    let [elapsed, processor] = ratios.map(|mut ratios| {
+        ratios.sort_by(f64::total_cmp);
+        ratios[1]
+    });
+    println!("ratio {elapsed:.2}, of processor time {processor:.2}");
     Ok(())
 }
 
-/// Seconds to encode and write the photographs of `dir` once more, without the time to decode them.
-fn encode_again(dir: &Path, to: &Path, format: FileFormat) -> acquire::Result<f64> {
+/// What `work` costs.
+fn cost<T>(work: impl FnOnce() -> acquire::Result<T>) -> acquire::Result<(T, Cost)> {
+    let (start, before) = (Instant::now(), processor_secs());
+    let done = work()?;
+    Ok((done, Cost { elapsed: start.elapsed().as_secs_f64(), processor: processor_secs() - before }))
+}
+
+/// Time of all threads so far, user and system, in hundredths of a second as Linux counts; 0 elsewhere.
+fn processor_secs() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // After the name, which is in brackets: the 12th and 13th field.
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+    fields.iter().skip(11).take(2).filter_map(|f| f.parse::<f64>().ok()).sum::<f64>() / 100.0
+}
+
+/// What it costs to encode and write the photographs of `dir` once more, without decoding them.
+fn encode_again(dir: &Path, to: &Path, format: FileFormat, size_px: [usize; 2]) -> acquire::Result<Cost> {
     let photos = dir.join("photos");
     std::fs::create_dir_all(to).map_err(acquire::Error::io("create", to))?;
     let entries = std::fs::read_dir(&photos).map_err(acquire::Error::io("read", &photos))?;
     let mut paths: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
     paths.sort();
-    let mut secs = 0.0;
+    let mut total = Cost::default();
     for batch in paths.chunks(BATCH) {
         let decode = |path: &PathBuf| {
             let picture = image::open(path).map_err(|e| acquire::Error::Internal { what: e.to_string() })?;
-            let size_px = [picture.width() as usize, picture.height() as usize];
             let codes = match format {
                 FileFormat::Png => picture.into_rgb16().into_raw(),
                 FileFormat::Jpeg => picture.into_rgb8().into_raw().into_iter().map(u16::from).collect(),
             };
-            Ok((to.join(path.file_name().unwrap_or_default()), size_px, codes))
+            Ok((to.join(path.file_name().unwrap_or_default()), codes))
         };
         let decoded: Vec<_> = batch.par_iter().map(decode).collect::<acquire::Result<_>>()?;
-        let start = Instant::now();
-        decoded.par_iter().try_for_each(|(path, size_px, codes)| {
-            write_photograph(path, format, *size_px, codes, ExposureTime::one_over(8), 0).map(drop)
+        let ((), batch) = cost(|| {
+            decoded.par_iter().try_for_each_init(
+                || PhotographWriter::new(format, size_px),
+                |writer, (path, codes)| writer.write(path, codes, ExposureTime::one_over(8), 0).map(drop),
+            )
         })?;
-        secs += start.elapsed().as_secs_f64();
+        total = Cost { elapsed: total.elapsed + batch.elapsed, processor: total.processor + batch.processor };
     }
-    std::fs::remove_dir_all(to).map_err(acquire::Error::io("remove", to))?;
-    Ok(secs)
+    Ok(total)
 }

@@ -28,7 +28,7 @@ mod scene;
 pub mod slab;
 mod studio;
 
-pub use camera::photograph::{ExposureTime, write as write_photograph};
+pub use camera::photograph::{ExposureTime, PhotographWriter};
 pub use causes::Cause;
 pub use light::{beam::Beam, monte_carlo, solution::Balance};
 pub use options::{FileFormat, Options, Response, SensorKind, Transport};

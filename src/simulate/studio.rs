@@ -5,7 +5,7 @@ mod tests;
 
 use super::{
     Options, Plan, ShotTruth, Transport,
-    camera::photograph::{self, ExposureTime},
+    camera::photograph::{ExposureTime, PhotographWriter},
     camera::{hot_pixels::hot_pixels, psf, sensor::Sensor},
     light::beam::Beam,
     light::diffusion::Domain,
@@ -13,7 +13,7 @@ use super::{
     light::field::Field,
     light::validity,
     mix_seed, plan,
-    scene::render::{GAUSS_1, GAUSS_6, GrayCode, Picture, PixelGrid, board_albedo, board_rule, smooth_rule},
+    scene::render::{Brightness, FieldMean, GAUSS_1, GAUSS_6, GrayCode, Picture, PixelGrid, board_albedo, board_rule},
     scene::{FRAME_ALBEDO, Scene},
     slab::SlabRecord,
     slab::layout::{self, Built, Place},
@@ -64,6 +64,17 @@ pub(super) struct Studio {
     white_shortest: ExposureTime,
     /// Row, photon noise and light of every dot so far.
     noise: Mutex<Vec<(usize, f64, f64)>>,
+    /// Memory of shots that are done, for the next.
+    spare: Mutex<Vec<Darkroom>>,
+}
+
+/// What the pictures of a shot are made in.
+#[derive(Debug)]
+struct Darkroom {
+    picture: Picture,
+    rate: Vec<f32>,
+    codes: Vec<u16>,
+    writer: PhotographWriter,
 }
 
 impl Studio {
@@ -90,6 +101,7 @@ impl Studio {
             electrons_per_sec: 0.0,
             white_shortest: ExposureTime::one_over(1),
             noise: Mutex::default(),
+            spare: Mutex::default(),
             scene,
             dots,
             record,
@@ -129,30 +141,40 @@ impl Studio {
     /// Renders a shot, writes its photographs and, for dots, the rows of the truth. Returns the bytes of the photographs.
     pub fn shoot(&self, options: &Options, plan: &Plan, shot: usize, dir: &Path, truth: &MatrixWriter) -> Result<u64> {
         let entry = &plan.manifest.shots[shot];
-        let picture = match &entry.pattern {
+        let mut room = self.spare.lock().ok().and_then(|mut spare| spare.pop()).unwrap_or_else(|| Darkroom {
+            picture: Picture::new(),
+            rate: Vec::new(),
+            codes: Vec::new(),
+            writer: PhotographWriter::new(options.format, self.scene.camera.size_px),
+        });
+        room.picture = match &entry.pattern {
             Pattern::Lattice { dots } => {
                 let moved = &plan.lattices[shot - plan.first_lattice];
-                self.lattice(options, dots, moved, |dot, row| truth.put(plan.manifest.row_index(dot), &row))?
+                let keep = |dot, row| truth.put(plan.manifest.row_index(dot), &row);
+                self.lattice(options, dots, moved, keep, room.picture)?
             }
             pattern => self.still(options, pattern),
         };
-        let rate = self.rate(options, &picture);
+        room.rate = self.rate(options, &room.picture, room.rate);
         let mut bytes = 0;
         for (n, (exposure, file)) in self.bracket(options, &entry.pattern).iter().zip(&entry.photographs).enumerate() {
             let seed = mix_seed(mix_seed(options.seed, shot as u64), n as u64);
             let lit_secs = exposure.secs() * lamp(options.flicker, seed);
-            let codes = self.sensor.expose(&rate, &self.hot, lit_secs, exposure.secs(), seed);
-            let (path, size_px) = (dir.join(&file.file), self.scene.camera.size_px);
-            bytes += photograph::write(&path, options.format, size_px, &codes, *exposure, shot * 10 + n)?;
+            self.sensor.expose(&room.rate, &self.hot, lit_secs, exposure.secs(), seed, &mut room.codes);
+            bytes += room.writer.write(&dir.join(&file.file), &room.codes, *exposure, shot * 10 + n)?;
+        }
+        if let Ok(mut spare) = self.spare.lock() {
+            spare.push(room);
         }
         Ok(bytes)
     }
 
-    /// Electrons per second of a picture, R G B interleaved.
-    fn rate(&self, options: &Options, picture: &Picture) -> Vec<f32> {
+    /// Electrons per second of a picture, R G B interleaved, in the memory of `rate`.
+    fn rate(&self, options: &Options, picture: &Picture, mut rate: Vec<f32>) -> Vec<f32> {
         let scale = (self.electrons_per_sec / PI) as f32;
+        rate.resize(3 * picture.len(), 0.0);
         let lit = picture.iter().zip(&self.vignetting);
-        let rate = lit.flat_map(|(light, v)| light.map(|l| scale * v * l)).collect();
+        rate.as_chunks_mut::<3>().0.iter_mut().zip(lit).for_each(|(to, (light, v))| *to = light.map(|l| scale * v * l));
         psf::blur(rate, self.scene.camera.size_px, options.psf_px, options.glare)
     }
 
@@ -183,22 +205,29 @@ impl Studio {
                 let lit_mm = options.lit_pitch_mm() / options.step_projector_px as f64;
                 // Turn and keystone of the projector add little to a pixel's extent in projector px.
                 let pixel_px = 1.2 * self.pixels.pixel_mm() / lit_mm;
-                self.pixels.picture(
-                    |p| code.rule(scene.projector_from_slab.map(p), pixel_px),
-                    |p| white(p, code.brightness(scene.projector_from_slab.map(p))),
-                )
+                self.pixels.picture_of(|pixel| {
+                    let q = scene.projector_from_slab.map(pixel.first_corner_mm());
+                    let light = match code.around(q, pixel_px) {
+                        Brightness::Even(lit) => pixel.mean(GAUSS_1, |p| white(p, lit)),
+                        Brightness::Edge(rule) => {
+                            pixel.mean(rule, |p| white(p, code.brightness(scene.projector_from_slab.map(p))))
+                        }
+                    };
+                    light.map(|v| v as f32)
+                })
             }
             Pattern::SampleBlack | Pattern::Lattice { .. } => self.dark_sample.clone(),
         }
     }
 
-    /// A shot of dots; `keep` receives the truth of each.
+    /// A shot of dots, in the memory of `picture`; `keep` receives the truth of each.
     fn lattice(
         &self,
         options: &Options,
         dots: &[[usize; 2]],
         moved: &ShotTruth,
         keep: impl Fn([usize; 2], Row) -> Result<()> + Sync,
+        mut picture: Picture,
     ) -> Result<Picture> {
         let (lit, drift_mm) = (1.0 - options.projector_black, moved.drift_mm);
         // A camera that has moved sees every pixel elsewhere.
@@ -207,10 +236,10 @@ impl Studio {
             shift_px => Some(PixelGrid::new(&self.scene, shift_px)?),
         };
         let pixels = own_pixels.as_ref().unwrap_or(&self.pixels);
-        let mut picture = match &own_pixels {
-            None => self.dark_sample.clone(),
-            Some(pixels) => self.render_dark_sample(options, pixels),
-        };
+        match &own_pixels {
+            None => picture.clone_from(&self.dark_sample),
+            Some(pixels) => picture = self.render_dark_sample(options, pixels),
+        }
         // A few dots at a time: their order in the sum is fixed, and memory is bounded.
         for group in dots.chunks(16) {
             let solve = |&dot: &[usize; 2]| {
@@ -280,16 +309,24 @@ impl Studio {
 
     /// Sample and frame under the projector's black and the ambient light.
     fn render_dark_sample(&self, options: &Options, pixels: &PixelGrid) -> Picture {
-        let scene = &self.scene;
-        let (pixel_mm, voxel_mm) = (pixels.pixel_mm(), options.pitch_mm / options.voxels_per_sample as f64);
-        let light = |p: Point| match &self.dark_field {
-            None => [0.0; 3],
-            Some(field) if scene.on_sample(p) => field.at(p).map(f64::from),
-            Some(_) if scene.on_frame_or_sample(p) => self.dark_irradiance(options, p).map(|e| e * FRAME_ALBEDO),
-            Some(_) => [0.0; 3],
+        let (scene, pixel_mm) = (&self.scene, pixels.pixel_mm());
+        let Some(field) = &self.dark_field else {
+            return vec![[0.0; 3]; scene.camera.size_px[0] * scene.camera.size_px[1]];
         };
-        let smooth = smooth_rule(pixel_mm, voxel_mm);
-        pixels.picture(|p| if scene.near_rim(p, pixel_mm) { GAUSS_6 } else { smooth }, light)
+        let light = |p: Point| match () {
+            () if scene.on_sample(p) => field.at(p).map(f64::from),
+            () if scene.on_frame_or_sample(p) => self.dark_irradiance(options, p).map(|e| e * FRAME_ALBEDO),
+            () => [0.0; 3],
+        };
+        let mean = FieldMean::new(pixel_mm, field);
+        pixels.picture_of(|pixel| {
+            let p = pixel.first_corner_mm();
+            match () {
+                () if scene.near_rim(p, pixel_mm) => pixel.mean(GAUSS_6, light).map(|v| v as f32),
+                () if scene.on_sample(p) => mean.on_sample(scene, pixel),
+                () => pixel.mean(GAUSS_1, light).map(|v| v as f32),
+            }
+        })
     }
 
     /// Sets the sensitivity so that the brightest of some dots reaches [`BRIGHTEST`] in the shortest exposure.

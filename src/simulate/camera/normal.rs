@@ -46,6 +46,7 @@ impl Normals {
     }
 
     /// Fills a block.
+    #[inline(always)]
     pub fn fill(&mut self, out: &mut [f32; BLOCK]) {
         let (first, second) = out.split_at_mut(HALF);
         for (first, second) in first.chunks_exact_mut(LANES).zip(second.chunks_exact_mut(LANES)) {

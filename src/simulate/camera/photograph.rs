@@ -41,47 +41,63 @@ fn gcd(a: u32, b: u32) -> u32 {
     if b == 0 { a.max(1) } else { gcd(b, a % b) }
 }
 
-/// Writes interleaved RGB code values, a JPEG's up to 255, and returns the file's length. `taken_secs` counts from the
-/// capture's first photograph.
-///
-/// # Errors
-/// [`Error::Io`].
-pub fn write(
-    path: &Path,
+/// Writes photographs one after another, in memory that is used again.
+#[derive(Debug)]
+pub struct PhotographWriter {
     format: FileFormat,
     size_px: [usize; 2],
-    codes: &[u16],
-    exposure: ExposureTime,
-    taken_secs: usize,
-) -> Result<u64> {
-    let exif = exif_block(exposure, taken_secs)?;
-    let [width, height] = size_px.map(|s| s as u32);
-    let mut bytes = Vec::with_capacity(codes.len() * 2 + 1024);
-    match format {
-        FileFormat::Png => {
-            let mut info = png::Info::with_size(width, height);
-            info.color_type = png::ColorType::Rgb;
-            info.bit_depth = png::BitDepth::Sixteen;
-            info.exif_metadata = Some(exif.into());
-            let mut encoder = png::Encoder::with_info(&mut bytes, info).map_err(Error::internal)?;
-            // Noise does not compress and this decodes fastest; Up turns pedestal and black into runs.
-            encoder.set_compression(png::Compression::Fastest);
-            encoder.set_filter(png::Filter::Up);
-            let mut writer = encoder.write_header().map_err(Error::internal)?;
-            let mut data = vec![0; 2 * codes.len()];
-            data.as_chunks_mut::<2>().0.iter_mut().zip(codes).for_each(|(to, c)| *to = c.to_be_bytes());
-            writer.write_image_data(&data).map_err(Error::internal)?;
-            writer.finish().map_err(Error::internal)?;
-        }
-        FileFormat::Jpeg => {
-            let data: Vec<u8> = codes.iter().map(|&c| c.min(255) as u8).collect();
-            let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 95);
-            encoder.set_exif_metadata(exif).map_err(Error::internal)?;
-            encoder.write_image(&data, width, height, image::ExtendedColorType::Rgb8).map_err(Error::internal)?;
-        }
+    /// Code values as the encoder takes them, and the file.
+    data: Vec<u8>,
+    bytes: Vec<u8>,
+}
+
+impl PhotographWriter {
+    /// For photographs of one format and size.
+    pub fn new(format: FileFormat, size_px: [usize; 2]) -> Self {
+        Self { format, size_px, data: Vec::new(), bytes: Vec::new() }
     }
-    std::fs::write(path, &bytes).map_err(Error::io("write", path))?;
-    Ok(bytes.len() as u64)
+
+    /// Writes interleaved RGB code values, a JPEG's up to 255, and returns the file's length. `taken_secs` counts from the
+    /// capture's first photograph.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn write(&mut self, path: &Path, codes: &[u16], exposure: ExposureTime, taken_secs: usize) -> Result<u64> {
+        let exif = exif_block(exposure, taken_secs)?;
+        self.bytes.clear();
+        match self.format {
+            FileFormat::Png => self.encode_png(codes, exif)?,
+            FileFormat::Jpeg => self.encode_jpeg(codes, exif)?,
+        }
+        std::fs::write(path, &self.bytes).map_err(Error::io("write", path))?;
+        Ok(self.bytes.len() as u64)
+    }
+
+    fn encode_png(&mut self, codes: &[u16], exif: Vec<u8>) -> Result<()> {
+        let [width, height] = self.size_px.map(|s| s as u32);
+        let mut info = png::Info::with_size(width, height);
+        info.color_type = png::ColorType::Rgb;
+        info.bit_depth = png::BitDepth::Sixteen;
+        info.exif_metadata = Some(exif.into());
+        let mut encoder = png::Encoder::with_info(&mut self.bytes, info).map_err(Error::internal)?;
+        // Noise does not compress and this decodes fastest; Up turns pedestal and black into runs.
+        encoder.set_compression(png::Compression::Fastest);
+        encoder.set_filter(png::Filter::Up);
+        let mut writer = encoder.write_header().map_err(Error::internal)?;
+        self.data.resize(2 * codes.len(), 0);
+        self.data.as_chunks_mut::<2>().0.iter_mut().zip(codes).for_each(|(to, c)| *to = c.to_be_bytes());
+        writer.write_image_data(&self.data).map_err(Error::internal)?;
+        writer.finish().map_err(Error::internal)
+    }
+
+    fn encode_jpeg(&mut self, codes: &[u16], exif: Vec<u8>) -> Result<()> {
+        let [width, height] = self.size_px.map(|s| s as u32);
+        self.data.resize(codes.len(), 0);
+        self.data.iter_mut().zip(codes).for_each(|(to, &c)| *to = c.min(255) as u8);
+        let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut self.bytes, 95);
+        encoder.set_exif_metadata(exif).map_err(Error::internal)?;
+        encoder.write_image(&self.data, width, height, image::ExtendedColorType::Rgb8).map_err(Error::internal)
+    }
 }
 
 /// The TIFF block of EXIF.
@@ -117,7 +133,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         for (format, name) in [(FileFormat::Png, "a.png"), (FileFormat::Jpeg, "a.jpg")] {
             let path = dir.path().join(name);
-            write(&path, format, [8, 4], &[100; 96], time, 3700).unwrap();
+            PhotographWriter::new(format, [8, 4]).write(&path, &[100; 96], time, 3700).unwrap();
             let mut file = std::io::BufReader::new(std::fs::File::open(&path).unwrap());
             let exif = exif::Reader::new().read_from_container(&mut file).unwrap();
             let field = exif.get_field(Tag::ExposureTime, In::PRIMARY).unwrap();

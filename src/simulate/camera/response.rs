@@ -64,7 +64,7 @@ impl Table {
     }
 
     /// The code value of linear light in 0 to 1, not rounded.
-    #[inline]
+    #[inline(always)]
     pub fn encode(&self, linear: f32) -> f32 {
         let t = linear.clamp(0.0, 1.0).sqrt() * INTERVALS as f32;
         let k = (t as usize).min(INTERVALS - 1);

@@ -50,29 +50,68 @@ impl Field {
     }
 
     /// The field at `p` (mm), zero where the spline's support leaves the box.
-    #[inline]
+    #[inline(always)]
     pub fn at(&self, p: Point) -> [f32; 3] {
-        let (u, v) = ((p[0] - self.origin_mm[0]) * self.per_mm, (p[1] - self.origin_mm[1]) * self.per_mm);
-        let (fx, fy) = (u.floor(), v.floor());
-        if !(fx >= 1.0 && fy >= 1.0 && fx + 3.0 <= self.size[0] as f64 && fy + 3.0 <= self.size[1] as f64) {
-            return [0.0; 3];
-        }
-        let (wx, wy) = (weights((u - fx) as f32), weights((v - fy) as f32));
-        let first = (fy as usize - 1) * self.size[0] + fx as usize - 1;
-        let mut sum = [0.0f32; 4];
-        for (j, wy) in wy.iter().enumerate() {
-            let row = &self.coefficients[first + j * self.size[0]..][..4];
-            let mut line = [0.0f32; 4];
-            for (c, wx) in row.iter().zip(&wx) {
-                for l in 0..4 {
-                    line[l] += wx * c[l];
+        let nodes = Nodes { share: [[1.0], [0.0], [0.0], [0.0]], weight: [1.0] };
+        self.mean_over(&nodes, [p; 4]).unwrap_or_default()
+    }
+
+    /// The mean over a quadrilateral (mm; first and second corner above third and fourth), bilinear between its corners, by
+    /// the points of `nodes`; `None` where the spline's support leaves the box.
+    #[inline(always)]
+    pub fn mean_over<const P: usize>(&self, nodes: &Nodes<P>, corners_mm: [Point; 4]) -> Option<[f32; 3]> {
+        let ((column, across), (row, down)) = (self.places(nodes, corners_mm, 0)?, self.places(nodes, corners_mm, 1)?);
+        let (wx, wy) = (all_weights(&across), all_weights(&down));
+        let mut sum = [[0.0f32; 4]; 4];
+        for n in 0..P {
+            let first = (row[n] as usize) * self.size[0] + column[n] as usize;
+            let mut line = [[0.0f32; 4]; 4];
+            for j in 0..4 {
+                let row: &[[f32; 4]; 4] = self.coefficients.get(first + j * self.size[0]..)?.first_chunk()?;
+                for k in 0..4 {
+                    for l in 0..4 {
+                        line[k][l] += wy[j][n] * row[k][l];
+                    }
                 }
             }
-            for l in 0..4 {
-                sum[l] += wy * line[l];
+            for k in 0..4 {
+                let weight = nodes.weight[n] * wx[k][n];
+                for l in 0..4 {
+                    sum[k][l] += weight * line[k][l];
+                }
             }
         }
-        [sum[0], sum[1], sum[2]]
+        Some([0, 1, 2].map(|l| (sum[0][l] + sum[1][l]) + (sum[2][l] + sum[3][l])))
+    }
+
+    /// Along one axis: the first coefficient that touches each node, and how far the node lies past the second (0 to 1).
+    #[inline(always)]
+    fn places<const P: usize>(
+        &self,
+        nodes: &Nodes<P>,
+        corners_mm: [Point; 4],
+        axis: usize,
+    ) -> Option<([i32; P], [f32; P])> {
+        let corners = corners_mm.map(|p| (p[axis] - self.origin_mm[axis]) * self.per_mm);
+        let (mut low, mut high) = (corners[0], corners[0]);
+        for &c in &corners[1..] {
+            low = if c < low { c } else { low };
+            high = if c > high { c } else { high };
+        }
+        if !(low >= 1.0 && high < self.size[axis] as f64 - 2.0) {
+            return None;
+        }
+        // From here on in single precision, counted from a coefficient nearby: none is negative, so that to cut is to floor.
+        let base = low as i32;
+        let corners = corners.map(|c| (c - f64::from(base)) as f32);
+        let (mut first, mut past) = ([0; P], [0.0; P]);
+        for n in 0..P {
+            let at = (nodes.share[0][n] * corners[0] + nodes.share[1][n] * corners[1])
+                + (nodes.share[2][n] * corners[2] + nodes.share[3][n] * corners[3]);
+            first[n] = base - 1 + at as i32;
+            past[n] = at - at as i32 as f32;
+        }
+        Some((first, past))
     }
 
     /// Means over `cells` × `cells` squares of side `cell_mm`, centred as a whole on `center_mm`: `[y][x][channel]`, exact.
@@ -108,11 +147,43 @@ impl Field {
     }
 }
 
-/// Weights of the four coefficients around a point `t` past the second.
-#[inline]
-fn weights(t: f32) -> [f32; 4] {
-    let s = 1.0 - t;
-    [s * s * s / 6.0, 2.0 / 3.0 - t * t * (1.0 - 0.5 * t), 2.0 / 3.0 - s * s * (1.0 - 0.5 * s), t * t * t / 6.0]
+/// Points and weights of a rule over a quadrilateral: a point is at the sum of its shares of the corners.
+#[derive(Debug, Clone)]
+pub(crate) struct Nodes<const P: usize> {
+    share: [[f32; P]; 4],
+    weight: [f32; P],
+}
+
+impl<const P: usize> Nodes<P> {
+    /// The products of a rule on −½..½ of √P points and weights.
+    pub fn new(rule: &[(f64, f64)]) -> Self {
+        let side = rule.len();
+        debug_assert_eq!(side * side, P);
+        let (mut u, mut v, mut weight) = ([0.0; P], [0.0; P], [0.0; P]);
+        for n in 0..P {
+            let (across, down) = (rule[n % side], rule[n / side]);
+            (u[n], v[n], weight[n]) = (0.5 + across.0, 0.5 + down.0, (across.1 * down.1) as f32);
+        }
+        let share = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]].map(|[x, y]| {
+            let part = |t: f64, end: f64| if end > 0.5 { t } else { 1.0 - t };
+            std::array::from_fn(|n| (part(u[n], x) * part(v[n], y)) as f32)
+        });
+        Self { share, weight }
+    }
+}
+
+/// Weights of the four coefficients around points `t` past the second.
+#[inline(always)]
+fn all_weights<const P: usize>(t: &[f32; P]) -> [[f32; P]; 4] {
+    let mut weights = [[0.0; P]; 4];
+    for n in 0..P {
+        let (t, s) = (t[n], 1.0 - t[n]);
+        weights[0][n] = s * s * s * (1.0 / 6.0);
+        weights[1][n] = 2.0 / 3.0 - t * t * (1.0 - 0.5 * t);
+        weights[2][n] = 2.0 / 3.0 - s * s * (1.0 - 0.5 * s);
+        weights[3][n] = t * t * t * (1.0 / 6.0);
+    }
+    weights
 }
 
 /// Coefficients that touch the interval from `from`, `side` long (in voxels), and their share of its mean.
@@ -184,6 +255,35 @@ mod tests {
             // f32 recursion over some tens of samples.
             assert!((field.at(p)[1] - bump(p)).abs() < 1e-6);
         }
+    }
+
+    #[test]
+    fn means_over_quadrilaterals_are_those_of_their_points() {
+        use crate::simulate::scene::render::{GAUSS_2, GAUSS_3};
+        let field = field();
+        for (x, y) in (0..200).map(|k| (1.0 + 0.037 * f64::from(k), 1.5 + 0.029 * f64::from(k))) {
+            let corners = [[x, y], [x + 0.31, y + 0.02], [x - 0.03, y + 0.29], [x + 0.285, y + 0.305]];
+            let exact = |rule: &[(f64, f64)]| {
+                let mut sum = 0.0;
+                for (v, wv) in rule.iter().map(|r| (r.0 + 0.5, r.1)) {
+                    for (u, wu) in rule.iter().map(|r| (r.0 + 0.5, r.1)) {
+                        let between = |a: usize| {
+                            let [p, q, r, s] = corners.map(|c| c[a]);
+                            (1.0 - v) * (p + u * (q - p)) + v * (r + u * (s - r))
+                        };
+                        sum += wu * wv * f64::from(field.at([between(0), between(1)])[1]);
+                    }
+                }
+                sum
+            };
+            // Single precision from the place to the sum: a few 1e-7 of the bump, whose height is 1.
+            let two = f64::from(field.mean_over(&Nodes::<4>::new(GAUSS_2), corners).unwrap()[1]);
+            assert!((two - exact(GAUSS_2)).abs() < 5e-7, "{two} {}", exact(GAUSS_2));
+            let three = f64::from(field.mean_over(&Nodes::<9>::new(GAUSS_3), corners).unwrap()[1]);
+            assert!((three - exact(GAUSS_3)).abs() < 5e-7, "{three} {}", exact(GAUSS_3));
+        }
+        assert!(field.mean_over(&Nodes::<4>::new(GAUSS_2), [[0.3, 3.0], [0.6, 3.0], [0.3, 3.3], [0.6, 3.3]]).is_none());
+        assert_eq!(field.at([0.37, 3.0]), [0.0; 3]);
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! What the camera receives: the light of a scene averaged over the area of each pixel.
 
 use super::Scene;
-use crate::simulate::light::field::Field;
+use crate::simulate::light::field::{Field, Nodes};
 use crate::{Error, Result, capture::Axis, geometry::Point};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Softness of the printed board's edges, camera px.
 const PRINT_BLUR_PX: f64 = 0.2;
@@ -29,6 +30,38 @@ pub(crate) const GAUSS_6: Rule = &[
 /// A picture: radiant exitance that a Lambertian surface would need, π times radiance, row-major.
 pub(crate) type Picture = Vec<[f32; 3]>;
 
+/// The corners of a pixel on the slab, mm: the upper two, then the lower two.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pixel {
+    pub corners_mm: [Point; 4],
+}
+
+impl Pixel {
+    /// The corner that comes first.
+    #[inline(always)]
+    pub fn first_corner_mm(&self) -> Point {
+        self.corners_mm[0]
+    }
+
+    /// The mean of `f` over the pixel's area.
+    #[inline(always)]
+    pub fn mean<const C: usize>(&self, rule: &[(f64, f64)], f: impl Fn(Point) -> [f64; C]) -> [f64; C] {
+        let [a, b, c, d] = self.corners_mm;
+        let mut sum = [0.0; C];
+        for &(v, wv) in rule {
+            let v = v + 0.5;
+            let left = [a[0] + v * (c[0] - a[0]), a[1] + v * (c[1] - a[1])];
+            let right = [b[0] + v * (d[0] - b[0]), b[1] + v * (d[1] - b[1])];
+            for &(u, wu) in rule {
+                let u = u + 0.5;
+                let value = f([left[0] + u * (right[0] - left[0]), left[1] + u * (right[1] - left[1])]);
+                sum.iter_mut().zip(value).for_each(|(s, value)| *s += wu * wv * value);
+            }
+        }
+        sum
+    }
+}
+
 /// Where the corners of all pixels lie on the slab; within a pixel, bilinear between them.
 #[derive(Debug)]
 pub(crate) struct PixelGrid {
@@ -53,35 +86,27 @@ impl PixelGrid {
         Ok(Self { size_px, corners_mm, shift_px })
     }
 
-    /// The mean of `f` over the area of pixel (x, y).
-    #[inline]
-    fn mean<const C: usize>(&self, rule: &[(f64, f64)], x: usize, y: usize, f: impl Fn(Point) -> [f64; C]) -> [f64; C] {
-        let across = self.size_px[0] + 1;
-        let i = y * across + x;
-        let [a, b, c, d] = [i, i + 1, i + across, i + across + 1].map(|i| self.corners_mm[i]);
-        let mut sum = [0.0; C];
-        for &(v, wv) in rule {
-            let v = v + 0.5;
-            let left = [a[0] + v * (c[0] - a[0]), a[1] + v * (c[1] - a[1])];
-            let right = [b[0] + v * (d[0] - b[0]), b[1] + v * (d[1] - b[1])];
-            for &(u, wu) in rule {
-                let u = u + 0.5;
-                let value = f([left[0] + u * (right[0] - left[0]), left[1] + u * (right[1] - left[1])]);
-                sum.iter_mut().zip(value).for_each(|(s, value)| *s += wu * wv * value);
-            }
-        }
-        sum
-    }
-
     /// A whole picture of `f`, averaged over each pixel by `rule(p)`, p the pixel's first corner: edges need more
     /// points than what lies between them.
     pub fn picture(&self, rule: impl Fn(Point) -> Rule + Sync, f: impl Fn(Point) -> [f64; 3] + Sync) -> Picture {
+        self.picture_of(|pixel| pixel.mean(rule(pixel.first_corner_mm()), &f).map(|v| v as f32))
+    }
+
+    /// A whole picture of what `light` says of every pixel.
+    pub fn picture_of(&self, light: impl Fn(&Pixel) -> [f32; 3] + Sync) -> Picture {
         let [width, height] = self.size_px;
-        let pixel = |i: usize| {
-            let (x, y) = (i % width, i / width);
-            self.mean(rule(self.corners_mm[y * (width + 1) + x]), x, y, &f).map(|v| v as f32)
-        };
-        (0..width * height).into_par_iter().map(pixel).collect()
+        let mut picture = vec![[0.0; 3]; width * height];
+        picture.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+            row.iter_mut().enumerate().for_each(|(x, to)| *to = light(&self.pixel(x, y)));
+        });
+        picture
+    }
+
+    #[inline(always)]
+    fn pixel(&self, x: usize, y: usize) -> Pixel {
+        let across = self.size_px[0] + 1;
+        let i = y * across + x;
+        Pixel { corners_mm: [i, i + 1, i + across, i + across + 1].map(|i| self.corners_mm[i]) }
     }
 
     /// An upper bound of a pixel's extent on the slab along either axis, mm.
@@ -104,15 +129,17 @@ impl PixelGrid {
 
     /// Adds `scale` times `field` where it is not zero and the sample is in view.
     pub fn add_field(&self, picture: &mut Picture, scene: &Scene, field: &Field, scale: [f64; 3]) {
-        let light = |p: Point| {
-            if scene.on_sample(p) { field.at(p).map(f64::from) } else { [0.0; 3] }
-        };
-        let rule = smooth_rule(self.pixel_mm(), field.cell_mm());
-        for (x, y) in self.seen(scene, field.bounds_mm()) {
-            let mean = self.mean(rule, x, y, light);
-            let pixel = &mut picture[y * self.size_px[0] + x];
-            pixel.iter_mut().zip(mean).zip(scale).for_each(|((p, m), s)| *p += (m * s) as f32);
-        }
+        let mean = FieldMean::new(self.pixel_mm(), field);
+        let [xs, ys] = self.seen(scene, field.bounds_mm());
+        pulp::Arch::new().dispatch(AddField {
+            pixels: self,
+            picture,
+            scene,
+            mean,
+            scale: scale.map(|s| s as f32),
+            xs,
+            ys,
+        });
     }
 
     /// Adds a dot of the projector that falls on the frame, displaced by `drift_mm`.
@@ -131,15 +158,16 @@ impl PixelGrid {
             let lit = soft_box(q[0] - dot_px[0], half, blur) * soft_box(q[1] - dot_px[1], half, blur);
             scene.white_irradiance(p).map(|e| albedo_lit * lit * e)
         };
-        for (x, y) in self.seen(scene, [low, high]) {
-            let mean = self.mean(GAUSS_6, x, y, light);
+        let [xs, ys] = self.seen(scene, [low, high]);
+        for (y, x) in ys.flat_map(|y| xs.clone().map(move |x| (y, x))) {
+            let mean = self.pixel(x, y).mean(GAUSS_6, light);
             let pixel = &mut picture[y * self.size_px[0] + x];
             pixel.iter_mut().zip(mean).for_each(|(p, m)| *p += m as f32);
         }
     }
 
-    /// The pixels that may see a rectangle of the slab.
-    fn seen(&self, scene: &Scene, [low, high]: [Point; 2]) -> impl Iterator<Item = (usize, usize)> + use<> {
+    /// Columns and rows of the pixels that may see a rectangle of the slab.
+    fn seen(&self, scene: &Scene, [low, high]: [Point; 2]) -> [Range<usize>; 2] {
         let corners = [low, [high[0], low[1]], [low[0], high[1]], high].map(|p| scene.view.camera_from_slab(p));
         let range = |a: usize| {
             let first = corners.iter().map(|q| q[a]).fold(f64::MAX, f64::min) + self.shift_px[a] - 1.5;
@@ -147,8 +175,36 @@ impl PixelGrid {
             let limit = self.size_px[a] as f64 - 1.0;
             first.clamp(0.0, limit) as usize..last.clamp(0.0, limit) as usize + 1
         };
-        let xs = range(0);
-        range(1).flat_map(move |y| xs.clone().map(move |x| (x, y)))
+        [range(0), range(1)]
+    }
+}
+
+/// Light to be added to some columns and rows, as a value: so all of it is compiled for each kind of processor.
+struct AddField<'a> {
+    pixels: &'a PixelGrid,
+    picture: &'a mut Picture,
+    scene: &'a Scene,
+    mean: FieldMean<'a>,
+    scale: [f32; 3],
+    xs: Range<usize>,
+    ys: Range<usize>,
+}
+
+impl pulp::NullaryFnOnce for AddField<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let width = self.pixels.size_px[0];
+        for y in self.ys {
+            let row = &mut self.picture[y * width..][..width];
+            for x in self.xs.clone() {
+                let light = self.mean.on_sample(self.scene, &self.pixels.pixel(x, y));
+                for c in 0..3 {
+                    row[x][c] += light[c] * self.scale[c];
+                }
+            }
+        }
     }
 }
 
@@ -212,19 +268,29 @@ impl GrayCode {
         if rises { after } else { 1.0 - after }
     }
 
-    /// How to average over pixels that begin at `q` and reach `pixel_px` far.
-    pub fn rule(&self, q: Point, pixel_px: f64) -> Rule {
-        let distance = self.nearest_edge(q).0.abs();
-        if distance > pixel_px + 5.0 * self.blur_px {
-            return GAUSS_1;
+    /// What pixels see that begin at `q` and reach `pixel_px` far.
+    pub fn around(&self, q: Point, pixel_px: f64) -> Brightness {
+        let (distance, rises) = self.nearest_edge(q);
+        // Five standard deviations from an edge a step is complete to 3e-7.
+        if distance.abs() > pixel_px + 5.0 * self.blur_px {
+            return Brightness::Even(if (distance > 0.0) == rises { 1.0 } else { 0.0 });
         }
         // The error falls as the fourth and sixth power of pixel over blur: below 1e-4 of the step at these limits.
-        match pixel_px / self.blur_px {
+        Brightness::Edge(match pixel_px / self.blur_px {
             r if r < 0.7 => GAUSS_2,
             r if r < 1.5 => GAUSS_3,
             _ => GAUSS_6,
-        }
+        })
     }
+}
+
+/// What a pixel sees of a projected pattern.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Brightness {
+    /// The same all over.
+    Even(f64),
+    /// An edge, to be averaged by a rule.
+    Edge(Rule),
 }
 
 /// The nearest whole number; `round` is a slow call on processors without SSE 4.1.
@@ -233,9 +299,37 @@ fn nearest(v: f64) -> i64 {
     if below as f64 > v + 0.5 { below - 1 } else { below }
 }
 
-/// How to average a spline over pixels of voxels of `voxel_mm`: within a third of a voxel it is all but cubic.
-pub(crate) fn smooth_rule(pixel_mm: f64, voxel_mm: f64) -> Rule {
-    if 3.0 * pixel_mm < voxel_mm { GAUSS_2 } else { GAUSS_3 }
+/// Means of a field over pixels that reach `pixel_mm` far: within a third of a voxel its spline is all but cubic.
+#[derive(Debug)]
+pub(crate) struct FieldMean<'a> {
+    field: &'a Field,
+    fine: bool,
+    four: Nodes<4>,
+    nine: Nodes<9>,
+}
+
+impl<'a> FieldMean<'a> {
+    /// For pixels of that extent.
+    pub fn new(pixel_mm: f64, field: &'a Field) -> Self {
+        let fine = 3.0 * pixel_mm < field.cell_mm();
+        Self { field, fine, four: Nodes::new(GAUSS_2), nine: Nodes::new(GAUSS_3) }
+    }
+
+    /// The mean over a pixel of the field where the sample is in view, of zero elsewhere.
+    #[inline(always)]
+    pub fn on_sample(&self, scene: &Scene, pixel: &Pixel) -> [f32; 3] {
+        if pixel.corners_mm.iter().all(|&p| scene.on_sample(p)) {
+            let mean = match self.fine {
+                true => self.field.mean_over(&self.four, pixel.corners_mm),
+                false => self.field.mean_over(&self.nine, pixel.corners_mm),
+            };
+            if let Some(mean) = mean {
+                return mean;
+            }
+        }
+        let light = |p: Point| if scene.on_sample(p) { self.field.at(p).map(f64::from) } else { [0.0; 3] };
+        pixel.mean(if self.fine { GAUSS_2 } else { GAUSS_3 }, light).map(|v| v as f32)
+    }
 }
 
 /// A step from 0 to 1 at 0, blurred by a normal distribution.

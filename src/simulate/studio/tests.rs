@@ -45,7 +45,8 @@ fn truth_and_rig(options: &Options) -> (Truth, Rig) {
 fn lattice(options: &Options, camera_drift_px: Point) -> (Studio, Picture) {
     let studio = Studio::new(options, &Progress::silent()).unwrap();
     let moved = ShotTruth { name: String::new(), drift_px: [0.0; 2], drift_mm: [0.0; 2], camera_drift_px };
-    let picture = studio.lattice(options, &[[0, 0], [1, 0], [0, 1], [1, 1]], &moved, |_, _| Ok(())).unwrap();
+    let picture =
+        studio.lattice(options, &[[0, 0], [1, 0], [0, 1], [1, 1]], &moved, |_, _| Ok(()), Picture::new()).unwrap();
     (studio, picture)
 }
 
@@ -162,7 +163,7 @@ fn lens_and_glare_spread_the_light_of_a_point() {
         let [width, height] = studio.scene.camera.size_px;
         let mut picture = vec![[0.0; 3]; width * height];
         picture[height / 2 * width + width / 2] = [1.0; 3];
-        let rate = studio.rate(&options, &picture);
+        let rate = studio.rate(&options, &picture, Vec::new());
         let green = |x: usize, y: usize| f64::from(rate[3 * (y * width + x) + 1]);
         let (x, y) = (width / 2, height / 2);
         [green(x + 1, y) / green(x, y), green(x + 10, y) / green(x, y)]
@@ -183,7 +184,7 @@ fn vignetting_darkens_the_corners_of_photographs() {
         let options = bench(causes);
         let studio = Studio::new(&options, &Progress::silent()).unwrap();
         let [width, height] = studio.scene.camera.size_px;
-        let rate = studio.rate(&options, &vec![[1.0; 3]; width * height]);
+        let rate = studio.rate(&options, &vec![[1.0; 3]; width * height], Vec::new());
         rate[0] / rate[3 * (height / 2 * width + width / 2)]
     };
     assert!((corner(&[]) - 1.0).abs() < 1e-6 && (corner(&[Cause::Vignetting]) - 0.85).abs() < 1e-3);
