@@ -3,7 +3,7 @@
 //! `cargo bench --bench transport` prints photons per second on one thread and on all, for the slabs that
 //! benches/peers/photons/ runs through other codes; medians of five.
 //! `cargo bench --bench transport -- materials [PHOTONS]` prints what diffusion costs in accuracy and saves in time, per
-//! material: the truth of a simulated capture by diffusion against that by Monte Carlo (4 × 4 points, 31 × 31 window).
+//! material: the truth of a simulated capture by diffusion against that by Monte Carlo (2 × 2 points, 31 × 31 window).
 
 use acquire::evaluate::evaluate;
 use acquire::material::Source;
@@ -81,7 +81,7 @@ fn materials(photons: u64) -> acquire::Result<()> {
         let mut noise = 0.0;
         let path = |transport| folder.path().join(format!("{transport:?}"));
         for transport in [Transport::Diffusion, Transport::Mc] {
-            let mut options = Options { transport, photons, grid: 4, window: 31, force: true, ..Options::default() };
+            let mut options = Options { transport, photons, grid: 2, window: 31, force: true, ..Options::default() };
             options.material = material.parse().map_err(|_| acquire::Error::internal(material))?;
             options.exposures = 1;
             options.only(&[Cause::Drift]);
