@@ -4,6 +4,8 @@ use crate::geometry::Point;
 
 /// Pixels of one polynomial's stencil per axis.
 const STENCIL: usize = 7;
+/// The same for the reconstruction of degree 4, which tells how far that of degree 6 may be trusted.
+const LOWER_STENCIL: usize = 5;
 /// Pixels that a place depends on per axis: the stencils of the two nearest pixels together.
 const TAPS: usize = STENCIL + 1;
 /// Places of the quadrature per axis beyond one for each pixel: what the cell's rim needs, whatever its size.
@@ -19,6 +21,8 @@ const EXTRA_PLACES: f64 = 3.0;
 pub struct CellWeights {
     /// The weights at evenly spaced places between two pixels, for linear interpolation (error below 1e-4).
     table: Vec<[f32; TAPS]>,
+    /// The same of degree 4.
+    lower: Vec<[f32; TAPS]>,
     /// Gauss–Legendre places in 0 to 1 and weights that add to 1, for each kind of light.
     fine: Vec<(f64, f64)>,
     smooth: Vec<(f64, f64)>,
@@ -26,6 +30,8 @@ pub struct CellWeights {
     origin: [isize; 2],
     size: [usize; 2],
     weights: Vec<f32>,
+    /// Weights of degree 6 less those of degree 4; empty unless asked for.
+    doubt: Vec<f32>,
 }
 
 impl CellWeights {
@@ -33,20 +39,23 @@ impl CellWeights {
     pub fn new(cell_px: f64) -> Self {
         let places = |extra: f64| ((cell_px.round() + extra) as usize).clamp(3, 32);
         Self {
-            table: tap_table(),
+            table: tap_table(&polynomials::<STENCIL>()),
+            lower: tap_table(&polynomials::<LOWER_STENCIL>()),
             fine: gauss_legendre(places(EXTRA_PLACES)),
             smooth: gauss_legendre(places(0.0)),
             origin: [0, 0],
             size: [0, 0],
             weights: vec![],
+            doubt: vec![],
         }
     }
 
     /// Sets the weights for the cell with these corners (camera px; top left, top right, bottom left, bottom right).
     ///
     /// The cell's interior is mapped bilinearly between them, and the mean is with respect to area on the slab. `fine` is for
-    /// light that changes within a pixel or two; elsewhere a third of the places will do, at a quarter of the time.
-    pub fn set(&mut self, corners: [Point; 4], fine: bool) {
+    /// light that changes within a pixel or two; elsewhere a third of the places will do, at a quarter of the time. `doubted` asks for
+    /// [`Self::doubt`], too.
+    pub fn set(&mut self, corners: [Point; 4], fine: bool, doubted: bool) {
         let range = |a: usize| {
             let v = corners.map(|c| c[a]);
             let low = v.into_iter().fold(f64::MAX, f64::min);
@@ -59,14 +68,16 @@ impl CellWeights {
         self.size = [width, height];
         self.weights.clear();
         self.weights.resize(width * height, 0.0);
+        self.doubt.clear();
+        self.doubt.resize(if doubted { width * height } else { 0 }, 0.0);
         let [a, b, c, d] = corners;
         let gauss = if fine { &self.fine } else { &self.smooth };
         for &(v, wv) in gauss {
             let (left, right): (Point, Point) =
                 (std::array::from_fn(|k| a[k] + v * (c[k] - a[k])), std::array::from_fn(|k| b[k] + v * (d[k] - b[k])));
             for &(u, wu) in gauss {
-                let (px, tx) = taps(&self.table, left[0] + u * (right[0] - left[0]));
-                let (py, ty) = taps(&self.table, left[1] + u * (right[1] - left[1]));
+                let at: Point = std::array::from_fn(|k| left[k] + u * (right[k] - left[k]));
+                let ((px, tx), (py, ty)) = (taps(&self.table, at[0]), taps(&self.table, at[1]));
                 let first = (py - y0) as usize * width + (px - x0) as usize;
                 let w = (wu * wv) as f32;
                 for (j, ty) in ty.iter().enumerate() {
@@ -76,8 +87,21 @@ impl CellWeights {
                         *row = std::array::from_fn(|i| row[i] + w * tx[i]);
                     }
                 }
+                if doubted {
+                    let ((_, lx), (_, ly)) = (taps(&self.lower, at[0]), taps(&self.lower, at[1]));
+                    for j in 0..TAPS {
+                        if let Some(row) = self.doubt[first + j * width..].first_chunk_mut::<TAPS>() {
+                            *row = std::array::from_fn(|i| row[i] + w * (ty[j] * tx[i] - ly[j] * lx[i]));
+                        }
+                    }
+                }
             }
         }
+    }
+
+    /// Weights of the difference that a reconstruction of degree 4 would make, on the same pixels; none unless asked for.
+    pub fn doubt(&self) -> &[f32] {
+        &self.doubt
     }
 
     /// First pixel (x, y) of the stencil, width and height, and its weights, row by row.
@@ -101,44 +125,46 @@ fn taps(table: &[[f32; TAPS]], at: f64) -> (isize, [f32; TAPS]) {
 /// Intervals of the table of weights.
 const PHASES: usize = 128;
 
-fn tap_table() -> Vec<[f32; TAPS]> {
-    let polynomials = polynomials();
+/// Weights between two pixels from the polynomials of `N` pixels around each, in the middle of [`TAPS`].
+fn tap_table<const N: usize>(polynomials: &[[f64; N]; N]) -> Vec<[f32; TAPS]> {
     (0..=PHASES)
         .map(|k| {
             let t = k as f64 / PHASES as f64;
             let blend = t * t * (3.0 - 2.0 * t);
             let mut taps = [0.0f64; TAPS];
+            let first = (STENCIL - N) / 2;
             for (i, polynomial) in polynomials.iter().enumerate() {
                 let at = |t: f64| polynomial.iter().rev().fold(0.0, |sum, c| sum * t + c);
-                taps[i] += (1.0 - blend) * at(t);
-                taps[i + 1] += blend * at(t - 1.0);
+                taps[first + i] += (1.0 - blend) * at(t);
+                taps[first + i + 1] += blend * at(t - 1.0);
             }
             taps.map(|w| w as f32)
         })
         .collect()
 }
 
-/// The polynomials w_i(t) with Σ_i w_i(t) · (mean of x^k over pixel i) = t^k for k below the stencil's size.
-fn polynomials() -> [[f64; STENCIL]; STENCIL] {
-    const N: usize = STENCIL;
+/// The polynomials w_i(t) with Σ_i w_i(t) · (mean of x^k over pixel i) = t^k for k below `N`.
+fn polynomials<const N: usize>() -> [[f64; N]; N] {
     let mean = |k: usize, i: usize| {
         let (a, b) = (i as f64 - N as f64 / 2.0, i as f64 - N as f64 / 2.0 + 1.0);
         (b.powi(k as i32 + 1) - a.powi(k as i32 + 1)) / (k as f64 + 1.0)
     };
-    // Gauss–Jordan on the small system with the identity beside it; solved to 1e-12, the weights are kept as f32.
-    let mut m: [[f64; 2 * N]; N] =
-        std::array::from_fn(|k| std::array::from_fn(|i| if i < N { mean(k, i) } else { f64::from(i - N == k) }));
+    // Gauss–Jordan on the small system beside the identity; solved to 1e-12, the weights are kept as f32.
+    let mut m: [[f64; N]; N] = std::array::from_fn(|k| std::array::from_fn(|i| mean(k, i)));
+    let mut inverse: [[f64; N]; N] = std::array::from_fn(|k| std::array::from_fn(|i| f64::from(i == k)));
     for c in 0..N {
         let pivot = (c..N).max_by(|&a, &b| m[a][c].abs().total_cmp(&m[b][c].abs())).unwrap_or(c);
         m.swap(c, pivot);
+        inverse.swap(c, pivot);
         let p = m[c][c];
-        m[c].iter_mut().for_each(|v| *v /= p);
+        m[c].iter_mut().chain(&mut inverse[c]).for_each(|v| *v /= p);
         for r in (0..N).filter(|&r| r != c) {
-            let (f, row) = (m[r][c], m[c]);
+            let (f, row, right) = (m[r][c], m[c], inverse[c]);
             m[r].iter_mut().zip(row).for_each(|(v, w)| *v -= f * w);
+            inverse[r].iter_mut().zip(right).for_each(|(v, w)| *v -= f * w);
         }
     }
-    std::array::from_fn(|i| std::array::from_fn(|k| m[i][N + k]))
+    inverse
 }
 
 /// Places in 0 to 1 and weights that add to 1, by Newton on the Legendre polynomial.
@@ -172,7 +198,7 @@ mod tests {
     /// The weighted sum of pixel means of `antiderivative`'s mixed derivative.
     fn cell_mean(corners: [Point; 4], cell_px: f64, pixel: impl Fn(f64, f64) -> f64) -> f64 {
         let mut weights = CellWeights::new(cell_px);
-        weights.set(corners, true);
+        weights.set(corners, true, false);
         let ([x0, y0], [width, _], w) = weights.get();
         w.iter()
             .enumerate()
@@ -192,6 +218,26 @@ mod tests {
             let scale = pixel(x + side + 3.0, y + side + 3.0).abs();
             assert!((cell_mean(corners, side, pixel) - truth).abs() < 1e-6 * scale);
         }
+    }
+
+    #[test]
+    fn a_sharp_edge_is_doubted_and_a_parabola_is_not() {
+        let mut weights = CellWeights::new(3.0);
+        weights.set([[0.2, 0.1], [3.2, 0.1], [0.2, 3.1], [3.2, 3.1]], true, true);
+        let doubt = |light: &dyn Fn(f64) -> f64| -> f64 {
+            let ([x0, _], [width, _], _) = weights.get();
+            weights
+                .doubt()
+                .iter()
+                .enumerate()
+                .map(|(k, w)| f64::from(*w) * light((x0 + (k % width) as isize) as f64))
+                .sum()
+        };
+        // Pixel means of x² are x² + 1/12; both reconstructions have it exactly, to f32.
+        assert!(doubt(&|x| x * x + 1.0 / 12.0).abs() < 1e-4);
+        // An edge half a pixel inside the rim: what swings beyond it is not averaged out.
+        let edge = doubt(&|x| if x > 2.9 { 1.0 } else { 0.0 });
+        assert!(edge.abs() > 1e-3, "{edge}");
     }
 
     #[test]
