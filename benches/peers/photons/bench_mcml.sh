@@ -1,6 +1,6 @@
 #!/bin/bash
-# usage: [PHOTONS=1000000] [SLABS="a b c"] [CORE=0] [TAG=mcml] bench_mcml.sh path/to/mcml [runs]
-# One process on one core; wall and user seconds, photons/s by each, totals. Outputs TAG_slab.run.mco beside this script.
+# usage: [PHOTONS=1000000] [SLABS="a b c"] [CORE=0] bench_mcml.sh path/to/mcml [runs]
+# One process on one core; wall and user seconds, photons/s by each, totals.
 here=$(cd "$(dirname "$0")" && pwd); bin=$(realpath "$1"); runs=${2:-5}; d=$(mktemp -d); cd "$d"
 N=${PHOTONS:-1000000}
 mk() { # name dz dr nz nr na layer...   (file format A1 of MCML 1.2)
@@ -14,5 +14,5 @@ for s in ${SLABS:-a b c}; do for i in $(seq $runs); do
   t=$( { time taskset -c ${CORE:-0} "$bin" $s.mci > /dev/null; } 2>&1 )
   awk -v s=$s -v t="$t" -v N=$N '/Specular/{sp=$1}/Diffuse/{rd=$1}/Absorbed/{a=$1}/#Transmittance \[/{tt=$1}
    END{split(t,q," ");printf "%s N %d wall %.2f s user %.2f s  %.0f ph/s wall  %.0f ph/s user  Rsp %s Rd %s A %s T %s\n",s,N,q[1],q[2],N/q[1],N/q[2],sp,rd,a,tt}' $s.mco
-  cp $s.mco "$here/${TAG:-mcml}_$s.$i.mco"; sleep 1; done; done
+  sleep 1; done; done
 rm -r "$d"
