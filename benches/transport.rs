@@ -9,7 +9,7 @@ use acquire::evaluate::evaluate;
 use acquire::material::Source;
 use acquire::progress::Progress;
 use acquire::simulate::monte_carlo::{self, Medium, Setup, Window};
-use acquire::simulate::{Cause, Optics, Options, Transport, Volume, simulate};
+use acquire::simulate::{Cause, Optics, Options, TRUTH_MATRIX, Transport, Volume, simulate};
 use acquire::transport::MatrixReader;
 use std::time::Instant;
 
@@ -89,7 +89,7 @@ fn materials(photons: u64) -> acquire::Result<()> {
             noise = simulate(&options, &path(transport), &Progress::silent())?.photon_noise.unwrap_or(0.0);
             times.push(start.elapsed().as_secs_f64());
         }
-        let truth = |transport| path(transport).join("truth.rd.zarr");
+        let truth = |transport| path(transport).join(TRUTH_MATRIX);
         let reference = MatrixReader::open(&truth(Transport::Mc))?;
         let measures = evaluate(&Source::open(&truth(Transport::Diffusion))?, &reference, &Progress::silent())?;
         println!(

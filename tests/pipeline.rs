@@ -152,7 +152,7 @@ fn grid_points_that_no_shot_lights_are_invalid_and_reported() {
     let unlit = report.warnings.iter().find(|w| matches!(w, acquire::Warning::UnlitPoints { .. }));
     assert_eq!(unlit, Some(&acquire::Warning::UnlitPoints { rows: dots.len() }));
     let reader = MatrixReader::open(&matrix).unwrap();
-    let row = manifest.row_index(dots[0]);
+    let row = manifest.grid.row_index(dots[0]);
     assert!(reader.read(row..row + 1).unwrap().valid.iter().all(|&v| v == 0));
 }
 

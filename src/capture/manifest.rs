@@ -61,6 +61,11 @@ impl Grid {
         std::array::from_fn(|a| self.origin_projector_px[a] + dot[a] as f64 * self.step_projector_px[a])
     }
 
+    /// The index of `dot` in row-major order (y, x).
+    pub fn row_index(&self, dot: [usize; 2]) -> usize {
+        dot[1] * self.points[0] + dot[0]
+    }
+
     /// Number of lit points.
     pub fn len(&self) -> usize {
         self.points[0] * self.points[1]
@@ -180,11 +185,6 @@ impl Manifest {
         let path = dir.join("capture.toml");
         let text = toml::to_string(self).map_err(Error::internal)?;
         std::fs::write(&path, text).map_err(Error::io("write", &path))
-    }
-
-    /// The index of `dot` in row-major order (y, x).
-    pub fn row_index(&self, dot: [usize; 2]) -> usize {
-        dot[1] * self.grid.points[0] + dot[0]
     }
 
     fn check(&self, path: &Path) -> Result<()> {

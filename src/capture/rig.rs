@@ -59,7 +59,8 @@ pub enum ResponseCurve {
     Srgb,
 }
 
-/// The noise of the sensor, in code values (DN) of the linear signal at the photographs' own bit depth.
+/// The noise of the sensor, in code values (DN) of the linear signal: at the photographs' own bit depth with a linear response, from 0 to
+/// 255 with the sRGB curve.
 ///
 /// The variance of a linear value y is gain · (y − black) + (gain · read)² + 1/12 (Poisson, read-out, rounding), DN².
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -1,5 +1,6 @@
 use super::Context;
 use crate::pipeline::{BuildOptions, BuildReport, build_matrix};
+use crate::simulate::TRUTH_MATRIX;
 use crate::{Error, Result};
 use std::path::PathBuf;
 
@@ -26,7 +27,7 @@ pub struct Args {
 
 pub fn run(args: Args, context: &Context) -> Result<()> {
     let start = std::time::Instant::now();
-    let truth = args.capture.join("truth.rd.zarr");
+    let truth = args.capture.join(TRUTH_MATRIX);
     if truth.canonicalize().is_ok_and(|truth| args.out.canonicalize().is_ok_and(|out| out == truth)) {
         let expected = "another path than the simulated capture's truth".into();
         return Err(Error::Setting { setting: "--out", expected, found: args.out.display().to_string() });

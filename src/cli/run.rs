@@ -6,6 +6,7 @@ use crate::material::{Source, export_exr, export_npz};
 use crate::output::ScratchFolder;
 use crate::pipeline::{BuildOptions, BuildReport, build_matrix};
 use crate::report::{self, Comparison, MaterialSummary, ReportInput, Survey};
+use crate::simulate::TRUTH_MATRIX;
 use crate::transport::MatrixReader;
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -110,12 +111,9 @@ fn write_report(
     report::write(&folder.join("report"), &input)
 }
 
-/// The matrix of what a simulated capture shows lies beside it under this name.
-const TRUTH: &str = "truth.rd.zarr";
-
 /// A truth that the results could not be compared with is refused before they are made.
 fn check_truth(capture: &Path, manifest: &Manifest) -> Result<()> {
-    let path = capture.join(TRUTH);
+    let path = capture.join(TRUTH_MATRIX);
     if !path.is_dir() {
         return Ok(());
     }
@@ -139,7 +137,7 @@ fn check_truth(capture: &Path, manifest: &Manifest) -> Result<()> {
 /// Measures the material against the matrix and, for a simulated capture, the matrix against the truth; writes them.
 fn compare(capture: &Path, folder: &Path, context: &Context) -> Result<Vec<Comparison>> {
     let matrix = folder.join(MATRIX);
-    let truth = capture.join(TRUTH);
+    let truth = capture.join(TRUTH_MATRIX);
     let mut pairs = vec![("material against matrix", folder.join(MATERIAL), &matrix)];
     if truth.is_dir() {
         pairs.push(("matrix against truth", matrix.clone(), &truth));

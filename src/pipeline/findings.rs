@@ -32,7 +32,7 @@ impl Prepared<'_> {
             bright.extend(&result.albedo_above_one);
             let sd_mm = self.registration.position_sd_mm.hypot(result.drift.map_or(0.0, |d| d.sd_px / self.px_per_mm));
             for &(dot, place) in &result.lit {
-                let row = capture.manifest.row_index(dot);
+                let row = capture.manifest.grid.row_index(dot);
                 header.lit_mm[row] = place;
                 header.position_sd_mm[row] = sd_mm;
                 header.shot_of[row] = Some(number);
@@ -158,7 +158,7 @@ impl Prepared<'_> {
             [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
                 .map(|s| camera([c[0] + s[0] * half[0], c[1] + s[1] * half[1]]))
         };
-        let lit: Vec<Point> = self.dots(shot).iter().map(|&d| header.lit_mm[manifest.row_index(d)]).collect();
+        let lit: Vec<Point> = self.dots(shot).iter().map(|&d| header.lit_mm[manifest.grid.row_index(d)]).collect();
         let [w, h] = manifest.slab.size_mm;
         let [nx, ny] = manifest.grid.points;
         Ok(Overview {

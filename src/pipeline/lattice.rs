@@ -128,7 +128,7 @@ impl Prepared<'_> {
             let albedo =
                 (0..3).map(|c| row.response.iter().skip(c).step_by(3).map(|&r| f64::from(r)).sum::<f64>() * area);
             result.albedo_above_one.extend(albedo.reduce(f64::max).filter(|a| *a > 1.0));
-            writer.put(manifest.row_index(dot), &row)?;
+            writer.put(manifest.grid.row_index(dot), &row)?;
             result.lit.push((dot, center));
             result.findings.push((dot, findings));
         }

@@ -4,9 +4,9 @@
 //! `truth.rd.zarr`, the matrix that the photographs show, and `truth.toml`, the geometry and drift.
 //!
 //! # What is simulated
-//! - The slab: steady diffusion per channel in voxels of optical coefficients (`diffusion.rs` says what this
-//!   approximates and where it is wrong). Each lit dot has its own box of voxels, centred on the dot, so that equal
-//!   surroundings give equal responses wherever the dot falls. The exitance is a continuous (C²) field; camera and truth integrate the same.
+//! - The slab: light in voxels of optical coefficients, per channel, by diffusion with first and last flights (`light/diffusion.rs` says what this
+//!   approximates and where it is wrong) or by photon Monte Carlo ([`monte_carlo`]). Each lit dot has its own box, centred on the dot, so that equal
+//!   surroundings give equal responses wherever the dot falls. What the camera sees of it is a continuous (C²) field; camera and truth integrate the same.
 //! - The projector: a homography, square pixels with a little blur, a black level, smooth falloff, a lamp that may flicker;
 //!   dots displaced by the shot's drift: a slow walk and jumps.
 //! - The frame: opaque, Lambertian. It only masks: the slab continues beneath it and its light there is not returned.
@@ -17,7 +17,7 @@
 //! Every imperfection is a [`Cause`] with a switch.
 //!
 //! Not simulated: specular reflection, depth of field, interreflection, colour crosstalk, fixed pattern noise but hot pixels.
-//! Response units are those of the design: exitance at x_o per unit flux arriving at x_i, mm⁻².
+//! Responses are those of the design: π times the radiance at x_o towards the camera, per unit flux arriving at x_i, mm⁻².
 
 mod camera;
 mod causes;
@@ -47,6 +47,11 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use studio::Studio;
+
+/// The matrix of what a simulated capture shows lies in its folder under this name.
+pub const TRUTH_MATRIX: &str = "truth.rd.zarr";
+/// And what else a lab cannot know under this.
+const TRUTH_FILE: &str = "truth.toml";
 
 /// What was written.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -126,7 +131,7 @@ pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Su
 
     plan.manifest.write(&work)?;
     studio.scene.rig(studio.sensor.noise()).write(&work.join("calibration"))?;
-    let matrix = MatrixWriter::create(&work.join("truth.rd.zarr"), header(options, &studio, &plan)?)?;
+    let matrix = MatrixWriter::create(&work.join(TRUTH_MATRIX), header(options, &studio, &plan)?)?;
 
     let bytes = AtomicU64::new(0);
     let stage = progress.stage("photograph", plan.manifest.shots.len());
@@ -173,8 +178,8 @@ fn refuse_full(dir: &Path, force: bool) -> Result<()> {
         );
     }
     // Whatever else lies there is not ours to remove: a lab's photographs above all.
-    if full && !dir.join("truth.toml").is_file() {
-        return refuse("an earlier simulation to replace", format!("{} without truth.toml", dir.display()));
+    if full && !dir.join(TRUTH_FILE).is_file() {
+        return refuse("an earlier simulation to replace", format!("{} without {TRUTH_FILE}", dir.display()));
     }
     Ok(())
 }
@@ -191,7 +196,7 @@ fn write_truth(options: &Options, studio: &Studio, plan: &Plan, work: &Path) -> 
         slab_from_projector: studio.scene.slab_from_projector,
         shots: plan.lattices.clone(),
     };
-    let path = work.join("truth.toml");
+    let path = work.join(TRUTH_FILE);
     let text = toml::to_string(&truth).map_err(Error::internal)?;
     std::fs::write(&path, text).map_err(Error::io("write", &path))
 }
@@ -202,8 +207,8 @@ fn header(options: &Options, studio: &Studio, plan: &Plan) -> Result<MatrixHeade
     let mut shot_of = vec![None; lit_mm.len()];
     for (lattice, shot) in plan.manifest.shots[plan.first_lattice..].iter().enumerate() {
         for &dot in plan::dots(shot) {
-            let row = plan.manifest.row_index(dot);
-            lit_mm[row] = studio.dot_mm(dot, plan.lattices[lattice].drift_mm);
+            let row = plan.manifest.grid.row_index(dot);
+            lit_mm[row] = studio.scene.dot_mm(dot, plan.lattices[lattice].drift_mm);
             shot_of[row] = Some(lattice);
         }
     }
@@ -214,7 +219,7 @@ fn header(options: &Options, studio: &Studio, plan: &Plan) -> Result<MatrixHeade
             return options.pitch_mm;
         }
         let end = std::array::from_fn(|b| if a == b { steps } else { 0 });
-        let (p, q) = (studio.dot_mm([0, 0], [0.0; 2]), studio.dot_mm(end, [0.0; 2]));
+        let (p, q) = (studio.scene.dot_mm([0, 0], [0.0; 2]), studio.scene.dot_mm(end, [0.0; 2]));
         (q[0] - p[0]).hypot(q[1] - p[1]) / steps as f64
     });
     let record = |s: &ShotTruth| ShotRecord { name: s.name.clone(), drift_px: s.drift_px, drift_sd_px: Some(0.0) };

@@ -7,7 +7,6 @@ use super::{
     Options, Plan, ShotTruth, Transport,
     camera::photograph::{ExposureTime, PhotographWriter},
     camera::{hot_pixels::hot_pixels, psf, sensor::Sensor},
-    light::beam::Beam,
     light::diffusion::Domain,
     light::dots::{Dots, Glow},
     light::field::Field,
@@ -87,8 +86,8 @@ impl Studio {
         if options.transport == Transport::Diffusion {
             warnings.extend(validity::warnings(&volume, &record, options.window as f64 * options.pitch_mm));
         }
-        let middle = beam(&scene, [options.grid / 2; 2], [0.0; 2]);
-        let dots = Dots::new(options, &volume, scene.eye_mm, &middle, progress)?;
+        let middle = scene.beam([options.grid / 2; 2], [0.0; 2]);
+        let dots = Dots::new(options, volume, scene.eye_mm, &middle, progress)?;
         let pixels = PixelGrid::new(&scene, [0.0; 2])?;
         let [width, height] = scene.camera.size_px;
         let sensitivity = |i: usize| scene.camera.vignetting_at([(i % width) as f64, (i / width) as f64]) as f32;
@@ -112,11 +111,6 @@ impl Studio {
         studio.dark_sample = studio.render_dark_sample(options, &studio.pixels);
         studio.set_sensitivity(options)?;
         Ok(studio)
-    }
-
-    /// Where a dot falls, mm.
-    pub fn dot_mm(&self, dot: [usize; 2], drift_mm: Point) -> Point {
-        dot_mm(&self.scene, dot, drift_mm)
     }
 
     /// The photon noise of the truth: the standard error of all rows over the rows, both Euclidean; `None` without noise.
@@ -150,7 +144,7 @@ impl Studio {
         room.picture = match &entry.pattern {
             Pattern::Lattice { dots } => {
                 let moved = &plan.lattices[shot - plan.first_lattice];
-                let keep = |dot, row| truth.put(plan.manifest.row_index(dot), &row);
+                let keep = |dot, row| truth.put(plan.manifest.grid.row_index(dot), &row);
                 self.lattice(options, dots, moved, keep, room.picture)?
             }
             pattern => self.still(options, pattern),
@@ -243,12 +237,12 @@ impl Studio {
         // A few dots at a time: their order in the sum is fixed, and memory is bounded.
         for group in dots.chunks(16) {
             let solve = |&dot: &[usize; 2]| {
-                let (glow, flux) = self.dot(options, dot, drift_mm)?;
-                let center = self.dot_mm(dot, drift_mm);
+                let (glow, flux) = self.dot(dot, drift_mm)?;
+                let center = self.scene.dot_mm(dot, drift_mm);
                 let response = glow.cell_means(center, [options.window; 2], options.pitch_mm);
                 if let Ok(mut noise) = self.noise.lock() {
                     let light = response.iter().map(|r| f64::from(*r).powi(2)).sum();
-                    noise.push((dot[1] * options.grid + dot[0], glow.variance_sum, light));
+                    noise.push((self.scene.grid.row_index(dot), glow.variance_sum, light));
                 }
                 let (variance, valid) = (vec![0.0; response.len()], vec![true; response.len()]);
                 keep(dot, Row { response, variance, valid })?;
@@ -268,13 +262,13 @@ impl Studio {
     }
 
     /// The light of one dot per unit of its flux, and its flux under full white.
-    fn dot(&self, options: &Options, dot: [usize; 2], drift_mm: Point) -> Result<(Glow, [f64; 3])> {
-        let beam = beam(&self.scene, dot, drift_mm);
+    fn dot(&self, dot: [usize; 2], drift_mm: Point) -> Result<(Glow, [f64; 3])> {
+        let beam = self.scene.beam(dot, drift_mm);
         let side = self.scene.grid.dot_projector_px;
         let dot_px = self.scene.grid.dot_projector_px(dot);
         let area_mm2 = (side * side) as f64 * self.scene.slab_from_projector.area_scale(dot_px);
         let flux = self.scene.white_irradiance(beam.center_mm).map(|e| e * area_mm2);
-        Ok((self.dots.glow(&beam, dot[1] * options.grid + dot[0])?, flux))
+        Ok((self.dots.glow(&beam, self.scene.grid.row_index(dot))?, flux))
     }
 
     /// The light of the sample under the projector's black and the ambient light; `None` without either.
@@ -283,7 +277,7 @@ impl Studio {
             return Ok(None);
         }
         let scene = &self.scene;
-        let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
+        let voxel_mm = self.dots.voxel_mm;
         let margin = SLAB_MARGIN_PITCHES * options.pitch_mm;
         let domain = Domain {
             corner_mm: [-margin; 2],
@@ -335,9 +329,9 @@ impl Studio {
         let place = |n: usize| ((2 * n + 1) * options.grid) / (2 * pilots);
         let peak = |n: usize| {
             let dot = [place(n % pilots), place(n / pilots)];
-            let (glow, flux) = self.dot(options, dot, [0.0; 2])?;
+            let (glow, flux) = self.dot(dot, [0.0; 2])?;
             let px_mm = options.pitch_mm / options.camera_px_per_sample;
-            let means = glow.cell_means(self.dot_mm(dot, [0.0; 2]), [5, 5], px_mm);
+            let means = glow.cell_means(self.scene.dot_mm(dot, [0.0; 2]), [5, 5], px_mm);
             Ok(means.iter().enumerate().map(|(i, m)| f64::from(*m) * flux[i % 3]).fold(0.0, f64::max))
         };
         let peaks: Vec<f64> = (0..pilots * pilots).into_par_iter().map(peak).collect::<Result<_>>()?;
@@ -352,24 +346,8 @@ impl Studio {
 
     /// What [`Self::dot`] is made of, for tests.
     #[cfg(test)]
-    pub fn dot_glow(&self, options: &Options, dot: [usize; 2], drift_mm: Point) -> Glow {
-        self.dot(options, dot, drift_mm).unwrap().0
-    }
-}
-
-/// Where a dot falls, mm.
-fn dot_mm(scene: &Scene, dot: [usize; 2], drift_mm: Point) -> Point {
-    let p = scene.slab_from_projector.map(scene.grid.dot_projector_px(dot));
-    [p[0] + drift_mm[0], p[1] + drift_mm[1]]
-}
-
-/// The light of a dot as it arrives.
-fn beam(scene: &Scene, dot: [usize; 2], drift_mm: Point) -> Beam {
-    Beam {
-        center_mm: dot_mm(scene, dot, drift_mm),
-        mm_from_px: scene.slab_from_projector.jacobian(scene.grid.dot_projector_px(dot)),
-        side_px: scene.grid.dot_projector_px as f64,
-        blur_px: scene.projector_blur_px,
+    pub fn dot_glow(&self, dot: [usize; 2], drift_mm: Point) -> Glow {
+        self.dot(dot, drift_mm).unwrap().0
     }
 }
 

@@ -1,7 +1,7 @@
 #!/bin/bash
 # usage: [PHOTONS=1000000] [SLABS="a b c"] [CORE=0] bench_mcml.sh path/to/mcml [runs]
 # One process on one core; wall and user seconds, photons/s by each, totals.
-here=$(cd "$(dirname "$0")" && pwd); bin=$(realpath "$1"); runs=${2:-5}; d=$(mktemp -d); cd "$d"
+bin=$(realpath "$1"); runs=${2:-5}; d=$(mktemp -d); cd "$d"
 N=${PHOTONS:-1000000}
 mk() { # name dz dr nz nr na layer...   (file format A1 of MCML 1.2)
   n=$1; { echo 1.0; echo 1; echo "$n.mco A"; echo $N; echo "$2 $3"; echo "$4 $5 $6"; shift 6; echo $#; echo 1.0; printf '%s\n' "$@"; echo 1.0; } > $n.mci; }

@@ -79,6 +79,11 @@ impl Domain {
     pub fn columns(&self) -> usize {
         self.voxels[0] * self.voxels[1]
     }
+
+    /// What enters per mm² of a column at which a unit of flux arrives.
+    pub fn entering_per_mm2(&self, refractive_index: f64) -> f64 {
+        (1.0 - normal_reflectance(refractive_index)) / self.voxel_mm.powi(2)
+    }
 }
 
 /// The slab as the solver sees it.
@@ -168,15 +173,15 @@ impl Slab {
     /// π times the radiance towards the eye above each column of what `flux` scatters there the first time, mm⁻²: exact, without a solve.
     pub fn first_radiance(&self, domain: &Domain, flux: &[f64], channel: usize, eye_mm: [f64; 3]) -> Vec<f32> {
         let refractive_index = self.volume.refractive_index;
-        let enters = (1.0 - normal_reflectance(refractive_index)) / domain.voxel_mm.powi(2);
+        let enters = domain.entering_per_mm2(refractive_index);
         let lit = Lit {
             domain,
             layers_mm: &self.layers_mm,
             coefficients: &Coefficients::new(self, domain, channel),
-            enters: flux.iter().map(|flux| flux * enters).collect(),
+            enters: &|i| flux[i] * enters,
             at_face: &|_, _| 0.0,
             middle: &|_, _| 0.0,
-            scattered: vec![0.0; domain.columns() * self.layers_mm.len()],
+            scattered: &|_, _| 0.0,
         };
         lit.radiance(eye_mm, refractive_index)
     }

@@ -34,9 +34,10 @@ pub(crate) struct Glow {
 pub(crate) struct Dots {
     /// The slab as diffusion sees it.
     pub slab: Slab,
+    /// Side of its voxels, mm.
+    pub voxel_mm: f64,
     eye_mm: [f64; 3],
     pitch_mm: f64,
-    voxel_mm: f64,
     box_voxels: usize,
     tracer: Option<Tracer>,
     /// For a slab that is the same everywhere: what leaves around a dot in its middle, and that dot's place.
@@ -47,10 +48,8 @@ pub(crate) struct Dots {
 #[derive(Debug)]
 struct Tracer {
     media: [Medium; 3],
-    eye_mm: [f64; 3],
     photons: u64,
     seed: u64,
-    cell_mm: f64,
 }
 
 impl Glow {
@@ -69,33 +68,31 @@ impl Dots {
     /// The others' footprints differ from that by the projector's keystone, and the camera sees them from a little more aside.
     pub fn new(
         options: &Options,
-        volume: &Volume,
+        volume: Volume,
         eye_mm: [f64; 3],
         middle: &Beam,
         progress: &Progress,
     ) -> Result<Self> {
         let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
         let samples = options.window + 2 * BOX_MARGIN_PITCHES;
-        let tracer = |transport| match transport {
+        let tracer = match options.transport {
             Transport::Diffusion => None,
-            Transport::Mc => Some(Tracer {
-                media: [0, 1, 2].map(|channel| Medium::new(volume, channel)),
-                eye_mm,
-                photons: options.photons,
-                seed: options.seed,
-                cell_mm: options.pitch_mm / CELLS_PER_SAMPLE as f64,
-            }),
+            Transport::Mc => {
+                let media = [0, 1, 2].map(|channel| Medium::new(&volume, channel));
+                Some(Tracer { media, photons: options.photons, seed: options.seed })
+            }
         };
+        let uniform = volume.is_laterally_uniform();
         let mut dots = Self {
-            slab: Slab::new(volume.clone(), voxel_mm, options.tolerance),
+            slab: Slab::new(volume, voxel_mm, options.tolerance),
+            voxel_mm,
             eye_mm,
             pitch_mm: options.pitch_mm,
-            voxel_mm,
             box_voxels: (samples * options.voxels_per_sample).next_multiple_of(8),
-            tracer: tracer(options.transport),
+            tracer,
             everywhere: None,
         };
-        if volume.is_laterally_uniform() {
+        if uniform {
             let all = options.photons.saturating_mul((options.grid * options.grid) as u64);
             let photons = all.min(options.photons.max(MOST_SHARED_PHOTONS));
             dots.everywhere = Some((dots.solve(middle, photons, 0, progress)?, middle.center_mm));
@@ -117,7 +114,7 @@ impl Dots {
     fn solve(&self, beam: &Beam, photons: u64, number: usize, progress: &Progress) -> Result<Glow> {
         let domain = self.domain(beam.center_mm);
         match &self.tracer {
-            Some(tracer) => tracer.trace(&domain, beam, photons, number, progress),
+            Some(tracer) => self.trace(tracer, &domain, beam, photons, number, progress),
             None => {
                 let fields = vec![self.scattered_often(&domain, beam)?, self.scattered_once(beam)];
                 Ok(Glow { fields, variance_sum: 0.0 })
@@ -146,7 +143,7 @@ impl Dots {
     /// What `beam` scatters towards the camera at once: as sharp as the beam, hence on a grid of its own.
     fn scattered_once(&self, beam: &Beam) -> Field {
         let thickness: f64 = self.slab.layers_mm.iter().sum();
-        let cell_mm = self.pitch_mm / CELLS_PER_SAMPLE as f64;
+        let cell_mm = self.cell_mm();
         let reach_mm = beam.reach_mm().into_iter().fold(0.0, f64::max);
         let half = (reach_mm + (SLOPE_PITCHES * self.pitch_mm).min(thickness)) / cell_mm;
         let half = half.ceil() as usize + 2;
@@ -167,18 +164,34 @@ impl Dots {
             voxels: [self.box_voxels; 2],
         }
     }
-}
 
-impl Tracer {
+    /// Side of the cells for what is sharper than diffusion's voxels, mm.
+    fn cell_mm(&self) -> f64 {
+        self.pitch_mm / CELLS_PER_SAMPLE as f64
+    }
+
     /// Traces all channels towards the camera.
-    fn trace(&self, domain: &Domain, beam: &Beam, photons: u64, number: usize, progress: &Progress) -> Result<Glow> {
-        let cells = domain.voxels.map(|n| (n as f64 * domain.voxel_mm / self.cell_mm).round() as usize);
-        let window = Window { corner_mm: domain.corner_mm, cell_mm: self.cell_mm, cells };
+    fn trace(
+        &self,
+        tracer: &Tracer,
+        domain: &Domain,
+        beam: &Beam,
+        photons: u64,
+        number: usize,
+        progress: &Progress,
+    ) -> Result<Glow> {
+        let cell_mm = self.cell_mm();
+        let cells = domain.voxels.map(|n| (n as f64 * domain.voxel_mm / cell_mm).round() as usize);
+        let window = Window { corner_mm: domain.corner_mm, cell_mm, cells };
         let stage = progress.stage("trace", 3 * BATCHES as usize);
         let channel = |c: usize| -> Result<Outcome> {
-            let setup =
-                Setup { beam: *beam, window: Some(window), eye_mm: Some(self.eye_mm), ..Setup::totals(&self.media[c]) };
-            let seed = mix_seed(mix_seed(self.seed, number as u64), c as u64);
+            let setup = Setup {
+                beam: *beam,
+                window: Some(window),
+                eye_mm: Some(self.eye_mm),
+                ..Setup::totals(&tracer.media[c])
+            };
+            let seed = mix_seed(mix_seed(tracer.seed, number as u64), c as u64);
             monte_carlo::trace(&setup, &monte_carlo::Options { photons, seed }, Some(&stage))
         };
         let outcomes: Vec<Outcome> = (0..3).into_par_iter().map(channel).collect::<Result<_>>()?;

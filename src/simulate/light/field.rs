@@ -1,6 +1,6 @@
 //! A continuous field over the slab from one value per cell: a cubic B-spline.
 //!
-//! This field *is* the exitance that the camera sees and that the truth is integrated from: C², zero outside its box.
+//! This field *is* the light that the camera sees and that the truth is integrated from: C², zero outside its box.
 
 use crate::geometry::Point;
 

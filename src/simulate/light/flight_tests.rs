@@ -26,15 +26,14 @@ fn the_last_flight_equals_a_sum_along_the_line_of_sight() {
     let faces: Vec<f64> = (0..=slab.layers_mm.len()).map(|k| slab.layers_mm[..k].iter().sum()).collect();
     let fluence = |z: f64| 5.0 - z;
     let (beam, again) = (0.8, 0.3);
-    let scattered = slab.layers_mm.iter().flat_map(|dz| vec![again * dz; domain.columns()]).collect();
     let lit = Lit {
         domain: &domain,
         layers_mm: &slab.layers_mm,
         coefficients: &coefficients,
-        enters: vec![beam; domain.columns()],
+        enters: &|_| beam,
         at_face: &|k, _| fluence(faces[k]),
         middle: &|k, _| fluence(0.5 * (faces[k] + faces[k + 1])),
-        scattered,
+        scattered: &|k, _| again * slab.layers_mm[k],
     };
     let seen = f64::from(lit.radiance([0.0, 0.0, -1e6], 1.4)[3 * 8 + 3]);
     let (steps, mut depth, mut sum) = (60_000, 0.0, 0.0);

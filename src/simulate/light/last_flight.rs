@@ -10,47 +10,24 @@
 
 use super::coefficients::Coefficients;
 use super::diffusion::Domain;
-use super::fresnel;
+use super::sight::Sight;
 
 /// A shift of fewer voxels than this is not seen.
 const UNSEEN: f64 = 0.01;
-
-/// The way from a column to the eye.
-#[derive(Debug, Clone, Copy)]
-struct Sight {
-    /// Cosine to the normal inside.
-    cosine: f64,
-    /// Shift of light along x and y per depth.
-    slope: [f64; 2],
-    /// (1 − F)/4n².
-    value: f64,
-}
-
-impl Sight {
-    /// From `at` to `eye_mm`, out of a slab of this refractive index.
-    fn new(at: [f64; 2], eye_mm: [f64; 3], n: f64) -> Self {
-        let to = [eye_mm[0] - at[0], eye_mm[1] - at[1], eye_mm[2]];
-        let length = to.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let (x, y) = (to[0] / length / n, to[1] / length / n);
-        let cosine = (1.0 - x * x - y * y).sqrt();
-        let value = (1.0 - fresnel::face(n, cosine).reflectance) / (4.0 * n * n);
-        Self { cosine, slope: [x / cosine, y / cosine], value }
-    }
-}
 
 /// Light in the slab, layer by layer from the top.
 pub(super) struct Lit<'a> {
     pub domain: &'a Domain,
     pub layers_mm: &'a [f64],
     pub coefficients: &'a Coefficients,
-    /// What enters each column, per mm².
-    pub enters: Vec<f64>,
+    /// What enters a column, per mm².
+    pub enters: &'a dyn Fn(usize) -> f64,
     /// Fluence at the top of a layer, above a column; one layer more for the last one's bottom.
     pub at_face: &'a dyn Fn(usize, usize) -> f64,
     /// Fluence in the middle of a layer.
     pub middle: &'a dyn Fn(usize, usize) -> f64,
     /// What is scattered in a voxel after the first time and before diffusing, per mm², even over its depth.
-    pub scattered: Vec<f64>,
+    pub scattered: &'a dyn Fn(usize, usize) -> f64,
 }
 
 impl Lit<'_> {
@@ -81,7 +58,11 @@ impl Lit<'_> {
             depth += dz;
         }
         // Interpolation may swing below zero beside a sharp dot; light does not.
-        sum.iter().zip(&sights).map(|(sum, sight)| (sight.value * sum).max(0.0) as f32).collect()
+        let seen = |(sum, sight): (&f64, &Sight)| {
+            let value = (1.0 - sight.reflectance) / (4.0 * refractive_index * refractive_index);
+            (value * sum).max(0.0) as f32
+        };
+        sum.iter().zip(&sights).map(seen).collect()
     }
 
     /// 4 times the radiance at the top of layer `k` that starts in it, under an optical depth of `above`.
@@ -96,13 +77,13 @@ impl Lit<'_> {
         let upper = top * (even - rising) + here * rising;
         let lower = here * (even - rising) + bottom * rising;
         let diffuse = albedo * (upper + (-half).exp() * lower);
-        let again = match self.scattered[k * self.domain.columns() + i] {
+        let again = match (self.scattered)(k, i) {
             0.0 => 0.0,
             scattered => scattered / depth * fading(2.0 * half).0,
         };
         // The beam fades on its way down, and what it scatters on its way up.
         let both = (1.0 + cosine) / cosine;
-        let first = self.enters[i] * albedo / (1.0 + cosine) * (-above).exp() * -(-depth * both).exp_m1();
+        let first = (self.enters)(i) * albedo / (1.0 + cosine) * (-above).exp() * -(-depth * both).exp_m1();
         diffuse + again + first
     }
 }

@@ -14,6 +14,7 @@ mod fresnel;
 mod last_flight;
 pub mod monte_carlo;
 pub(crate) mod multigrid;
+mod sight;
 pub(crate) mod solution;
 #[cfg(test)]
 mod tests;

@@ -4,7 +4,7 @@ use super::coefficients::Coefficients;
 use super::diffusion::Domain;
 use super::first_flights::Flown;
 use super::last_flight::Lit;
-use crate::simulate::slab::{boundary_factor, normal_reflectance};
+use crate::simulate::slab::boundary_factor;
 
 /// Where the light of a solution went, per unit of flux that arrived at the surface.
 #[derive(Debug, Clone, Copy)]
@@ -65,17 +65,17 @@ impl Solution {
 
     /// π times the radiance towards the eye above each column, mm⁻² for the unit of the flux.
     pub fn radiance(&self, eye_mm: [f64; 3]) -> Vec<f32> {
-        let enters = (1.0 - normal_reflectance(self.refractive_index)) / self.domain.voxel_mm.powi(2);
-        self.shown(eye_mm, self.flux.iter().map(|flux| flux * enters).collect())
+        let enters = self.domain.entering_per_mm2(self.refractive_index);
+        self.shown(eye_mm, &|i| self.flux[i] * enters)
     }
 
     /// The same without what is scattered towards the eye the first time: see [`super::diffusion::Slab::first_radiance`].
     pub fn radiance_but_first(&self, eye_mm: [f64; 3]) -> Vec<f32> {
-        self.shown(eye_mm, vec![0.0; self.flux.len()])
+        self.shown(eye_mm, &|_| 0.0)
     }
 
-    /// What the eye sees when `enters` mm⁻² enter each column.
-    fn shown(&self, eye_mm: [f64; 3], enters: Vec<f64>) -> Vec<f32> {
+    /// What the eye sees when `enters` mm⁻² enter a column.
+    fn shown(&self, eye_mm: [f64; 3], enters: &dyn Fn(usize) -> f64) -> Vec<f32> {
         let (plane, area) = (self.domain.columns(), self.domain.voxel_mm.powi(2));
         let twice_a = 2.0 * boundary_factor(self.refractive_index);
         let fluence = |k: usize, i: usize| f64::from(self.fluence[k * plane + i]);
@@ -99,7 +99,7 @@ impl Solution {
             enters,
             at_face: &at_face,
             middle: &fluence,
-            scattered: self.flown.scattered.iter().map(|q| q / area).collect(),
+            scattered: &|k, i| self.flown.scattered[k * plane + i] / area,
         };
         lit.radiance(eye_mm, self.refractive_index)
     }

@@ -163,8 +163,8 @@ fn the_response_moves_with_its_dot() {
     let options = Options { grid: 4, window: 9, material: Material::homogeneous(), ..Options::default() };
     let studio = Studio::new(&options, &crate::progress::Progress::silent()).unwrap();
     let means = |drift: Point| {
-        let field = studio.dot_glow(&options, [1, 2], drift);
-        field.cell_means(studio.dot_mm([1, 2], drift), [9, 9], options.pitch_mm)
+        let field = studio.dot_glow([1, 2], drift);
+        field.cell_means(studio.scene.dot_mm([1, 2], drift), [9, 9], options.pitch_mm)
     };
     let still = means([0.0, 0.0]);
     for drift in [[0.013, 0.0], [0.1, -0.07], [0.125, 0.125]] {
@@ -178,8 +178,8 @@ fn the_response_moves_with_its_dot() {
     let options = Options { material: Material::chessboard(8), grid: 16, ..options };
     let studio = Studio::new(&options, &crate::progress::Progress::silent()).unwrap();
     let peak = |x: f64| {
-        let field = studio.dot_glow(&options, [1, 2], [x, 0.0]);
-        f64::from(field.cell_means(studio.dot_mm([1, 2], [x, 0.0]), [1, 1], options.pitch_mm)[0])
+        let field = studio.dot_glow([1, 2], [x, 0.0]);
+        f64::from(field.cell_means(studio.scene.dot_mm([1, 2], [x, 0.0]), [1, 1], options.pitch_mm)[0])
     };
     let steps: Vec<f64> = (0..9).map(|i| peak(0.02 * f64::from(i))).collect();
     for triple in steps.windows(3) {

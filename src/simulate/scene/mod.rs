@@ -5,7 +5,7 @@ pub(crate) mod render;
 
 pub(crate) use drift::JUMP_REACH;
 
-use crate::simulate::Options;
+use crate::simulate::{Beam, Options};
 use crate::{
     Error, Result,
     capture::{Board, Camera, Grid, Projector, Rig, WhiteReference},
@@ -136,6 +136,22 @@ impl Scene {
         let r2: f64 = (0..2).map(|a| (p[a] - (0.48 + 0.05 * a as f64) * self.slab_size_mm[a]).powi(2)).sum();
         let falloff = 1.0 - self.falloff * r2 / reach;
         PROJECTOR_COLOR.map(|c| c * falloff)
+    }
+
+    /// Where a dot falls when the pattern has moved by `drift_mm`, mm.
+    pub fn dot_mm(&self, dot: [usize; 2], drift_mm: Point) -> Point {
+        let p = self.slab_from_projector.map(self.grid.dot_projector_px(dot));
+        [p[0] + drift_mm[0], p[1] + drift_mm[1]]
+    }
+
+    /// The light of that dot as it arrives.
+    pub fn beam(&self, dot: [usize; 2], drift_mm: Point) -> Beam {
+        Beam {
+            center_mm: self.dot_mm(dot, drift_mm),
+            mm_from_px: self.slab_from_projector.jacobian(self.grid.dot_projector_px(dot)),
+            side_px: self.grid.dot_projector_px as f64,
+            blur_px: self.projector_blur_px,
+        }
     }
 
     /// Displacement on the slab (mm) that moves the picture of its centre by `drift_px`.

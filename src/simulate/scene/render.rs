@@ -112,13 +112,11 @@ impl PixelGrid {
     /// An upper bound of a pixel's extent on the slab along either axis, mm.
     pub fn pixel_mm(&self) -> f64 {
         let [width, height] = self.size_px;
-        let (across, corner) = (width + 1, |x: usize, y: usize| y * (width + 1) + x);
         let places = [(0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1), (width / 2, height / 2)];
-        let extent = |(x, y): (usize, usize)| {
-            let i = corner(x, y);
-            let [p, q, r, s] = [i, i + 1, i + across, i + across + 1].map(|i| self.corners_mm[i]);
+        let extent = |(x, y)| {
+            let corners_mm = self.pixel(x, y).corners_mm;
             let along = |a: usize| {
-                let values = [p[a], q[a], r[a], s[a]];
+                let values = corners_mm.map(|p| p[a]);
                 values.iter().copied().fold(f64::MIN, f64::max) - values.iter().copied().fold(f64::MAX, f64::min)
             };
             along(0).max(along(1))

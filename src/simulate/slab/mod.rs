@@ -33,6 +33,11 @@ impl Optics {
         self.reduced_scattering_per_mm[channel] + self.absorption_per_mm[channel]
     }
 
+    /// Scattering σ_s = σ'_s/(1 − g) of a channel, mm⁻¹.
+    pub fn scattering_per_mm(&self, channel: usize) -> f64 {
+        self.reduced_scattering_per_mm[channel] / (1.0 - self.anisotropy[channel])
+    }
+
     /// The same reduced scattering with mean cosine `g` in every channel.
     pub fn with_anisotropy(self, g: f64) -> Self {
         Self { anisotropy: [g; 3], ..self }
@@ -44,9 +49,8 @@ impl Optics {
         let mut mixture = *self;
         for c in 0..3 {
             let mix = |a: f64, b: f64| a + share * (b - a);
-            let scattering = |o: &Self| o.reduced_scattering_per_mm[c] / (1.0 - o.anisotropy[c]);
             let reduced = mix(self.reduced_scattering_per_mm[c], other.reduced_scattering_per_mm[c]);
-            let full = mix(scattering(self), scattering(other));
+            let full = mix(self.scattering_per_mm(c), other.scattering_per_mm(c));
             mixture.reduced_scattering_per_mm[c] = reduced;
             mixture.absorption_per_mm[c] = mix(self.absorption_per_mm[c], other.absorption_per_mm[c]);
             if self.anisotropy[c] != other.anisotropy[c] && full > 0.0 {

@@ -14,6 +14,17 @@ pub enum Beyond {
     Extend,
 }
 
+impl Beyond {
+    /// The voxel of 0..`n` that stands for number `i`, which may lie beside them.
+    #[inline]
+    pub(crate) fn stand_in(self, i: i64, n: i64) -> usize {
+        match self {
+            Self::Repeat => i.rem_euclid(n) as usize,
+            Self::Extend => i.clamp(0, n - 1) as usize,
+        }
+    }
+}
+
 /// A slab without sides: coefficients per voxel, one refractive index. Slab coordinates in mm, z downwards from the top.
 ///
 /// Between voxels the refractive index does not change: light is refracted and reflected at the two faces only.
@@ -119,11 +130,7 @@ impl Volume {
 
     /// The voxel that stands for number `i` along axis `a`, which may lie beside the grid.
     fn wrap(&self, a: usize, i: i64) -> usize {
-        let n = self.voxels[a] as i64;
-        match self.beyond {
-            Beyond::Repeat => i.rem_euclid(n) as usize,
-            Beyond::Extend => i.clamp(0, n - 1) as usize,
-        }
+        self.beyond.stand_in(i, self.voxels[a] as i64)
     }
 
     /// The voxels along axis `a` that `from..to` (mm) overlaps, each with its share of the length; shares sum to 1.

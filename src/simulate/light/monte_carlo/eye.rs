@@ -6,7 +6,8 @@ use super::{
     phase::density,
     walk::Photon,
 };
-use crate::simulate::light::fresnel::{Passage, face};
+use crate::geometry::Point;
+use crate::simulate::light::sight::Sight;
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 use std::f64::consts::PI;
@@ -20,25 +21,13 @@ const SHOWN: f64 = 0.0625;
 const FAR: f64 = 8.0;
 const SHOWN_FAR: f64 = 1.0 / 256.0;
 
-/// The way from one patch to the eye.
-#[derive(Debug, Clone, Copy)]
-struct Sight {
-    /// Direction inside the slab, upwards.
-    up: [f64; 3],
-    /// Shift along x and y per depth.
-    slope: [f64; 2],
-    /// Share of light that the face turns back.
-    reflectance: f64,
-    /// π times radiance per unit of flux and inverse steradian inside: π (1 − F)/(n² cosθ').
-    value: f64,
-}
-
 /// An eye and the window through which it looks.
 #[derive(Debug)]
 pub(super) struct Eye<'a> {
     window: &'a Window,
     medium: &'a Medium,
-    sights: Vec<Sight>,
+    /// The way from each patch, and what flux per inverse steradian inside is worth of π times radiance: π (1 − F)/(n² cosθ').
+    sights: Vec<(Sight, f64)>,
 }
 
 impl<'a> Eye<'a> {
@@ -47,26 +36,18 @@ impl<'a> Eye<'a> {
         let n = medium.refractive_index;
         let sight = |i: usize| {
             let share = [i % PATCHES, i / PATCHES].map(|p| (p as f64 + 0.5) / PATCHES as f64);
-            let at: [f64; 2] = std::array::from_fn(|a| window.corner_mm[a] + share[a] * window.side_mm(a));
-            let to = [eye_mm[0] - at[0], eye_mm[1] - at[1], eye_mm[2]];
-            let length = to.iter().map(|v| v * v).sum::<f64>().sqrt();
-            let Passage { reflectance, cosine } = face(1.0 / n, -to[2] / length);
-            let up = [to[0] / length / n, to[1] / length / n, -cosine];
-            Sight {
-                up,
-                slope: [up[0] / cosine, up[1] / cosine],
-                reflectance,
-                value: PI * (1.0 - reflectance) / (n * n * cosine),
-            }
+            let at: Point = std::array::from_fn(|a| window.corner_mm[a] + share[a] * window.side_mm(a));
+            let sight = Sight::new(at, eye_mm, n);
+            (sight, PI * (1.0 - sight.reflectance) / (n * n * sight.cosine))
         };
         Self { window, medium, sights: (0..PATCHES * PATCHES).map(sight).collect() }
     }
 
     /// The way to the eye from above `p`, for places beside the window that from its border.
     #[inline]
-    fn sight(&self, p: [f64; 3]) -> &Sight {
+    fn sight(&self, p: [f64; 3]) -> &(Sight, f64) {
         let patch = |a: usize| {
-            let share = (p[a] - self.window.corner_mm[a]) * self.window.per_side(a);
+            let share = (p[a] - self.window.corner_mm[a]) * (1.0 / self.window.side_mm(a));
             // Casting stops at the ends of the range.
             ((share * PATCHES as f64) as usize).min(PATCHES - 1)
         };
@@ -79,12 +60,12 @@ impl<'a> Eye<'a> {
     /// With Φ scattered by p per steradian inside, and dω' cosθ' n² = dω cosθ across the face, π times the radiance that
     /// leaves is π Φ p e^(−τ) (1 − F)/(n² cosθ') per area.
     pub fn receive(&self, photon: &Photon, local: Local, rng: &mut Pcg64Mcg, radiance: &mut [f64]) {
-        let sight = self.sight(photon.p);
+        let (sight, value) = self.sight(photon.p);
         let depth = local.extinction * photon.p[2];
         // Little light comes up from the deep: one in sixteen of those collisions stands for all.
         let share = if depth > DEEP { SHOWN } else { 1.0 };
         if share == 1.0 || rng.random::<f64>() < share {
-            let light = self.starts(photon, local, sight, sight.up) / share;
+            let light = value * starts(photon, local, sight.up) / share;
             let up = self.medium.depth_to_face(photon.layer, photon.p, sight.up);
             self.add(sight.along(photon.p, 0.0), light * (-up).exp(), radiance);
         }
@@ -99,13 +80,13 @@ impl<'a> Eye<'a> {
 
     /// What comes by way of the faces: the bottom first, or the top and then the bottom, and so on from top to bottom.
     fn receive_reflected(&self, photon: &Photon, local: Local, share: f64, rng: &mut Pcg64Mcg, radiance: &mut [f64]) {
-        let (medium, sight) = (self.medium, self.sight(photon.p));
+        let (medium, (sight, value)) = (self.medium, self.sight(photon.p));
         let (last, thickness) = (medium.layers.len() - 1, medium.thickness_mm());
         let down = [sight.up[0], sight.up[1], -sight.up[2]];
         let to_top = (-medium.depth_to_face(photon.layer, photon.p, sight.up)).exp() * sight.reflectance;
         let starts = [
-            (photon.p, photon.layer, self.starts(photon, local, sight, down) / share),
-            (sight.along(photon.p, 0.0), 0, self.starts(photon, local, sight, sight.up) / share * to_top),
+            (photon.p, photon.layer, value * starts(photon, local, down) / share),
+            (sight.along(photon.p, 0.0), 0, value * starts(photon, local, sight.up) / share * to_top),
         ];
         for (mut p, mut layer, mut light) in starts {
             loop {
@@ -122,13 +103,6 @@ impl<'a> Eye<'a> {
         }
     }
 
-    /// What starts into direction `d`, worth of π times the radiance that it becomes.
-    #[inline]
-    fn starts(&self, photon: &Photon, local: Local, sight: &Sight, d: [f64; 3]) -> f64 {
-        let turn = photon.d[0] * d[0] + photon.d[1] * d[1] + photon.d[2] * d[2];
-        photon.weight * sight.value * density(local.g, turn)
-    }
-
     #[inline]
     fn add(&self, at: [f64; 3], light: f64, radiance: &mut [f64]) {
         if let Some(cell) = self.window.cell(at[0], at[1]) {
@@ -137,11 +111,9 @@ impl<'a> Eye<'a> {
     }
 }
 
-impl Sight {
-    /// Where light from `p` on this way, up or down, is at depth `z`.
-    #[inline]
-    fn along(&self, p: [f64; 3], z: f64) -> [f64; 3] {
-        let depth = (p[2] - z).abs();
-        [p[0] + depth * self.slope[0], p[1] + depth * self.slope[1], z]
-    }
+/// What starts into direction `d`, per steradian.
+#[inline]
+fn starts(photon: &Photon, local: Local, d: [f64; 3]) -> f64 {
+    let turn = photon.d[0] * d[0] + photon.d[1] * d[1] + photon.d[2] * d[2];
+    photon.weight * density(local.g, turn)
 }

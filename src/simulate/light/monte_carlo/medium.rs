@@ -1,6 +1,6 @@
 //! A volume as one channel's photons meet it.
 
-use crate::simulate::slab::{Beyond, Volume};
+use crate::simulate::slab::{Beyond, Optics, Volume};
 
 /// Optical depth beyond which light towards the camera is left out: exp(−36) is below any sum's rounding.
 const OPAQUE: f64 = 36.0;
@@ -37,7 +37,7 @@ pub struct Medium {
     voxels: [i64; 2],
     origin_mm: [f64; 2],
     per_mm: [f64; 2],
-    repeat: bool,
+    beyond: Beyond,
     locals: Vec<Local>,
 }
 
@@ -45,12 +45,11 @@ impl Medium {
     /// `volume` as `channel` (0 to 2) sees it.
     pub fn new(volume: &Volume, channel: usize) -> Self {
         let plane = volume.voxels[0] * volume.voxels[1];
-        let local = |o: &crate::simulate::Optics| {
-            let g = o.anisotropy[channel];
-            let scattering = o.reduced_scattering_per_mm[channel] / (1.0 - g);
+        let local = |o: &Optics| {
+            let scattering = o.scattering_per_mm(channel);
             let extinction = scattering + o.absorption_per_mm[channel];
             let albedo = if extinction > 0.0 { scattering / extinction } else { 0.0 };
-            Local { extinction, albedo, g }
+            Local { extinction, albedo, g: o.anisotropy[channel] }
         };
         let mut layers = Vec::with_capacity(volume.layers_mm.len());
         let mut locals = Vec::new();
@@ -72,7 +71,7 @@ impl Medium {
             voxels: volume.voxels.map(|n| n as i64),
             origin_mm: volume.origin_mm,
             per_mm: volume.voxel_mm.map(|v| 1.0 / v),
-            repeat: volume.beyond == Beyond::Repeat,
+            beyond: volume.beyond,
             locals,
         }
     }
@@ -82,11 +81,11 @@ impl Medium {
         self.layers.last().map_or(0.0, |l| l.bottom_mm)
     }
 
-    /// The voxel that stands for number `i` along axis `a`.
+    /// Where in its layer the voxel of numbers (x, y) is.
     #[inline]
-    fn wrap(&self, a: usize, i: i64) -> usize {
-        let n = self.voxels[a];
-        if self.repeat { i.rem_euclid(n) as usize } else { i.clamp(0, n - 1) as usize }
+    fn place(&self, x: i64, y: i64) -> usize {
+        let [nx, ny] = self.voxels;
+        self.beyond.stand_in(y, ny) * nx as usize + self.beyond.stand_in(x, nx)
     }
 
     /// The coefficients of `layer` at (x, y).
@@ -95,8 +94,7 @@ impl Medium {
         if let Some(uniform) = layer.uniform {
             return uniform;
         }
-        let [i, j] = [self.number(0, x), self.number(1, y)];
-        self.locals[layer.first + self.wrap(1, j) * self.voxels[0] as usize + self.wrap(0, i)]
+        self.locals[layer.first + self.place(self.number(0, x), self.number(1, y))]
     }
 
     /// The number of the voxel at coordinate `t`, unwrapped.
@@ -148,8 +146,8 @@ impl Medium {
         loop {
             let a = usize::from(next[1] < next[0]);
             let to = next[a].min(length);
-            let index = layer.first + self.wrap(1, voxel[1]) * self.voxels[0] as usize + self.wrap(0, voxel[0]);
-            depth += self.locals[index].extinction * (to - at).max(0.0);
+            let local = self.locals[layer.first + self.place(voxel[0], voxel[1])];
+            depth += local.extinction * (to - at).max(0.0);
             if to >= length || depth > most {
                 return depth;
             }
@@ -163,7 +161,6 @@ impl Medium {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulate::Optics;
 
     fn optics(extinction: f64) -> Optics {
         Optics { reduced_scattering_per_mm: [extinction; 3], absorption_per_mm: [0.0; 3], anisotropy: [0.0; 3] }

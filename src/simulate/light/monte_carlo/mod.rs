@@ -30,7 +30,8 @@ pub use medium::Medium;
 pub use tally::{Estimate, Map, Outcome};
 
 use super::beam::Beam;
-use crate::{Error, Result, geometry::Point, progress::Stage, simulate::mix_seed};
+use crate::simulate::{mix_seed, slab::normal_reflectance};
+use crate::{Error, Result, geometry::Point, progress::Stage};
 use eye::Eye;
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -61,10 +62,13 @@ impl Window {
         self.cell_mm * self.cells[a] as f64
     }
 
-    /// Its inverse.
+    /// The cell that holds (x, y).
     #[inline]
-    fn per_side(&self, a: usize) -> f64 {
-        1.0 / self.side_mm(a)
+    fn cell(&self, x: f64, y: f64) -> Option<usize> {
+        let per_mm = 1.0 / self.cell_mm;
+        let (u, v) = ((x - self.corner_mm[0]) * per_mm, (y - self.corner_mm[1]) * per_mm);
+        let inside = u >= 0.0 && v >= 0.0 && u < self.cells[0] as f64 && v < self.cells[1] as f64;
+        inside.then(|| v as usize * self.cells[0] + u as usize)
     }
 }
 
@@ -130,7 +134,9 @@ pub fn trace(setup: &Setup, options: &Options, stage: Option<&Stage>) -> Result<
     if options.photons == 0 {
         return Err(Error::Setting { setting: "--photons", expected: "at least 1".into(), found: "0".into() });
     }
-    let walk = walk(setup);
+    // What the top face turns back before it enters.
+    let specular = normal_reflectance(setup.medium.refractive_index);
+    let walk = walk(setup, specular);
     let window = setup.window.as_ref();
     let batch = |n: u64| {
         let mut rng = Pcg64Mcg::seed_from_u64(mix_seed(options.seed, n));
@@ -150,17 +156,18 @@ pub fn trace(setup: &Setup, options: &Options, stage: Option<&Stage>) -> Result<
         let tallies: Vec<Tally> = (first..first + 20).into_par_iter().map(batch).collect();
         tallies.iter().for_each(|tally| collected.add(tally));
     }
-    Ok(collected.finish(walk.specular(), setup.rings.as_ref(), window))
+    Ok(collected.finish(specular, setup.rings.as_ref(), window))
 }
 
-fn walk<'a>(setup: &'a Setup) -> Walk<'a> {
+fn walk<'a>(setup: &'a Setup, specular: f64) -> Walk<'a> {
     let medium = setup.medium;
-    let reach = setup.window.map_or(0.0, |w| w.cell_mm * w.cells[0].max(w.cells[1]) as f64);
+    let reach = setup.window.map_or(0.0, |w| w.side_mm(0).max(w.side_mm(1)));
     let lost = LOST_THICKNESSES * (medium.thickness_mm() + reach);
     let around = [setup.beam.center_mm.map(|c| c - lost), setup.beam.center_mm.map(|c| c + lost)];
     Walk {
         extent_mm: setup.extent_mm.unwrap_or(around),
         medium,
+        enters: 1.0 - specular,
         beam: &setup.beam,
         window: setup.window.as_ref(),
         rings: setup.rings.as_ref(),

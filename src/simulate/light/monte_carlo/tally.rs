@@ -21,14 +21,6 @@ pub struct Map {
     pub standard_error: Vec<f64>,
 }
 
-impl Map {
-    /// √Σ standard_error² / √Σ mean²: the noise of the whole map, relative to it; infinite for a dark one.
-    pub fn relative_error(&self) -> f64 {
-        let square = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>();
-        (square(&self.standard_error) / square(&self.mean)).sqrt()
-    }
-}
-
 /// Everything that photons were counted into.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outcome {
@@ -98,12 +90,14 @@ struct Moments {
 }
 
 impl Moments {
-    fn add(&mut self, values: impl ExactSizeIterator<Item = f64>) {
-        self.sum.resize(values.len(), 0.0);
-        self.squares.resize(values.len(), 0.0);
-        for ((sum, square), value) in self.sum.iter_mut().zip(&mut self.squares).zip(values) {
-            *sum += value;
-            *square += value * value;
+    /// Adds a batch whose sums are `sums`.
+    fn add(&mut self, sums: &[f64], per_photon: f64) {
+        self.sum.resize(sums.len(), 0.0);
+        self.squares.resize(sums.len(), 0.0);
+        for ((sum, square), of_batch) in self.sum.iter_mut().zip(&mut self.squares).zip(sums) {
+            let mean = of_batch * per_photon;
+            *sum += mean;
+            *square += mean * mean;
         }
         self.batches += 1.0;
     }
@@ -135,15 +129,14 @@ pub(super) struct Collected {
 impl Collected {
     pub fn add(&mut self, tally: &Tally) {
         let per_photon = 1.0 / tally.photons as f64;
-        let scaled = |values: &[f64]| values.iter().map(|v| v * per_photon).collect::<Vec<_>>().into_iter();
         let transmitted = tally.diffuse + tally.ballistic;
         let all = tally.reflected + transmitted + tally.absorbed + tally.sides;
         let totals = [tally.reflected, transmitted, tally.diffuse, tally.ballistic, tally.absorbed, tally.sides, all];
         self.photons += tally.photons;
-        self.totals.add(scaled(&totals));
-        self.rings.add(scaled(&tally.rings));
-        self.exitance.add(scaled(&tally.exitance));
-        self.radiance.add(scaled(&tally.radiance));
+        self.totals.add(&totals, per_photon);
+        self.rings.add(&tally.rings, per_photon);
+        self.exitance.add(&tally.exitance, per_photon);
+        self.radiance.add(&tally.radiance, per_photon);
     }
 
     /// The estimates; `specular` was taken off before entering.
@@ -158,7 +151,6 @@ impl Collected {
             map.mean.iter_mut().chain(&mut map.standard_error).for_each(|v| *v /= area);
             (!map.mean.is_empty()).then_some(map)
         };
-        let ring_count = rings.map_or(0, |r| r.count);
         Outcome {
             photons: self.photons,
             specular,
@@ -169,9 +161,9 @@ impl Collected {
             absorbed,
             sides,
             spent: Estimate { mean: all.mean + specular, ..all },
-            rings: (0..ring_count)
-                .map(|i| per_area(self.rings.estimate(i), rings.map_or(1.0, |r| r.area_mm2(i))))
-                .collect(),
+            rings: rings.map_or(Vec::new(), |rings| {
+                (0..rings.count).map(|i| per_area(self.rings.estimate(i), rings.area_mm2(i))).collect()
+            }),
             exitance: map(&self.exitance),
             radiance: map(&self.radiance),
         }

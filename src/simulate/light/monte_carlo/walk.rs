@@ -1,8 +1,9 @@
 //! One photon's way through the slab.
 
 use super::{Rings, Window, eye::Eye, medium::Medium, phase::scatter, tally::Tally};
+use crate::geometry::Point;
+use crate::simulate::light::beam::Beam;
 use crate::simulate::light::fresnel::{Passage, face};
-use crate::{geometry::Point, simulate::light::beam::Beam};
 use rand::RngExt;
 use rand_distr::{Distribution, Exp1};
 use rand_pcg::Pcg64Mcg;
@@ -10,10 +11,13 @@ use rand_pcg::Pcg64Mcg;
 /// Below this weight a photon is played for: it goes on with [`SURVIVAL`], made heavier by as much.
 const LIGHT: f64 = 0.02;
 const SURVIVAL: f64 = 0.1;
+
 /// All that does not change from photon to photon.
 #[derive(Debug)]
 pub(super) struct Walk<'a> {
     pub medium: &'a Medium,
+    /// Share of the light that the top face lets in.
+    pub enters: f64,
     pub beam: &'a Beam,
     pub window: Option<&'a Window>,
     pub rings: Option<&'a Rings>,
@@ -39,16 +43,10 @@ enum End {
 }
 
 impl Walk<'_> {
-    /// Share of the light that the top face turns back before it enters.
-    pub fn specular(&self) -> f64 {
-        face(1.0 / self.medium.refractive_index, 1.0).reflectance
-    }
-
     /// Traces one photon from the beam to its end.
     pub fn photon(&self, rng: &mut Pcg64Mcg, tally: &mut Tally) {
         let [x, y] = self.beam.sample(rng);
-        let weight = 1.0 - self.specular();
-        let mut photon = Photon { p: [x, y, 0.0], d: [0.0, 0.0, 1.0], layer: 0, weight, scattered: false };
+        let mut photon = Photon { p: [x, y, 0.0], d: [0.0, 0.0, 1.0], layer: 0, weight: self.enters, scattered: false };
         tally.photons += 1;
         if self.beside(photon.p) {
             tally.sides += photon.weight;
@@ -170,16 +168,5 @@ impl Walk<'_> {
         }
         photon.d = scatter(photon.d, local.g, rng);
         true
-    }
-}
-
-impl Window {
-    /// The cell that holds (x, y).
-    #[inline]
-    pub(super) fn cell(&self, x: f64, y: f64) -> Option<usize> {
-        let per_mm = 1.0 / self.cell_mm;
-        let (u, v) = ((x - self.corner_mm[0]) * per_mm, (y - self.corner_mm[1]) * per_mm);
-        let inside = u >= 0.0 && v >= 0.0 && u < self.cells[0] as f64 && v < self.cells[1] as f64;
-        inside.then(|| v as usize * self.cells[0] + u as usize)
     }
 }
