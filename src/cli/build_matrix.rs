@@ -17,9 +17,8 @@ Examples:
 pub struct Args {
     /// Folder of capture.toml.
     capture: PathBuf,
-    /// Folder of rig.toml [default: calibration/ in the capture, else beside it].
-    #[arg(long, value_name = "DIR")]
-    calibration: Option<PathBuf>,
+    #[command(flatten)]
+    build: BuildOptions,
     /// Where the matrix goes; an older one there is replaced.
     #[arg(long, value_name = "X.rd.zarr", default_value = "matrix.rd.zarr")]
     out: PathBuf,
@@ -32,8 +31,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         let expected = "another path than the simulated capture's truth".into();
         return Err(Error::Setting { setting: "--out", expected, found: args.out.display().to_string() });
     }
-    let options = BuildOptions { calibration: args.calibration };
-    let report = build_matrix(&args.capture, &options, &args.out, &context.progress)?;
+    let report = build_matrix(&args.capture, &args.build, &args.out, &context.progress)?;
     report.warnings.iter().for_each(|w| context.warn(w));
     context.done(summary(&report));
     let stages: Vec<_> = context.progress.timings().iter().map(|t| format!("{} {:.2} s", t.stage, t.secs)).collect();

@@ -26,9 +26,8 @@ pub struct Args {
     /// The folder to make.
     #[arg(long, short, value_name = "RESULTS")]
     out: PathBuf,
-    /// Folder of rig.toml [default: calibration/ in the capture, else beside it].
-    #[arg(long, value_name = "DIR")]
-    calibration: Option<PathBuf>,
+    #[command(flatten)]
+    build: BuildOptions,
     /// Number of terms [default: as many as exceed the measured noise].
     #[arg(long, value_name = "T")]
     terms: Option<usize>,
@@ -53,8 +52,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let title = manifest.name;
     let at = |name: &str| results.folder.join(name);
 
-    let options = BuildOptions { calibration: args.calibration };
-    let build = build_matrix(&args.capture, &options, &at(MATRIX), &context.progress)?;
+    let build = build_matrix(&args.capture, &args.build, &at(MATRIX), &context.progress)?;
     build.warnings.iter().for_each(|w| context.warn(w));
     context.done(super::build_matrix::summary(&build));
 

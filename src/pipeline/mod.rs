@@ -15,9 +15,10 @@ use shots::Shots;
 use std::path::{Path, PathBuf};
 
 /// Settings of [`build_matrix`].
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, clap::Args)]
 pub struct BuildOptions {
-    /// The folder of `rig.toml`; by default `calibration` in the capture or beside it.
+    /// Folder of rig.toml [default: calibration/ in the capture, else beside it].
+    #[arg(long, value_name = "DIR")]
     pub calibration: Option<PathBuf>,
 }
 
