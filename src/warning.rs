@@ -67,6 +67,15 @@ pub enum Warning {
         /// The largest distance of a window's sample from the board, mm.
         outside_mm: f64,
     },
+    /// The board does not tell how much the lens blurs; it is taken for not at all.
+    PointSpreadUnmeasured,
+    /// The lens blurs more in one part of the picture than in another; its mean is taken out everywhere.
+    PointSpreadVaries {
+        /// Standard deviation that is taken out, camera px.
+        psf_px: f64,
+        /// The least and the largest of the picture's parts, camera px.
+        range_px: [f64; 2],
+    },
     /// Rows whose albedo exceeds one: more light leaves than arrives.
     AlbedoAboveOne {
         /// How many rows.
@@ -171,6 +180,14 @@ impl std::fmt::Display for Warning {
             Self::BoardTooSmall { outside_mm } => {
                 write!(f, "windows reach {outside_mm:.2} mm outside the board: registration is extrapolated there")
             }
+            Self::PointSpreadUnmeasured => {
+                write!(f, "the board's edges do not tell how much the lens blurs; its blur is left in the rows")
+            }
+            Self::PointSpreadVaries { psf_px, range_px } => write!(
+                f,
+                "the lens blurs by {:.2} px in one part of the picture and {:.2} px in another; {psf_px:.2} px is taken out everywhere: check focus and tilt",
+                range_px[0], range_px[1]
+            ),
             Self::AlbedoAboveOne { rows, largest } => {
                 write!(
                     f,

@@ -94,6 +94,9 @@ pub struct Board {
     pub square_mm: f64,
     /// The first inner corner in slab coordinates, mm.
     pub origin_mm: Point,
+    /// Softness of the printed edges (standard deviation), mm.
+    #[serde(default)]
+    pub edge_blur_mm: f64,
 }
 
 impl Board {
@@ -174,6 +177,7 @@ impl Rig {
             range("camera.principal_px", self.camera.principal_px[a], -1e6, 1e6)?;
             range("board.origin_mm", self.board.origin_mm[a], -1e6, 1e6)?;
         }
+        range("board.edge_blur_mm", self.board.edge_blur_mm, 0.0, self.board.square_mm)?;
         for r in self.white_reference.reflectance {
             range("white_reference.reflectance", r, 1e-6, 1.0)?;
         }

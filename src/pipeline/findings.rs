@@ -3,9 +3,13 @@
 use super::lattice::{Prepared, ShotResult};
 use super::{BuildReport, Overview};
 use crate::geometry::Point;
+use crate::registration::PointSpread;
 use crate::transport::{MatrixHeader, ShotRecord};
 use crate::{Error, Result, Warning};
 use std::path::Path;
+
+/// A point spread that differs by this much over the board, px, leaves a few per cent of the peaks where it is not the mean's.
+const SPREAD_VARIES_PX: f64 = 0.1;
 
 impl Prepared<'_> {
     /// Fills the header from the shots' results and gathers the findings.
@@ -89,6 +93,13 @@ impl Prepared<'_> {
             if spacing_samples < window_samples as f64 {
                 warnings.push(Warning::CrossTalk { spacing_samples, window_samples });
             }
+        }
+        match self.registration.point_spread {
+            None => warnings.push(Warning::PointSpreadUnmeasured),
+            Some(PointSpread { psf_px, range_px, .. }) if range_px[1] - range_px[0] > SPREAD_VARIES_PX => {
+                warnings.push(Warning::PointSpreadVaries { psf_px, range_px });
+            }
+            Some(_) => {}
         }
         if let Some(outside_mm) = self.outside_board() {
             warnings.push(Warning::BoardTooSmall { outside_mm });

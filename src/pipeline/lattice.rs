@@ -113,7 +113,7 @@ impl Prepared<'_> {
         let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
 
         let mut result = ShotResult { lit: vec![], drift, findings: vec![], albedo_above_one: vec![] };
-        let mut weights = CellWeights::new(self.cell_px);
+        let mut weights = CellWeights::new(self.cell_px, self.registration.point_spread.map_or(0.0, |p| p.psf_px));
         for (&dot, bracket) in dots.iter().zip(&windows) {
             let nominal = self.nominal_mm(dot);
             let center = [nominal[0] + moved[0], nominal[1] + moved[1]];

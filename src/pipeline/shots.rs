@@ -4,7 +4,7 @@ use super::lattice::Prepared;
 use crate::capture::{Capture, Pattern, Photograph, Rect};
 use crate::progress::{Progress, Stage};
 use crate::radiance::{Bracket, Radiance, Sensor, decode_shot};
-use crate::registration::{BitPair, Registration, register_board, register_projector};
+use crate::registration::{BitPair, Registration, measure_point_spread, register_board, register_projector};
 use crate::response::Irradiance;
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -63,15 +63,17 @@ impl<'a> Shots<'a> {
             || {
                 let picture = self.merge_whole(board)?;
                 stage.advance(1);
-                register_board(&picture, &self.capture.rig).map_err(self.failed(board))
+                let camera = register_board(&picture, &self.capture.rig).map_err(self.failed(board))?;
+                let point_spread = measure_point_spread(&picture, &self.capture.rig, &camera.view);
+                Ok((camera, point_spread))
             },
             || self.bit_pairs(&codes, &stage),
         );
-        let (camera, pairs) = (camera?, pairs?);
+        let ((camera, point_spread), pairs) = (camera?, pairs?);
         let first = codes[0];
         let projector =
             register_projector(&pairs, self.capture.rig.camera.size_px, &camera.view).map_err(self.failed(first))?;
-        Registration::new(&camera, &projector, self.capture.manifest.slab.size_mm)
+        Registration::new(&camera, point_spread, &projector, self.capture.manifest.slab.size_mm)
             .ok_or_else(|| self.failed(first)("the projector's map cannot be inverted".into()))
     }
 

@@ -152,7 +152,7 @@ mod tests {
             camera,
             noise,
             projector: Projector { size_px: [9, 9] },
-            board: Board { inner_corners: [4, 3], square_mm: 1.0, origin_mm: [0.0, 0.0] },
+            board: Board { inner_corners: [4, 3], square_mm: 1.0, origin_mm: [0.0, 0.0], edge_blur_mm: 0.0 },
             white_reference: WhiteReference { reflectance: [1.0; 3] },
         })
     }

@@ -4,11 +4,13 @@ mod board;
 mod drift;
 mod fit;
 mod gray_code;
+mod sharpness;
 
 pub use board::register_board;
 pub use drift::{Drift, measure_drift};
 pub use fit::{Observation, ViewFit, fit_homography, fit_view};
 pub use gray_code::{BitPair, ProjectorFit, register_projector};
+pub use sharpness::{PointSpread, measure_point_spread};
 
 use crate::geometry::{CameraView, Homography, Point};
 use serde::{Deserialize, Serialize};
@@ -22,6 +24,8 @@ pub struct Registration {
     pub slab_from_projector: Homography,
     /// The slab's centre, mm.
     pub center_mm: Point,
+    /// The lens's blur, which the extraction takes out; `None` when the board does not tell.
+    pub point_spread: Option<PointSpread>,
     /// RMS of the board's corners against the model, camera px.
     pub camera_rms_px: f64,
     /// RMS of the stripes' edges against the model, projector px.
@@ -32,7 +36,12 @@ pub struct Registration {
 
 impl Registration {
     /// Puts the two fits together for a slab of `size_mm`; `None` when the projector's map cannot be inverted.
-    pub fn new(camera: &ViewFit, projector: &ProjectorFit, size_mm: Point) -> Option<Self> {
+    pub fn new(
+        camera: &ViewFit,
+        point_spread: Option<PointSpread>,
+        projector: &ProjectorFit,
+        size_mm: Point,
+    ) -> Option<Self> {
         let slab_from_projector = projector.projector_from_slab.inverse()?;
         let center_mm = [size_mm[0] / 2.0, size_mm[1] / 2.0];
         let projector_px_per_mm = projector.projector_from_slab.area_scale(center_mm).sqrt();
@@ -40,6 +49,7 @@ impl Registration {
         let position_sd_mm = projector.sd_px / projector_px_per_mm;
         Some(Self {
             view: camera.view,
+            point_spread,
             slab_from_projector,
             center_mm,
             camera_rms_px: camera.rms_px,

@@ -35,12 +35,12 @@ pub struct CellWeights {
 }
 
 impl CellWeights {
-    /// Weights for cells of about `cell_px` pixels a side.
-    pub fn new(cell_px: f64) -> Self {
+    /// Weights for cells of about `cell_px` pixels a side, for a lens that blurs by `psf_px` (standard deviation, px).
+    pub fn new(cell_px: f64, psf_px: f64) -> Self {
         let places = |extra: f64| ((cell_px.round() + extra) as usize).clamp(3, 32);
         Self {
-            table: tap_table(&polynomials::<STENCIL>()),
-            lower: tap_table(&polynomials::<LOWER_STENCIL>()),
+            table: tap_table(&polynomials::<STENCIL>(psf_px)),
+            lower: tap_table(&polynomials::<LOWER_STENCIL>(psf_px)),
             fine: gauss_legendre(places(EXTRA_PLACES)),
             smooth: gauss_legendre(places(0.0)),
             origin: [0, 0],
@@ -143,12 +143,20 @@ fn tap_table<const N: usize>(polynomials: &[[f64; N]; N]) -> Vec<[f32; TAPS]> {
         .collect()
 }
 
-/// The polynomials w_i(t) with Σ_i w_i(t) · (mean of x^k over pixel i) = t^k for k below `N`.
-fn polynomials<const N: usize>() -> [[f64; N]; N] {
-    let mean = |k: usize, i: usize| {
-        let (a, b) = (i as f64 - N as f64 / 2.0, i as f64 - N as f64 / 2.0 + 1.0);
-        (b.powi(k as i32 + 1) - a.powi(k as i32 + 1)) / (k as f64 + 1.0)
+/// The polynomials w_i(t) with Σ_i w_i(t) · (what pixel i sees of x^k) = t^k for k below `N`.
+///
+/// A pixel sees the mean over its side of the light blurred by a Gaussian of standard deviation `psf_px`.
+fn polynomials<const N: usize>(psf_px: f64) -> [[f64; N]; N] {
+    // Moments of the pixel's side and of the Gaussian, from one even order to the next: those of odd order are 0.
+    let side = |m: usize| 0.5f64.powi(m as i32) / (m as f64 + 1.0);
+    let gaussian = |m: usize| (1..m).step_by(2).map(|k| k as f64 * psf_px * psf_px).product::<f64>();
+    let even = |order: usize, moment: &dyn Fn(usize) -> f64| if order % 2 == 0 { moment(order) } else { 0.0 };
+    // E[(a + b)^k] of independent quantities from their moments.
+    let sum = |k: usize, a: &dyn Fn(usize) -> f64, b: &dyn Fn(usize) -> f64| -> f64 {
+        (0..=k).map(|m| binomial(k, m) * a(k - m) * b(m)).sum()
     };
+    let blur = |k: usize| sum(k, &|m| even(m, &side), &|m| even(m, &gaussian));
+    let mean = |k: usize, i: usize| sum(k, &|m| (i as f64 - (N / 2) as f64).powi(m as i32), &blur);
     // Gauss–Jordan on the small system beside the identity; solved to 1e-12, the weights are kept as f32.
     let mut m: [[f64; N]; N] = std::array::from_fn(|k| std::array::from_fn(|i| mean(k, i)));
     let mut inverse: [[f64; N]; N] = std::array::from_fn(|k| std::array::from_fn(|i| f64::from(i == k)));
@@ -165,6 +173,10 @@ fn polynomials<const N: usize>() -> [[f64; N]; N] {
         }
     }
     inverse
+}
+
+fn binomial(n: usize, k: usize) -> f64 {
+    (0..k).map(|i| (n - i) as f64 / (i + 1) as f64).product()
 }
 
 /// Places in 0 to 1 and weights that add to 1, by Newton on the Legendre polynomial.
@@ -197,7 +209,7 @@ mod tests {
 
     /// The weighted sum of pixel means of `antiderivative`'s mixed derivative.
     fn cell_mean(corners: [Point; 4], cell_px: f64, pixel: impl Fn(f64, f64) -> f64) -> f64 {
-        let mut weights = CellWeights::new(cell_px);
+        let mut weights = CellWeights::new(cell_px, 0.0);
         weights.set(corners, true, false);
         let ([x0, y0], [width, _], w) = weights.get();
         w.iter()
@@ -222,7 +234,7 @@ mod tests {
 
     #[test]
     fn a_spike_is_doubted_and_a_parabola_is_not() {
-        let mut weights = CellWeights::new(3.0);
+        let mut weights = CellWeights::new(3.0, 0.0);
         weights.set([[0.2, 0.1], [3.2, 0.1], [0.2, 3.1], [3.2, 3.1]], true, true);
         let doubt = |light: &dyn Fn(f64) -> f64| -> f64 {
             let ([x0, _], [width, _], _) = weights.get();

@@ -88,7 +88,7 @@ impl Studio {
         }
         let middle = scene.beam([options.grid / 2; 2], [0.0; 2]);
         let dots = Dots::new(options, volume, scene.eye_mm, &middle, progress)?;
-        let pixels = PixelGrid::new(&scene, [0.0; 2])?;
+        let pixels = PixelGrid::new(&scene, [0.0; 2], psf::parts(options.psf_px))?;
         let [width, height] = scene.camera.size_px;
         let sensitivity = |i: usize| scene.camera.vignetting_at([(i % width) as f64, (i / width) as f64]) as f32;
         let mut studio = Self {
@@ -166,10 +166,13 @@ impl Studio {
     /// Electrons per second of a picture, R G B interleaved, in the memory of `rate`.
     fn rate(&self, options: &Options, picture: &Picture, mut rate: Vec<f32>) -> Vec<f32> {
         let scale = (self.electrons_per_sec / PI) as f32;
+        let (size_px, parts) = (self.scene.camera.size_px, psf::parts(options.psf_px));
         rate.resize(3 * picture.len(), 0.0);
-        let lit = picture.iter().zip(&self.vignetting);
-        rate.as_chunks_mut::<3>().0.iter_mut().zip(lit).for_each(|(to, (light, v))| *to = light.map(|l| scale * v * l));
-        psf::blur(rate, self.scene.camera.size_px, options.psf_px, options.glare)
+        rate.as_chunks_mut::<3>().0.iter_mut().zip(picture).for_each(|(to, light)| *to = light.map(|l| scale * l));
+        let mut rate = psf::see(rate, size_px, parts, options.psf_px, options.glare);
+        let lit = rate.as_chunks_mut::<3>().0.iter_mut().zip(&self.vignetting);
+        lit.for_each(|(rate, v)| rate.iter_mut().for_each(|r| *r *= v));
+        rate
     }
 
     /// A shot without dots.
@@ -185,11 +188,10 @@ impl Studio {
         };
         match *pattern {
             Pattern::Board => {
-                let px_mm = options.pitch_mm / options.camera_px_per_sample;
                 let pixel_mm = self.pixels.pixel_mm();
                 self.pixels.picture(
                     |p| board_rule(scene, pixel_mm, p),
-                    |p| irradiance(p, 1.0).map(|e| e * board_albedo(scene, px_mm, p)),
+                    |p| irradiance(p, 1.0).map(|e| e * board_albedo(scene, p)),
                 )
             }
             Pattern::ReferenceWhite => self.pixels.picture(|_| GAUSS_1, |p| white(p, 1.0)),
@@ -227,7 +229,7 @@ impl Studio {
         // A camera that has moved sees every pixel elsewhere.
         let own_pixels = match moved.camera_drift_px {
             [0.0, 0.0] => None,
-            shift_px => Some(PixelGrid::new(&self.scene, shift_px)?),
+            shift_px => Some(PixelGrid::new(&self.scene, shift_px, psf::parts(options.psf_px))?),
         };
         let pixels = own_pixels.as_ref().unwrap_or(&self.pixels);
         match &own_pixels {
@@ -305,7 +307,7 @@ impl Studio {
     fn render_dark_sample(&self, options: &Options, pixels: &PixelGrid) -> Picture {
         let (scene, pixel_mm) = (&self.scene, pixels.pixel_mm());
         let Some(field) = &self.dark_field else {
-            return vec![[0.0; 3]; scene.camera.size_px[0] * scene.camera.size_px[1]];
+            return pixels.black();
         };
         let light = |p: Point| match () {
             () if scene.on_sample(p) => field.at(p).map(f64::from),

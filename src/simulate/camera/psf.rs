@@ -7,16 +7,48 @@ pub(crate) const HALO_PX: f64 = 20.0;
 /// Kernels end at this many standard deviations.
 const REACH: f64 = 4.0;
 
-/// Blurs an interleaved RGB picture: 1 − `glare` of the light with a Gaussian of standard deviation `core_px`, `glare`
-/// of it with one of [`HALO_PX`]. Light is conserved but for the borders, beyond which the outermost pixels go on.
-pub(crate) fn blur(picture: Vec<f32>, size_px: [usize; 2], core_px: f64, glare: f64) -> Vec<f32> {
-    let halo = (glare > 0.0).then(|| gaussian(&picture, size_px, HALO_PX));
-    let mut blurred = if core_px > 0.0 { gaussian(&picture, size_px, core_px) } else { picture };
+/// Into how many parts along each axis a pixel is cut, so that weights at whole parts stand for a Gaussian of `core_px`.
+pub(crate) fn parts(core_px: f64) -> usize {
+    match core_px {
+        0.0 => 1,
+        sharp if sharp < 0.4 => 3,
+        middling if middling < 1.0 => 2,
+        _ => 1,
+    }
+}
+
+/// What pixels see of an interleaved RGB picture whose pixels are cut into `parts` along each axis: 1 − `glare` of the light
+/// blurred with a Gaussian of standard deviation `core_px`, `glare` of it with one of [`HALO_PX`], averaged over the parts. Light is
+/// conserved but for the borders, beyond which the outermost pixels go on.
+pub(crate) fn see(picture: Vec<f32>, size_px: [usize; 2], parts: usize, core_px: f64, glare: f64) -> Vec<f32> {
+    let cut = size_px.map(|s| s * parts);
+    let halo = (glare > 0.0).then(|| gaussian(&whole(picture.clone(), size_px, parts), size_px, HALO_PX));
+    let blurred = if core_px > 0.0 { gaussian(&picture, cut, core_px * parts as f64) } else { picture };
+    let mut blurred = whole(blurred, size_px, parts);
     if let Some(halo) = halo {
         let (keep, add) = ((1.0 - glare) as f32, glare as f32);
         blurred.iter_mut().zip(halo).for_each(|(b, h)| *b = keep * *b + add * h);
     }
     blurred
+}
+
+/// Means over the parts of each pixel.
+fn whole(picture: Vec<f32>, [width, height]: [usize; 2], parts: usize) -> Vec<f32> {
+    if parts == 1 {
+        return picture;
+    }
+    let share = 1.0 / (parts * parts) as f32;
+    let mut out = vec![0.0; 3 * width * height];
+    out.par_chunks_mut(3 * width).zip(picture.par_chunks(3 * width * parts * parts)).for_each(|(out, rows)| {
+        for row in rows.chunks(3 * width * parts) {
+            for (x, to) in out.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+                for part in row[3 * x * parts..][..3 * parts].as_chunks::<3>().0 {
+                    to.iter_mut().zip(part).for_each(|(to, part)| *to += share * part);
+                }
+            }
+        }
+    });
+    out
 }
 
 /// Separable convolution: along x, then along y.
@@ -65,7 +97,7 @@ mod tests {
         let (width, height) = (241, 235);
         let mut picture = vec![0.0; 3 * width * height];
         picture[3 * (117 * width + 120) + 1] = 1000.0;
-        let blurred = blur(picture, [width, height], core_px, glare);
+        let blurred = see(picture, [width, height], 1, core_px, glare);
         let mut m = [0.0; 5];
         for (i, v) in blurred.iter().enumerate() {
             assert!(*v == 0.0 || i % 3 == 1, "channels stay apart");
@@ -91,8 +123,8 @@ mod tests {
 
     #[test]
     fn an_even_picture_stays_even_up_to_its_borders() {
-        let blurred = blur(vec![7.0; 3 * 30 * 20], [30, 20], 1.0, 0.1);
+        let blurred = see(vec![7.0; 3 * 30 * 20], [15, 10], 2, 1.0, 0.1);
         assert!(blurred.iter().all(|v| (v - 7.0).abs() < 1e-4));
-        assert_eq!(blur(vec![1.0, 2.0, 3.0], [1, 1], 0.0, 0.0), [1.0, 2.0, 3.0]);
+        assert_eq!(see(vec![1.0, 2.0, 3.0], [1, 1], 1, 0.0, 0.0), [1.0, 2.0, 3.0]);
     }
 }

@@ -12,6 +12,8 @@ use crate::{
     geometry::{CameraView, Homography, Lens, Point},
 };
 
+/// Softness of the printed board's edges, camera px.
+const PRINT_BLUR_PX: f64 = 0.2;
 /// Width of the opaque frame, in outgoing pitches.
 const FRAME_PITCHES: f64 = 7.0;
 /// Albedo of the frame: its dots are about as bright as those on the sample, so that one bracket suits both.
@@ -84,7 +86,7 @@ impl Scene {
             projector: Projector { size_px: raster.size_px },
             view,
             eye_mm,
-            board: board(slab_size_mm, frame_mm, &camera),
+            board: board(slab_size_mm, frame_mm, &camera, PRINT_BLUR_PX * px_mm),
             camera,
             reference_dots: Vec::new(),
             white: WhiteReference { reflectance: [0.99; 3] },
@@ -293,14 +295,14 @@ fn image_margin_px(options: &Options) -> f64 {
 }
 
 /// A board over slab and frame: squares of at least some 11 camera px (OpenCV finds them down to about 8), one even and one odd number of inner corners.
-fn board(size: Point, frame: f64, camera: &Camera) -> Board {
+fn board(size: Point, frame: f64, camera: &Camera, edge_blur_mm: f64) -> Board {
     let extent: Point = size.map(|s| s + 2.0 * frame);
     let px = camera.size_px[0].min(camera.size_px[1]) as f64 - 2.0 * IMAGE_MARGIN_PX;
     let squares = ((px / 11.0).floor() as usize).clamp(6, 14);
     let square_mm = extent[0].min(extent[1]) / (squares as f64 + 0.4);
     let inner_corners = [squares - 1, squares - 2];
     let origin_mm = std::array::from_fn(|a| -frame + 0.5 * (extent[a] - (inner_corners[a] as f64 - 1.0) * square_mm));
-    Board { inner_corners, square_mm, origin_mm }
+    Board { inner_corners, square_mm, origin_mm, edge_blur_mm }
 }
 
 #[cfg(test)]

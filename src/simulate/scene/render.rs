@@ -6,8 +6,6 @@ use crate::{Error, Result, capture::Axis, geometry::Point};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Softness of the printed board's edges, camera px.
-const PRINT_BLUR_PX: f64 = 0.2;
 /// Albedo of the printed board, dark and light.
 const BOARD_ALBEDO: [f64; 2] = [0.05, 0.85];
 
@@ -62,28 +60,32 @@ impl Pixel {
     }
 }
 
-/// Where the corners of all pixels lie on the slab; within a pixel, bilinear between them.
+/// Where the corners of all pixels, or of equal parts of them, lie on the slab; within one, bilinear between them.
 #[derive(Debug)]
 pub(crate) struct PixelGrid {
+    /// Pixels, or parts of them, along x and y.
     size_px: [usize; 2],
+    /// Parts of a camera pixel along each axis.
+    parts: usize,
     corners_mm: Vec<Point>,
     /// How far the camera's picture has moved, px.
     shift_px: Point,
 }
 
 impl PixelGrid {
-    /// Projects all corners back onto the slab, for a picture that has moved by `shift_px`.
-    pub fn new(scene: &Scene, shift_px: Point) -> Result<Self> {
-        let size_px = scene.camera.size_px;
+    /// Projects all corners of pixels cut into `parts` along each axis back onto the slab, for a picture that has moved by `shift_px`.
+    pub fn new(scene: &Scene, shift_px: Point, parts: usize) -> Result<Self> {
+        let size_px = scene.camera.size_px.map(|s| s * parts);
         let slab_from_ideal =
             scene.view.ideal_from_slab.inverse().ok_or_else(|| Error::internal("camera view is singular"))?;
         let across = size_px[0] + 1;
         let corner = |i: usize| {
-            let q = [(i % across) as f64 - 0.5 - shift_px[0], (i / across) as f64 - 0.5 - shift_px[1]];
+            let part = [i % across, i / across];
+            let q: Point = std::array::from_fn(|a| part[a] as f64 / parts as f64 - 0.5 - shift_px[a]);
             slab_from_ideal.map(scene.view.lens.undistort(q))
         };
         let corners_mm = (0..across * (size_px[1] + 1)).into_par_iter().map(corner).collect();
-        Ok(Self { size_px, corners_mm, shift_px })
+        Ok(Self { size_px, parts, corners_mm, shift_px })
     }
 
     /// A whole picture of `f`, averaged over each pixel by `rule(p)`, p the pixel's first corner: edges need more
@@ -107,6 +109,11 @@ impl PixelGrid {
         let across = self.size_px[0] + 1;
         let i = y * across + x;
         Pixel { corners_mm: [i, i + 1, i + across, i + across + 1].map(|i| self.corners_mm[i]) }
+    }
+
+    /// A black picture.
+    pub fn black(&self) -> Picture {
+        vec![[0.0; 3]; self.size_px[0] * self.size_px[1]]
     }
 
     /// An upper bound of a pixel's extent on the slab along either axis, mm.
@@ -168,8 +175,9 @@ impl PixelGrid {
     fn seen(&self, scene: &Scene, [low, high]: [Point; 2]) -> [Range<usize>; 2] {
         let corners = [low, [high[0], low[1]], [low[0], high[1]], high].map(|p| scene.view.camera_from_slab(p));
         let range = |a: usize| {
-            let first = corners.iter().map(|q| q[a]).fold(f64::MAX, f64::min) + self.shift_px[a] - 1.5;
-            let last = corners.iter().map(|q| q[a]).fold(f64::MIN, f64::max) + self.shift_px[a] + 1.5;
+            let part = |q: f64| (q + self.shift_px[a] + 0.5) * self.parts as f64 - 0.5;
+            let first = part(corners.iter().map(|q| q[a]).fold(f64::MAX, f64::min)) - 1.5;
+            let last = part(corners.iter().map(|q| q[a]).fold(f64::MIN, f64::max)) + 1.5;
             let limit = self.size_px[a] as f64 - 1.0;
             first.clamp(0.0, limit) as usize..last.clamp(0.0, limit) as usize + 1
         };
@@ -207,9 +215,9 @@ impl pulp::NullaryFnOnce for AddField<'_> {
 }
 
 /// Albedo of the printed board at `p`: white paper everywhere around the squares, the first square dark.
-pub(crate) fn board_albedo(scene: &Scene, px_mm: f64, p: Point) -> f64 {
+pub(crate) fn board_albedo(scene: &Scene, p: Point) -> f64 {
     let board = &scene.board;
-    let soft = PRINT_BLUR_PX * px_mm / board.square_mm;
+    let soft = board.edge_blur_mm / board.square_mm;
     // A square wave of each coordinate, −1 and +1, with soft edges; outside the squares there is only paper.
     let wave = |a: usize| {
         let t = (p[a] - board.origin_mm[a]) / board.square_mm;
@@ -228,7 +236,7 @@ pub(crate) fn board_albedo(scene: &Scene, px_mm: f64, p: Point) -> f64 {
 
 /// How to average the board over pixels that begin at `p` and reach `pixel_mm` far.
 pub(crate) fn board_rule(scene: &Scene, pixel_mm: f64, p: Point) -> Rule {
-    let reach = (pixel_mm * (1.0 + 6.0 * PRINT_BLUR_PX)) / scene.board.square_mm;
+    let reach = (pixel_mm + 6.0 * scene.board.edge_blur_mm) / scene.board.square_mm;
     let between = |a: usize| {
         let t = (p[a] - scene.board.origin_mm[a]) / scene.board.square_mm;
         (t - nearest(t) as f64).abs() > reach
