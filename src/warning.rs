@@ -55,12 +55,16 @@ pub enum Warning {
         /// How many shots.
         shots: usize,
     },
-    /// Windows of one shot overlap: dots light each other's windows by an estimated share.
+    /// Dots of one shot are so near to each other that their rows could be told apart only with the help of a model.
     CrossTalk {
         /// The smallest distance between dots of one shot, in outgoing samples.
         spacing_samples: f64,
-        /// The window's side in samples.
-        window_samples: usize,
+        /// The distance that would do without; `None` when two windows would not.
+        needed_samples: Option<usize>,
+        /// Share of the light in the windows that was other dots' and was removed.
+        removed_share: f64,
+        /// Share of the samples that are the model's rather than measured.
+        modelled_share: f64,
     },
     /// The board does not cover the slab: its registration there is an extrapolation.
     BoardTooSmall {
@@ -173,10 +177,15 @@ impl std::fmt::Display for Warning {
                     "{shots} shots (\"{first}\" first) have too few dots to measure their drift; it is taken for none"
                 )
             }
-            Self::CrossTalk { spacing_samples, window_samples } => write!(
-                f,
-                "dots of one shot are {spacing_samples:.1} samples apart but windows are {window_samples} wide: neighbours' tails are in the rows"
-            ),
+            Self::CrossTalk { spacing_samples, needed_samples, removed_share, modelled_share } => {
+                let needed = needed_samples.map_or("more than two windows".into(), |n| format!("{n} samples"));
+                write!(
+                    f,
+                    "dots of one shot are {spacing_samples:.1} samples apart and light each other's windows: {:.1} % of the light was removed, {:.1} % of the samples are modelled; {needed} apart would do",
+                    100.0 * removed_share,
+                    100.0 * modelled_share
+                )
+            }
             Self::BoardTooSmall { outside_mm } => {
                 write!(f, "windows reach {outside_mm:.2} mm outside the board: registration is extrapolated there")
             }

@@ -117,11 +117,21 @@ fn a_lattice_of_many_dots_gives_the_matrix_to_one_percent() {
 }
 
 #[test]
-fn windows_wider_than_the_lattice_are_warned_of() {
-    let options = Options { grid: 8, window: 7, spacing: Some(5), exposures: 2, ..Options::default() };
+fn dots_nearer_than_their_windows_are_told_apart_and_warned_of() {
+    let material = Material::chessboard(4);
+    let options = Options { material, grid: 12, window: 15, spacing: Some(6), seed: 2, ..Options::default() };
     let (_folder, dir) = common::capture(&options);
-    let (_, report) = build(&dir);
+    let (matrix, report) = build(&dir);
+    assert_eq!(report.shots.len(), 36);
+    let found = compare(&matrix, &dir.join("truth.rd.zarr"));
+    assert!(found.rel_rmse < 0.03, "{found:?}");
+    let crosstalk = report.crosstalk.unwrap();
+    assert!(crosstalk.removed_share > 0.3 && crosstalk.modelled_share > 0.1, "{crosstalk:?}");
     assert!(report.warnings.iter().any(|w| matches!(w, acquire::Warning::CrossTalk { .. })), "{:?}", report.warnings);
+    let keep = BuildOptions { keep_crosstalk: true, ..BuildOptions::default() };
+    build_matrix(&dir, &keep, &matrix, &Progress::silent()).unwrap();
+    // The neighbours' peaks are in the window's corners.
+    assert!(compare(&matrix, &dir.join("truth.rd.zarr")).rel_rmse > 0.5);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! What the shots together say: the header, the warnings, the provenance, the overview.
 
 use super::lattice::{Prepared, ShotResult};
-use super::{BuildReport, Overview};
+use super::{BuildReport, CrossTalk, Overview};
 use crate::geometry::Point;
 use crate::registration::PointSpread;
 use crate::transport::{MatrixHeader, ShotRecord};
@@ -13,7 +13,12 @@ const SPREAD_VARIES_PX: f64 = 0.1;
 
 impl Prepared<'_> {
     /// Fills the header from the shots' results and gathers the findings.
-    pub(super) fn finish(&self, results: Vec<ShotResult>, header: &mut MatrixHeader) -> Result<BuildReport> {
+    pub(super) fn finish(
+        &self,
+        results: Vec<ShotResult>,
+        crosstalk: Option<CrossTalk>,
+        header: &mut MatrixHeader,
+    ) -> Result<BuildReport> {
         let capture = self.shots.capture;
         let mut warnings = capture.warnings.clone();
         let mut clipped = (0, 0);
@@ -22,22 +27,22 @@ impl Prepared<'_> {
         let mut unmeasured: Option<(String, usize)> = None;
         for (number, (&shot, result)) in self.lattice().iter().zip(&results).enumerate() {
             let name = capture.manifest.shots[shot].name.clone();
-            let samples: usize = result.findings.iter().map(|f| f.1.saturated).sum();
+            let samples: usize = result.lit.iter().map(|l| l.findings.saturated).sum();
             if samples > 0 {
                 let (_, shots, all) = saturated.get_or_insert((name.clone(), 0, 0));
                 (*shots, *all) = (*shots + 1, *all + samples);
             }
-            for (_, f) in result.findings.iter().filter(|f| f.1.clipped > 0) {
-                clipped = (clipped.0 + 1, clipped.1 + f.clipped);
+            for lit in result.lit.iter().filter(|l| l.findings.clipped > 0) {
+                clipped = (clipped.0 + 1, clipped.1 + lit.findings.clipped);
             }
             if result.drift.is_none() {
                 unmeasured.get_or_insert((name.clone(), 0)).1 += 1;
             }
-            bright.extend(&result.albedo_above_one);
+            bright.extend(result.lit.iter().map(|l| l.albedo).filter(|a| *a > 1.0));
             let sd_mm = self.registration.position_sd_mm.hypot(result.drift.map_or(0.0, |d| d.sd_px / self.px_per_mm));
-            for &(dot, place) in &result.lit {
-                let row = capture.manifest.grid.row_index(dot);
-                header.lit_mm[row] = place;
+            for lit in &result.lit {
+                let row = capture.manifest.grid.row_index(lit.dot);
+                header.lit_mm[row] = lit.center_mm;
                 header.position_sd_mm[row] = sd_mm;
                 header.shot_of[row] = Some(number);
             }
@@ -56,11 +61,13 @@ impl Prepared<'_> {
             warnings.push(Warning::DriftFromLatticeDots);
         }
         self.complete_header(header, &mut warnings);
-        header.provenance = self.provenance()?;
+        warnings.extend(crosstalk.as_ref().and_then(CrossTalk::warning));
+        header.provenance = self.provenance(crosstalk.as_ref())?;
         header.warnings = warnings.clone();
         Ok(BuildReport {
             registration: self.registration.clone(),
             shots: header.shots.clone(),
+            crosstalk,
             warnings,
             photographs: capture.photographs(),
             points: header.points,
@@ -88,12 +95,6 @@ impl Prepared<'_> {
                 header.lit_pitch_mm[a] = d[0].hypot(d[1]) / (header.points[a] - 1) as f64;
             }
         }
-        if let Some(spacing_samples) = self.smallest_spacing() {
-            let window_samples = header.window[0].max(header.window[1]);
-            if spacing_samples < window_samples as f64 {
-                warnings.push(Warning::CrossTalk { spacing_samples, window_samples });
-            }
-        }
         match self.registration.point_spread {
             None => warnings.push(Warning::PointSpreadUnmeasured),
             Some(PointSpread { psf_px, range_px, .. }) if range_px[1] - range_px[0] > SPREAD_VARIES_PX => {
@@ -107,7 +108,7 @@ impl Prepared<'_> {
     }
 
     /// The smallest distance between dots of one shot, in outgoing samples; `None` for single dots.
-    fn smallest_spacing(&self) -> Option<f64> {
+    pub(super) fn smallest_spacing(&self) -> Option<f64> {
         self.lattice().iter().filter_map(|&shot| self.shot_spacing(shot)).reduce(f64::min)
     }
 
@@ -136,7 +137,7 @@ impl Prepared<'_> {
         (outside > board.square_mm).then_some(outside)
     }
 
-    fn provenance(&self) -> Result<serde_json::Value> {
+    fn provenance(&self, crosstalk: Option<&CrossTalk>) -> Result<serde_json::Value> {
         let capture = self.shots.capture;
         let hash_file =
             |p: &Path| Ok::<_, Error>(blake3::hash(&std::fs::read(p).map_err(Error::io("read", p))?).to_string());
@@ -153,6 +154,7 @@ impl Prepared<'_> {
             "rig_toml_blake3": hash_file(&capture.rig_path)?,
             "photographs_blake3": all.finalize().to_string(),
             "registration": registration,
+            "crosstalk": serde_json::to_value(crosstalk).map_err(Error::internal)?,
         }))
     }
 

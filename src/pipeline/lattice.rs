@@ -1,13 +1,13 @@
 //! The lattice shots: drift, windows, rows.
 
 use super::shots::Shots;
-use crate::capture::{Pattern, Rect};
+use crate::capture::{Pattern, Rect, Window};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Bracket, Radiance};
 use crate::registration::{Drift, Registration, measure_drift};
 use crate::response::{CellWeights, Irradiance, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
-use crate::transport::MatrixWriter;
+use crate::transport::{MatrixWriter, Row};
 use crate::{Error, Result};
 use rayon::prelude::*;
 
@@ -26,11 +26,18 @@ pub(super) struct Prepared<'a> {
 
 /// One lattice shot, measured.
 pub(super) struct ShotResult {
-    /// Grid index and place of each dot.
-    pub(super) lit: Vec<([usize; 2], Point)>,
+    pub(super) lit: Vec<LitPoint>,
     pub(super) drift: Option<Drift>,
-    pub(super) findings: Vec<([usize; 2], RowFindings)>,
-    pub(super) albedo_above_one: Vec<f64>,
+}
+
+/// One dot of a shot, measured.
+pub(super) struct LitPoint {
+    pub(super) dot: [usize; 2],
+    pub(super) center_mm: Point,
+    pub(super) flux: [f64; 3],
+    pub(super) findings: RowFindings,
+    /// The largest of the channels.
+    pub(super) albedo: f64,
 }
 
 impl Prepared<'_> {
@@ -112,7 +119,7 @@ impl Prepared<'_> {
         }
         let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
 
-        let mut result = ShotResult { lit: vec![], drift, findings: vec![], albedo_above_one: vec![] };
+        let mut result = ShotResult { lit: vec![], drift };
         let mut weights = CellWeights::new(self.cell_px, self.registration.point_spread.map_or(0.0, |p| p.psf_px));
         for (&dot, bracket) in dots.iter().zip(&windows) {
             let nominal = self.nominal_mm(dot);
@@ -124,13 +131,9 @@ impl Prepared<'_> {
             let (row, findings) =
                 extract_row(&picture, &grid, &lit, self.irradiance.sensitivity(), manifest.slab.size_mm, &mut weights);
             self.check_peak(shot, dot, center, &picture)?;
-            let area = manifest.window.pitch_mm.powi(2);
-            let albedo =
-                (0..3).map(|c| row.response.iter().skip(c).step_by(3).map(|&r| f64::from(r)).sum::<f64>() * area);
-            result.albedo_above_one.extend(albedo.reduce(f64::max).filter(|a| *a > 1.0));
             writer.put(manifest.grid.row_index(dot), &row)?;
-            result.lit.push((dot, center));
-            result.findings.push((dot, findings));
+            let albedo = albedo(&row, &manifest.window);
+            result.lit.push(LitPoint { dot, center_mm: center, flux: lit.flux.value, findings, albedo });
         }
         Ok(result)
     }
@@ -226,6 +229,12 @@ impl Prepared<'_> {
     fn outside_picture(&self, shot: usize) -> Error {
         self.shots.failed(shot)("a dot lies outside the photograph".into())
     }
+}
+
+/// How much light leaves in a row's window per unit that arrives, of the channel with most.
+pub(super) fn albedo(row: &Row, window: &Window) -> f64 {
+    let sums = (0..3).map(|c| row.response.iter().skip(c).step_by(3).map(|&r| f64::from(r)).sum::<f64>());
+    sums.fold(0.0, f64::max) * window.pitch_mm.powi(2)
 }
 
 /// The square of half side `radius` around `at`, cut to the photograph; `None` when it lies outside.

@@ -1,5 +1,6 @@
 //! From a capture folder to the matrix: the way of the photographs, stage by stage.
 
+mod crosstalk;
 mod findings;
 mod lattice;
 mod shots;
@@ -11,6 +12,7 @@ use crate::radiance::Radiance;
 use crate::registration::Registration;
 use crate::transport::{MatrixHeader, MatrixWriter, ShotRecord};
 use crate::{Result, Warning};
+pub use crosstalk::CrossTalk;
 use shots::Shots;
 use std::path::{Path, PathBuf};
 
@@ -20,6 +22,9 @@ pub struct BuildOptions {
     /// Folder of rig.toml [default: calibration/ in the capture, else beside it].
     #[arg(long, value_name = "DIR")]
     pub calibration: Option<PathBuf>,
+    /// Leave the light of a shot's other dots in the rows, to see what it does.
+    #[arg(long)]
+    pub keep_crosstalk: bool,
 }
 
 /// What [`build_matrix`] found besides the matrix.
@@ -29,6 +34,8 @@ pub struct BuildReport {
     pub registration: Registration,
     /// Lattice shots with their drift.
     pub shots: Vec<ShotRecord>,
+    /// What was done about the dots of one shot lighting each other's windows; `None` when none can.
+    pub crosstalk: Option<CrossTalk>,
     /// Findings.
     pub warnings: Vec<Warning>,
     /// Number of photographs.
@@ -80,10 +87,14 @@ pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &P
     let shots = Shots::new(&capture);
     let registration = shots.register(progress)?;
     let prepared = shots.prepare(registration, progress)?;
-    let result = prepared.extract(&writer, progress)?;
+    let mut result = prepared.extract(&writer, progress)?;
+    let crosstalk = match options.keep_crosstalk {
+        true => None,
+        false => prepared.separate(&mut result, &writer, progress)?,
+    };
 
     let stage = progress.stage("write", 1);
-    let report = prepared.finish(result, writer.header_mut())?;
+    let report = prepared.finish(result, crosstalk, writer.header_mut())?;
     writer.finish()?;
     stage.advance(1);
     Ok(report)

@@ -150,7 +150,7 @@ fn polynomials<const N: usize>(psf_px: f64) -> [[f64; N]; N] {
     // Moments of the pixel's side and of the Gaussian, from one even order to the next: those of odd order are 0.
     let side = |m: usize| 0.5f64.powi(m as i32) / (m as f64 + 1.0);
     let gaussian = |m: usize| (1..m).step_by(2).map(|k| k as f64 * psf_px * psf_px).product::<f64>();
-    let even = |order: usize, moment: &dyn Fn(usize) -> f64| if order % 2 == 0 { moment(order) } else { 0.0 };
+    let even = |order: usize, moment: &dyn Fn(usize) -> f64| if order.is_multiple_of(2) { moment(order) } else { 0.0 };
     // E[(a + b)^k] of independent quantities from their moments.
     let sum = |k: usize, a: &dyn Fn(usize) -> f64, b: &dyn Fn(usize) -> f64| -> f64 {
         (0..=k).map(|m| binomial(k, m) * a(k - m) * b(m)).sum()

@@ -229,6 +229,23 @@ impl MatrixWriter {
         Ok(())
     }
 
+    /// The row that was put last at `index`.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Internal`] when there is none.
+    pub fn row(&self, index: usize) -> Result<Row> {
+        let written = self.written.lock().map_err(Error::internal)?.get(index).copied();
+        if written != Some(true) {
+            return Err(Error::internal(format_args!("row {index} has not been put")));
+        }
+        let block = self.read_scratch(index..index + 1, |_| true).map_err(Error::io("read", &self.path))?;
+        Ok(Row {
+            response: block.response,
+            variance: block.variance,
+            valid: block.valid.into_iter().map(|v| v != 0).collect(),
+        })
+    }
+
     /// Writes the store and renames it into place. Rows never put are invalid throughout.
     ///
     /// # Errors
@@ -270,7 +287,7 @@ impl MatrixWriter {
         }
         let chunks: Vec<_> = chunks(header).collect();
         chunks.into_par_iter().try_for_each(|rows| {
-            let block = self.read_scratch(rows.clone(), written)?;
+            let block = self.read_scratch(rows.clone(), |row| written[row])?;
             let subset = subset(header, rows);
             response.store_array_subset(&subset, block.response)?;
             variance.store_array_subset(&subset, block.variance)?;
@@ -280,11 +297,11 @@ impl MatrixWriter {
         Ok(())
     }
 
-    fn read_scratch(&self, rows: std::ops::Range<usize>, written: &[bool]) -> std::io::Result<RowBlock> {
+    fn read_scratch(&self, rows: std::ops::Range<usize>, written: impl Fn(usize) -> bool) -> std::io::Result<RowBlock> {
         let n = self.header.row_len();
         let mut block = RowBlock::zeros(rows.clone(), n);
         let mut bytes = vec![0u8; n * 9];
-        for (k, row) in rows.enumerate().filter(|&(_, row)| written[row]) {
+        for (k, row) in rows.enumerate().filter(|&(_, row)| written(row)) {
             self.scratch.read_exact_at(&mut bytes, (row * n * 9) as u64)?;
             let (values, valid) = bytes.split_at(n * 8);
             let floats = values.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
