@@ -71,6 +71,11 @@ pub enum Warning {
         /// The largest distance of a window's sample from the board, mm.
         outside_mm: f64,
     },
+    /// A halo around everything bright, which was taken out; what is uncertain of it is in the variance.
+    StrayLight {
+        /// Share of the light in it.
+        share: f64,
+    },
     /// The board does not tell how much the lens blurs; it is taken for not at all.
     PointSpreadUnmeasured,
     /// The lens blurs more in one part of the picture than in another; its mean is taken out everywhere.
@@ -189,6 +194,11 @@ impl std::fmt::Display for Warning {
             Self::BoardTooSmall { outside_mm } => {
                 write!(f, "windows reach {outside_mm:.2} mm outside the board: registration is extrapolated there")
             }
+            Self::StrayLight { share } => write!(
+                f,
+                "{:.2} % of the light is in a wide halo of the camera; it was measured on the frame and taken out: clean the lens, shade it",
+                100.0 * share
+            ),
             Self::PointSpreadUnmeasured => {
                 write!(f, "the board's edges do not tell how much the lens blurs; its blur is left in the rows")
             }

@@ -11,6 +11,9 @@ use std::path::Path;
 /// A point spread that differs by this much over the board, px, leaves a few per cent of the peaks where it is not the mean's.
 const SPREAD_VARIES_PX: f64 = 0.1;
 
+/// A halo of this share is worth a word: an ordinary lens has about half a per cent.
+const STRAY_TOLD: f64 = 0.005;
+
 impl Prepared<'_> {
     /// Fills the header from the shots' results and gathers the findings.
     pub(super) fn finish(
@@ -95,6 +98,9 @@ impl Prepared<'_> {
                 header.lit_pitch_mm[a] = d[0].hypot(d[1]) / (header.points[a] - 1) as f64;
             }
         }
+        if self.stray.share > STRAY_TOLD {
+            warnings.push(Warning::StrayLight { share: self.stray.share });
+        }
         match self.registration.point_spread {
             None => warnings.push(Warning::PointSpreadUnmeasured),
             Some(PointSpread { psf_px, range_px, .. }) if range_px[1] - range_px[0] > SPREAD_VARIES_PX => {
@@ -154,6 +160,7 @@ impl Prepared<'_> {
             "rig_toml_blake3": hash_file(&capture.rig_path)?,
             "photographs_blake3": all.finalize().to_string(),
             "registration": registration,
+            "stray_light": serde_json::to_value(&self.stray).map_err(Error::internal)?,
             "crosstalk": serde_json::to_value(crosstalk).map_err(Error::internal)?,
         }))
     }

@@ -4,7 +4,7 @@ use super::shots::Shots;
 use crate::capture::{Pattern, Rect, Window};
 use crate::geometry::Point;
 use crate::progress::Progress;
-use crate::radiance::{Bracket, Radiance};
+use crate::radiance::{Bracket, Radiance, StrayLight};
 use crate::registration::{Drift, Registration, measure_drift};
 use crate::response::{CellWeights, Irradiance, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
 use crate::transport::{MatrixWriter, Row};
@@ -12,7 +12,7 @@ use crate::{Error, Result};
 use rayon::prelude::*;
 
 /// Pixels around a reference dot's expected place in which it is searched; drift of up to two less is measured, more is refused.
-const DRIFT_SEARCH_PX: f64 = 8.0;
+pub(super) const DRIFT_SEARCH_PX: f64 = 8.0;
 
 /// Everything that lattice shots are measured against.
 pub(super) struct Prepared<'a> {
@@ -20,6 +20,8 @@ pub(super) struct Prepared<'a> {
     pub(super) registration: Registration,
     pub(super) ambient: Radiance,
     pub(super) irradiance: Irradiance,
+    /// The camera's halo.
+    pub(super) stray: StrayLight,
     pub(super) px_per_mm: f64,
     pub(super) cell_px: f64,
 }
@@ -121,15 +123,32 @@ impl Prepared<'_> {
 
         let mut result = ShotResult { lit: vec![], drift };
         let mut weights = CellWeights::new(self.cell_px, self.registration.point_spread.map_or(0.0, |p| p.psf_px));
-        for (&dot, bracket) in dots.iter().zip(&windows) {
-            let nominal = self.nominal_mm(dot);
-            let center = [nominal[0] + moved[0], nominal[1] + moved[1]];
-            let grid = WindowGrid::new(&manifest.window, center, &self.registration.view);
+        let centers: Vec<Point> =
+            dots.iter().map(|&d| self.nominal_mm(d)).map(|p| [p[0] + moved[0], p[1] + moved[1]]).collect();
+        let grids: Vec<WindowGrid> =
+            centers.iter().map(|&c| WindowGrid::new(&manifest.window, c, &self.registration.view)).collect();
+        let picture = |(grid, bracket): (&WindowGrid, &Bracket)| {
+            let needed = window_rect(grid, size_px).and_then(|r| overlap(r, bracket.rect()));
+            Ok(self.picture(bracket, needed.ok_or_else(|| self.outside_picture(shot))?))
+        };
+        // The halo of any dot is in all windows: without one, windows are merged one at a time.
+        let mut without_stray = match self.stray.halos.is_empty() {
+            true => vec![],
+            false => {
+                let mut all: Vec<Radiance> = grids.iter().zip(&windows).map(picture).collect::<Result<_>>()?;
+                all.extend(references_seen.iter().map(|b| self.picture(b, b.rect())));
+                self.stray.remove(&mut all, size_px);
+                all.truncate(dots.len());
+                all
+            }
+        }
+        .into_iter();
+        for (k, &dot) in dots.iter().enumerate() {
+            let (center, grid) = (centers[k], &grids[k]);
             let lit = self.lit_dot(shot, dot, center, drift)?;
-            let needed = window_rect(&grid, size_px).and_then(|r| overlap(r, bracket.rect()));
-            let picture = self.picture(bracket, needed.ok_or_else(|| self.outside_picture(shot))?);
+            let picture = without_stray.next().map_or_else(|| picture((grid, &windows[k])), Ok)?;
             let (row, findings) =
-                extract_row(&picture, &grid, &lit, self.irradiance.sensitivity(), manifest.slab.size_mm, &mut weights);
+                extract_row(&picture, grid, &lit, self.irradiance.sensitivity(), manifest.slab.size_mm, &mut weights);
             self.check_peak(shot, dot, center, &picture)?;
             writer.put(manifest.grid.row_index(dot), &row)?;
             let albedo = albedo(&row, &manifest.window);
@@ -218,7 +237,7 @@ impl Prepared<'_> {
         }
     }
 
-    fn dot_radius_px(&self) -> f64 {
+    pub(super) fn dot_radius_px(&self) -> f64 {
         let grid = &self.shots.capture.manifest.grid;
         let middle = self.nominal_mm([grid.points[0] / 2, grid.points[1] / 2]);
         let pixel_mm = self.registration.slab_from_projector.area_scale(grid.dot_projector_px([0, 0])).sqrt();

@@ -4,6 +4,7 @@ mod crosstalk;
 mod findings;
 mod lattice;
 mod shots;
+mod stray;
 
 use crate::capture::Capture;
 use crate::geometry::Point;

@@ -3,7 +3,7 @@
 use super::lattice::Prepared;
 use crate::capture::{Capture, Pattern, Photograph, Rect};
 use crate::progress::{Progress, Stage};
-use crate::radiance::{Bracket, Radiance, Sensor, decode_shot};
+use crate::radiance::{Bracket, Radiance, Sensor, StrayLight, decode_shot};
 use crate::registration::{BitPair, Registration, measure_point_spread, register_board, register_projector};
 use crate::response::Irradiance;
 use crate::{Error, Result};
@@ -123,6 +123,9 @@ impl<'a> Shots<'a> {
         };
         let cell_px = px_per_mm * self.capture.manifest.window.pitch_mm;
         let irradiance = Irradiance::new(white, &self.capture.rig, cell_px.round().clamp(2.0, 50.0) as usize);
-        Ok(Prepared { shots: self, registration, ambient, irradiance, px_per_mm, cell_px })
+        let stray = StrayLight::default();
+        let mut prepared = Prepared { shots: self, registration, ambient, irradiance, stray, px_per_mm, cell_px };
+        prepared.stray = prepared.measure_stray(progress)?;
+        Ok(prepared)
     }
 }

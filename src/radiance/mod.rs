@@ -3,7 +3,9 @@
 mod merge;
 mod sensor;
 mod shot;
+mod stray;
 
 pub use merge::{Exposure, Radiance, merge};
 pub use sensor::Sensor;
 pub use shot::{Bracket, decode_shot};
+pub use stray::{Halo, StrayLight};

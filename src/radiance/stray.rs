@@ -1,0 +1,333 @@
+//! Stray light: the faint, wide halo that lens and sensor put around everything bright.
+
+use super::Radiance;
+use faer::Mat;
+use faer::linalg::solvers::SolveLstsq;
+use serde::{Deserialize, Serialize};
+
+/// A part of the light that is spread over a wide Gaussian.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Halo {
+    /// Standard deviation, camera px.
+    pub radius_px: f64,
+    /// Share of the light.
+    pub share: f64,
+}
+
+/// The camera's halo, the same all over the picture and in all channels.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct StrayLight {
+    /// Its parts; none when nothing significant was found.
+    pub halos: Vec<Halo>,
+    /// Share of the light in all of them.
+    pub share: f64,
+    /// Standard deviation of that share.
+    pub share_sd: f64,
+}
+
+/// Radii that are tried, px: mixtures of neighbours stand for those between.
+const RADII_PX: [f64; 9] = [6.0, 8.5, 12.0, 17.0, 24.0, 34.0, 48.0, 68.0, 96.0];
+/// A halo must be this many standard deviations above none, and this share of the light, to be taken out.
+const SIGNIFICANCE: f64 = 4.0;
+const LEAST_SHARE: f64 = 2e-4;
+/// Blocks of the coarse pictures, over the radius of the halo: four to a standard deviation lose nothing.
+const BLOCKS_PER_RADIUS: f64 = 4.0;
+/// Side of the blocks in which the halo is looked for, px.
+const SEEN_BLOCK_PX: usize = 4;
+/// What is believed of a halo that was fitted, as a share of it: it is no sum of Gaussians.
+const SHAPE_SD: f64 = 0.1;
+
+impl StrayLight {
+    /// Measures the halo in pictures of shots, ambient light subtracted, all over the photograph.
+    ///
+    /// `dark` marks pixels that no light reaches directly: on the opaque frame, away from its reference dots. What is there is fitted by
+    /// non-negative shares of the whole picture blurred. `None` when fewer than thirty blocks of such pixels were measured.
+    ///
+    /// Not detected: halos much narrower than the way from the dots to the nearest of these pixels, ghosts (reflections between lenses, which have a shape and a place), light that the frame scatters
+    /// back, light that goes through the sample's sides.
+    pub fn estimate(pictures: &[Radiance], dark: &[bool]) -> Option<Self> {
+        let mut rows: Vec<([f64; RADII_PX.len()], f64)> = Vec::new();
+        for picture in pictures {
+            let whole = [picture];
+            let halos: Vec<Coarse> =
+                RADII_PX.iter().map(|&r| Coarse::paint(&whole, picture_size(picture), r).blurred(r)).collect();
+            let blocks = dark_blocks(picture, dark);
+            // A halo is no sum of Gaussians: what this leaves is part of the bright blocks' and of the mean.
+            let mean = blocks.iter().map(|b| b.1).sum::<f64>() / blocks.len().max(1) as f64;
+            for (at, seen, variance) in blocks {
+                let shape = SHAPE_SD * SHAPE_SD * (seen * seen + mean * mean);
+                let weight = 1.0 / (variance + shape).sqrt();
+                if weight.is_finite() {
+                    rows.push((std::array::from_fn(|k| weight * luminance(halos[k].at(at))), weight * seen));
+                }
+            }
+        }
+        if rows.len() < 30 {
+            return None;
+        }
+        let (shares, sd) = non_negative(&rows)?;
+        let share: f64 = shares.iter().sum();
+        if !(share > SIGNIFICANCE * sd && share > LEAST_SHARE && share < 0.5) {
+            return Some(Self { halos: vec![], share: 0.0, share_sd: sd });
+        }
+        let halos = RADII_PX.iter().zip(shares).filter(|(_, s)| *s > 0.0);
+        let halos = halos.map(|(&radius_px, share)| Halo { radius_px, share }).collect();
+        Some(Self { halos, share, share_sd: sd.max(SHAPE_SD * share) })
+    }
+
+    /// Takes the halo out of the pictures of one shot, which together must hold nearly all of its light.
+    ///
+    /// With B what is seen, g the share and H the halo: (B − g · H∗B) / (1 − g), right to g². Relative to a white that fills the picture, which has no
+    /// halo to lose, this is the light without it. The uncertainty of g · H∗B is added to the variance.
+    pub fn remove(&self, pictures: &mut [Radiance], size_px: [usize; 2]) {
+        if self.halos.is_empty() {
+            return;
+        }
+        let relative_variance = (self.share_sd / self.share).powi(2) as f32;
+        let painted: Vec<&Radiance> = pictures.iter().collect();
+        let halos: Vec<(f32, Coarse)> = self
+            .halos
+            .iter()
+            .map(|h| (h.share as f32, Coarse::paint(&painted, size_px, h.radius_px).blurred(h.radius_px)))
+            .collect();
+        let keep = 1.0 / (1.0 - self.share as f32);
+        for picture in pictures {
+            let rect = picture.rect;
+            for y in 0..rect.height {
+                for x in 0..rect.width {
+                    let mut stray = [0.0f32; 3];
+                    for (share, halo) in &halos {
+                        let light = halo.at([(rect.x + x) as f64, (rect.y + y) as f64]);
+                        stray.iter_mut().zip(light).for_each(|(s, l)| *s += share * l);
+                    }
+                    let k = 3 * (y * rect.width + x);
+                    for c in 0..3 {
+                        picture.value[k + c] = keep * (picture.value[k + c] - stray[c]);
+                        picture.variance[k + c] =
+                            keep * keep * (picture.variance[k + c] + relative_variance * stray[c] * stray[c]);
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn picture_size(picture: &Radiance) -> [usize; 2] {
+    [picture.rect.x + picture.rect.width, picture.rect.y + picture.rect.height]
+}
+
+fn luminance(light: [f32; 3]) -> f64 {
+    light.iter().map(|&v| f64::from(v)).sum::<f64>() / 3.0
+}
+
+/// Middle, mean and its variance of each block of dark pixels that were all measured.
+fn dark_blocks(picture: &Radiance, dark: &[bool]) -> Vec<([f64; 2], f64, f64)> {
+    let rect = picture.rect;
+    let n = SEEN_BLOCK_PX;
+    let block = |x: usize, y: usize| {
+        let (mut sum, mut variance) = (0.0, 0.0);
+        for j in y..y + n {
+            for i in x..x + n {
+                let k = picture.at(i, j);
+                if !dark[k / 3] || picture.used[k..k + 3].contains(&0) {
+                    return None;
+                }
+                sum += picture.value[k..k + 3].iter().map(|&v| f64::from(v)).sum::<f64>() / 3.0;
+                variance += picture.variance[k..k + 3].iter().map(|&v| f64::from(v)).sum::<f64>() / 9.0;
+            }
+        }
+        let (pixels, half) = ((n * n) as f64, 0.5 * (n as f64 - 1.0));
+        Some(([x as f64 + half, y as f64 + half], sum / pixels, variance / (pixels * pixels)))
+    };
+    let starts = |first: usize, len: usize| (first..(first + len + 1).saturating_sub(n)).step_by(n);
+    starts(rect.y, rect.height).flat_map(|y| starts(rect.x, rect.width).filter_map(move |x| block(x, y))).collect()
+}
+
+/// Non-negative least squares by leaving out what comes out negative, and the standard deviation of the sum.
+fn non_negative(rows: &[([f64; RADII_PX.len()], f64)]) -> Option<([f64; RADII_PX.len()], f64)> {
+    let mut kept: Vec<usize> = (0..RADII_PX.len()).collect();
+    loop {
+        let n = kept.len();
+        if n == 0 {
+            let scale = rows.iter().map(|r| r.0.iter().sum::<f64>().powi(2)).sum::<f64>();
+            return Some(([0.0; RADII_PX.len()], (1.0 / scale.max(f64::MIN_POSITIVE)).sqrt()));
+        }
+        let a = Mat::from_fn(rows.len(), n, |r, c| rows[r].0[kept[c]]);
+        let b = Mat::from_fn(rows.len(), 1, |r, _| rows[r].1);
+        let x = a.col_piv_qr().solve_lstsq(&b);
+        if (0..n).any(|c| !x[(c, 0)].is_finite()) {
+            return None;
+        }
+        let worst = (0..n).min_by(|&i, &j| x[(i, 0)].total_cmp(&x[(j, 0)]))?;
+        if x[(worst, 0)] < 0.0 {
+            kept.remove(worst);
+            continue;
+        }
+        let residual: f64 = (0..rows.len())
+            .map(|r| ((0..n).map(|c| a[(r, c)] * x[(c, 0)]).sum::<f64>() - b[(r, 0)]).powi(2))
+            .sum::<f64>()
+            / (rows.len() - n).max(1) as f64;
+        // The variance of the sum: 1ᵀ (AᵀA)⁻¹ 1, the residual's scale at least that of the noise.
+        let normal = a.transpose() * &a;
+        let ones = Mat::<f64>::from_fn(n, 1, |_, _| 1.0);
+        let solved = normal.col_piv_qr().solve_lstsq(&ones);
+        let variance: f64 = (0..n).map(|c| solved[(c, 0)]).sum::<f64>() * residual.max(1.0);
+        let mut shares = [0.0; RADII_PX.len()];
+        kept.iter().enumerate().for_each(|(c, &k)| shares[k] = x[(c, 0)]);
+        return Some((shares, variance.max(0.0).sqrt()));
+    }
+}
+
+/// Means over square blocks of pixels.
+struct Coarse {
+    block_px: usize,
+    size: [usize; 2],
+    value: Vec<[f32; 3]>,
+}
+
+impl Coarse {
+    /// Paints the measured pixels of pictures (where they overlap, once) onto a photograph of `size_px`, for a halo of that radius.
+    fn paint(pictures: &[&Radiance], size_px: [usize; 2], radius_px: f64) -> Self {
+        let block_px = ((radius_px / BLOCKS_PER_RADIUS) as usize).max(1);
+        let size = size_px.map(|s| s.div_ceil(block_px));
+        let mut value = vec![[0.0f32; 3]; size[0] * size[1]];
+        let mut painted = vec![false; if pictures.len() > 1 { size_px[0] * size_px[1] } else { 0 }];
+        let share = 1.0 / (block_px * block_px) as f32;
+        for picture in pictures {
+            let rect = picture.rect;
+            for y in rect.y..rect.y + rect.height {
+                for x in rect.x..rect.x + rect.width {
+                    if let Some(done) = painted.get_mut(y * size_px[0] + x)
+                        && std::mem::replace(done, true)
+                    {
+                        continue;
+                    }
+                    let k = picture.at(x, y);
+                    let to = &mut value[(y / block_px) * size[0] + x / block_px];
+                    (0..3).for_each(|c| to[c] += share * picture.value[k + c]);
+                }
+            }
+        }
+        Self { block_px, size, value }
+    }
+
+    /// Convolved with a Gaussian of `radius_px`; nothing beyond the photograph.
+    fn blurred(&self, radius_px: f64) -> Self {
+        let block = self.block_px as f64;
+        // Blocks and the interpolation between them blur by themselves: a twelfth and a sixth of a block squared.
+        let sd = ((radius_px * radius_px - 0.25 * block * block).max(0.0)).sqrt() / block;
+        let reach = (5.0 * sd).ceil() as isize;
+        let weights: Vec<f64> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / sd).powi(2)).exp()).collect();
+        let sum: f64 = weights.iter().sum();
+        let weights: Vec<f32> = weights.iter().map(|w| (w / sum) as f32).collect();
+        let [width, height] = self.size;
+        let along = |from: &[[f32; 3]], step: usize, length: usize, k: usize, at: usize| {
+            let mut out = [0.0f32; 3];
+            for (i, w) in weights.iter().enumerate() {
+                let there = at as isize + i as isize - reach;
+                if there >= 0 && (there as usize) < length {
+                    let v = from[(k as isize + (i as isize - reach) * step as isize) as usize];
+                    out.iter_mut().zip(v).for_each(|(o, v)| *o += w * v);
+                }
+            }
+            out
+        };
+        let n = width * height;
+        let rows: Vec<[f32; 3]> = (0..n).map(|k| along(&self.value, 1, width, k, k % width)).collect();
+        let value = (0..n).map(|k| along(&rows, width, height, k, k / width)).collect();
+        Self { block_px: self.block_px, size: self.size, value }
+    }
+
+    /// Bilinear between the middles of blocks.
+    fn at(&self, pixel: [f64; 2]) -> [f32; 3] {
+        let place = |a: usize| {
+            let t = ((pixel[a] + 0.5) / self.block_px as f64 - 0.5).clamp(0.0, (self.size[a] - 1) as f64);
+            let k = (t as usize).min(self.size[a].saturating_sub(2));
+            (k, (t - k as f64) as f32)
+        };
+        let ((x, u), (y, v)) = (place(0), place(1));
+        let (right, down) = (usize::from(self.size[0] > 1), if self.size[1] > 1 { self.size[0] } else { 0 });
+        let k = y * self.size[0] + x;
+        std::array::from_fn(|c| {
+            let top = self.value[k][c] + u * (self.value[k + right][c] - self.value[k][c]);
+            let low = self.value[k + down][c] + u * (self.value[k + down + right][c] - self.value[k + down][c]);
+            top + v * (low - top)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::Rect;
+
+    const SIZE: [usize; 2] = [160, 140];
+    const DOTS: [[f64; 2]; 3] = [[62.0, 70.0], [75.5, 66.0], [84.0, 75.0]];
+
+    /// Three spots with tails, in the middle of a round sample.
+    fn light(x: f64, y: f64) -> f64 {
+        if (x - 75.0).hypot(y - 70.0) > 30.0 {
+            return 0.0;
+        }
+        DOTS.iter().map(|d| 1000.0 * (-(x - d[0]).hypot(y - d[1]) / 2.0).exp()).sum()
+    }
+
+    /// The same with a halo of a single Gaussian, summed pixel by pixel.
+    fn picture(share: f64, radius_px: f64) -> Radiance {
+        let n = SIZE[0] * SIZE[1];
+        let at = |k: usize| ((k % SIZE[0]) as f64, (k / SIZE[0]) as f64);
+        let bright: Vec<(f64, f64, f64)> =
+            (0..n).map(at).map(|(x, y)| (x, y, light(x, y))).filter(|p| p.2 > 1e-3).collect();
+        let seen = |k: usize| {
+            let (x, y) = at(k);
+            let halo = |p: &(f64, f64, f64)| {
+                let r2 = (x - p.0).powi(2) + (y - p.1).powi(2);
+                p.2 * (-0.5 * r2 / radius_px.powi(2)).exp() / (std::f64::consts::TAU * radius_px.powi(2))
+            };
+            (1.0 - share) * light(x, y) + if share > 0.0 { share * bright.iter().map(halo).sum::<f64>() } else { 0.0 }
+        };
+        let value: Vec<f32> = (0..n).flat_map(|k| [seen(k) as f32; 3]).collect();
+        let rect = Rect { x: 0, y: 0, width: SIZE[0], height: SIZE[1] };
+        Radiance { rect, variance: vec![1e-10; value.len()], used: vec![1; value.len()], value }
+    }
+
+    fn dark() -> Vec<bool> {
+        (0..SIZE[0] * SIZE[1]).map(|k| light((k % SIZE[0]) as f64, (k / SIZE[0]) as f64) == 0.0).collect()
+    }
+
+    #[test]
+    fn a_halo_is_found_on_the_frame_and_taken_out_of_the_sample() {
+        for radius_px in [17.0, 20.0, 30.0] {
+            let seen = picture(0.02, radius_px);
+            let found = StrayLight::estimate(std::slice::from_ref(&seen), &dark()).unwrap();
+            // Radii between those tried are mixtures: the shape's stated error.
+            assert!((found.share / 0.02 - 1.0).abs() < 2.0 * SHAPE_SD, "{radius_px}: {found:?}");
+            let mut windows = vec![seen];
+            found.remove(&mut windows, SIZE);
+            let middle = windows[0].at(70, 80);
+            let (before, after, truth) =
+                (picture(0.02, radius_px).value[middle], windows[0].value[middle], light(70.0, 80.0) as f32);
+            // A tail of a hundredth of the peak, a part of which is halo: nine tenths of that go, and the stated error holds.
+            assert!((after - truth).abs() < 0.1 * (before - truth).abs(), "{radius_px}: {before} {after} {truth}");
+        }
+    }
+
+    #[test]
+    fn without_a_halo_nothing_is_taken_out() {
+        let seen = picture(0.0, 20.0);
+        let found = StrayLight::estimate(std::slice::from_ref(&seen), &dark()).unwrap();
+        assert!(found.halos.is_empty(), "{found:?}");
+        let mut windows = vec![seen.clone()];
+        found.remove(&mut windows, SIZE);
+        assert_eq!(windows[0], seen);
+    }
+
+    #[test]
+    fn too_little_of_the_frame_tells_nothing() {
+        assert!(StrayLight::estimate(&[picture(0.0, 20.0)], &vec![false; SIZE[0] * SIZE[1]]).is_none());
+        assert!(StrayLight::estimate(&[], &dark()).is_none());
+        let mut unmeasured = picture(0.0, 20.0);
+        unmeasured.used.fill(0);
+        assert!(StrayLight::estimate(&[unmeasured], &dark()).is_none());
+    }
+}
