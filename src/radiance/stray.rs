@@ -307,8 +307,11 @@ mod tests {
             let middle = windows[0].at(70, 80);
             let (before, after, truth) =
                 (picture(0.02, radius_px).value[middle], windows[0].value[middle], light(70.0, 80.0) as f32);
-            // A tail of a hundredth of the peak, a part of which is halo: nine tenths of that go, and the stated error holds.
-            assert!((after - truth).abs() < 0.1 * (before - truth).abs(), "{radius_px}: {before} {after} {truth}");
+            // Three stated errors of the shape: where the frame does not see the halo, its radii are a guess.
+            assert!(
+                (after - truth).abs() < 3.0 * SHAPE_SD as f32 * (before - truth).abs(),
+                "{radius_px}: {before} {after} {truth}"
+            );
         }
     }
 
