@@ -122,6 +122,12 @@ pub enum Error {
         /// Why.
         reason: String,
     },
+    /// What `acquire check` found would stop `acquire build-matrix`.
+    #[error("would not build: {reason}")]
+    WouldNotBuild {
+        /// What it would stop with.
+        reason: Box<Error>,
+    },
     /// A matrix store cannot be read.
     #[error("{}: not a whole R_d matrix: {reason}", path.display())]
     BrokenMatrix {
@@ -283,6 +289,7 @@ impl Error {
             Self::Registration { .. } => {
                 "look at the named photograph: the whole board or pattern must be visible, sharp and unsaturated"
             }
+            Self::WouldNotBuild { reason } => return reason.hint(),
             Self::BrokenMatrix { .. } => {
                 "the store may come from a stopped run; build it again with `acquire build-matrix`"
             }

@@ -27,6 +27,9 @@ pub mod response;
 // All of the above, from a capture to a matrix.
 pub mod pipeline;
 
+// Check: what can be known about a capture before that.
+pub mod check;
+
 // Material: what a renderer evaluates, and how it is saved, relit and exported.
 pub mod material;
 

@@ -5,12 +5,14 @@ mod folder;
 mod manifest;
 mod photograph;
 mod rig;
+mod settings;
 
 pub use folder::Capture;
 pub use manifest::{Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Window};
 pub use photograph::{Photograph, Pixels, Rect, Samples};
 pub(crate) use photograph::{check_exr_size, check_jpeg_end};
 pub use rig::{Board, Camera, Noise, Projector, ResponseCurve, Rig, WhiteReference};
+pub use settings::CameraSettings;
 
 use crate::{Error, Result};
 use std::path::Path;
