@@ -17,7 +17,7 @@ pub use settings::CameraSettings;
 use crate::{Error, Result};
 use std::path::Path;
 
-fn parse_toml<T: serde::de::DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
+pub(crate) fn parse_toml<T: serde::de::DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
     toml::from_str(text).map_err(|e| {
         let line = e.span().map_or(0, |s| text[..s.start].matches('\n').count() + 1);
         Error::field(path, format!("line {line}"), "a field as docs/captures.md describes it", e.message().trim())

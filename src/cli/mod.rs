@@ -5,6 +5,8 @@ mod check;
 mod evaluate;
 mod export;
 mod factor;
+mod import;
+mod patterns;
 mod relight;
 mod run;
 mod simulate;
@@ -45,6 +47,8 @@ const MOST_THREADS: usize = 1024;
 #[derive(Debug, Subcommand)]
 enum Command {
     Simulate(Box<simulate::Args>),
+    Patterns(Box<patterns::Args>),
+    Import(import::Args),
     Check(check::Args),
     BuildMatrix(build_matrix::Args),
     Factor(factor::Args),
@@ -146,6 +150,8 @@ fn run(cli: Cli) -> Result<()> {
     let context = Context { progress, quiet: cli.quiet };
     match cli.command {
         Command::Simulate(args) => simulate::run(*args, &context),
+        Command::Patterns(args) => patterns::run(*args, &context),
+        Command::Import(args) => import::run(args, &context),
         Command::Check(args) => check::run(args, &context),
         Command::BuildMatrix(args) => build_matrix::run(args, &context),
         Command::Factor(args) => factor::run(args, &context),
