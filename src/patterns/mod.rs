@@ -64,9 +64,9 @@ pub struct PatternsOptions {
     /// Width of the opaque frame, mm: the reference dots lie in its middle.
     #[arg(long, value_name = "MM", default_value_t = 6.0)]
     pub frame_mm: f64,
-    /// Narrowest stripes of the Gray code, projector pixels. 8: three and more camera pixels on either side of an edge.
-    #[arg(long, value_name = "PX", default_value_t = 8)]
-    pub narrowest_stripe_px: usize,
+    /// Narrowest stripes of the Gray code, projector pixels [default: 8; with --probe: what is six camera pixels].
+    #[arg(long, value_name = "PX")]
+    pub narrowest_stripe_px: Option<usize>,
     /// Exposures of each lattice and each black shot [default: 5; with --probe: as many as the response requires].
     #[arg(long, value_name = "N")]
     pub exposures: Option<usize>,
@@ -102,7 +102,7 @@ impl Default for PatternsOptions {
             spacing_mm: None,
             margin_mm: None,
             frame_mm: 6.0,
-            narrowest_stripe_px: 8,
+            narrowest_stripe_px: None,
             exposures: None,
             stops: 2.0,
             shortest_secs: None,
@@ -119,6 +119,8 @@ const WINDOW: usize = 31;
 const PITCH_MM: f64 = 0.5;
 /// Distance of the dots of one shot without a probe, windows: neighbours' tails are below a thousandth of the peak in most materials.
 const SPACING_WINDOWS: f64 = 1.5;
+/// Stripes without a probe, projector px: where projector and camera have about the same pixels, edges are far enough apart.
+const NARROWEST_STRIPE_PX: usize = 8;
 /// Exposures without a probe.
 const EXPOSURES: usize = 5;
 /// The shortest without a probe, s.
@@ -183,7 +185,10 @@ fn layout(options: &PatternsOptions, rig: &Rig, probe: Option<&Probe>, choice: O
         projector_from_slab,
         window: Window { samples: [samples; 2], pitch_mm },
         spacing_mm: options.spacing_mm.or(choice.map(|c| c.spacing.spacing_mm)).unwrap_or(default_spacing),
-        narrowest_stripe_px: options.narrowest_stripe_px,
+        narrowest_stripe_px: options
+            .narrowest_stripe_px
+            .or(probe.map(Probe::narrowest_stripe_px))
+            .unwrap_or(NARROWEST_STRIPE_PX),
         lattice_secs: bracket(shortest, exposures),
         white_secs,
     })
@@ -265,7 +270,7 @@ impl PatternsOptions {
         range("--spacing-mm", self.spacing_mm, 1e-6, 1e6)?;
         range("--margin-mm", self.margin_mm, 0.0, 1e6)?;
         range("--frame-mm", Some(self.frame_mm), 1e-3, 1e6)?;
-        range("--narrowest-stripe-px", Some(self.narrowest_stripe_px as f64), 2.0, 65_536.0)?;
+        range("--narrowest-stripe-px", self.narrowest_stripe_px.map(|n| n as f64), 2.0, 65_536.0)?;
         range("--exposures", self.exposures.map(|n| n as f64), 1.0, 20.0)?;
         range("--stops", Some(self.stops), 0.33, 6.0)?;
         range("--shortest-secs", self.shortest_secs, 1e-6, 1e3)?;

@@ -51,6 +51,8 @@ const WINDOW_SHARE: f64 = 1e-4;
 const BRIGHTEST: f64 = 0.7;
 /// A pixel at the window's rim reaches so many times the read noise in the longest exposure; a sample is a mean of several.
 const RIM_SIGMA: f64 = 3.0;
+/// An edge of a stripe is placed from two pixels before it and three after: nearer edges disturb each other, camera px.
+const STRIPE_CAMERA_PX: f64 = 6.0;
 /// More exposures gain nothing that the first and the last do not have.
 const MOST_EXPOSURES: usize = 8;
 
@@ -107,6 +109,15 @@ impl Probe {
         inverse.ok_or_else(|| Error::internal("the probe's registration cannot be inverted"))
     }
 
+    /// Narrowest stripes whose edges the registration can place, projector px.
+    pub(super) fn narrowest_stripe_px(&self) -> usize {
+        let r = &self.registration;
+        let j = r.view.jacobian(r.center_mm);
+        let camera_px_per_mm = (j[0][0] * j[1][1] - j[0][1] * j[1][0]).abs().sqrt();
+        let projector_px_per_mm = self.projector_from_slab().map_or(1.0, |h| h.area_scale(r.center_mm).sqrt());
+        (STRIPE_CAMERA_PX * projector_px_per_mm / camera_px_per_mm - 1e-6).ceil().clamp(2.0, 65_536.0) as usize
+    }
+
     /// Spacing, window and exposures for this material.
     ///
     /// # Errors
@@ -120,7 +131,7 @@ impl Probe {
         }
         };
         let pitch_mm = options.pitch_mm.unwrap_or(self.manifest.window.pitch_mm);
-        let reach = self.tails.reach_mm(WINDOW_SHARE).ok_or_else(|| too_far("one that does not fall"))?;
+        let (reach, seen) = self.tails.reach_mm(WINDOW_SHARE).ok_or_else(|| too_far("one that does not fall"))?;
         let window = options.window.unwrap_or(2 * (reach / pitch_mm).ceil() as usize + 1);
         let scale = self.projector_from_slab()?.area_scale(self.registration.center_mm).sqrt();
         let lit_pitch_mm = options.lit_pitch_mm.unwrap_or(pitch_mm);
@@ -138,7 +149,7 @@ impl Probe {
         Ok(ProbeChoice {
             spacing,
             window,
-            window_measured: (window / 2) as f64 * pitch_mm <= self.tails.measured_mm() + pitch_mm,
+            window_measured: seen || options.window.is_some(),
             shortest_secs: options.shortest_secs.is_none().then_some(shortest),
             exposures: options.exposures.is_none().then(|| self.exposures(shortest, options.stops, reach)),
         })

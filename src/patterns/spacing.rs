@@ -9,12 +9,14 @@ use crate::transport::rows::RowView;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tails {
     pitch_mm: f64,
+    /// Mean distance of the samples of each ring, samples: ring k is those that round to k.
+    radius: Vec<f64>,
     channels: [Channel; 3],
 }
 
 #[derive(Debug, Clone, PartialEq, Default)]
 struct Channel {
-    /// Mean over all rows of each ring, mm⁻²: k samples from the lit point, rounded.
+    /// Mean over all rows of each ring, mm⁻².
     mean: Vec<f64>,
     /// The largest of the rows' means.
     largest: Vec<f64>,
@@ -22,7 +24,7 @@ struct Channel {
     sd: Vec<f64>,
     /// Rings from the first that stand out of the noise without a gap.
     significant: usize,
-    /// Change of ln R in a mm beyond them; `None` when too few rings or a tail that does not fall.
+    /// Change of ln R in a sample beyond them; `None` when too few rings or a tail that does not fall.
     slope: Option<f64>,
 }
 
@@ -37,13 +39,22 @@ impl Tails {
     /// From rows of `window` samples a side (see [`RowView`]) with cells of `pitch_mm`. `None` when no row has a measured middle.
     pub fn of<'a>(rows: impl Iterator<Item = RowView<'a>>, window: [usize; 2], pitch_mm: f64) -> Option<Self> {
         let rings = window[0].min(window[1]) / 2 + 1;
+        let distance = |k: usize| {
+            let off = |a: usize, n: usize| n as f64 - (window[a] / 2) as f64;
+            off(0, k % window[0]).hypot(off(1, k / window[0]))
+        };
+        let mut radius = vec![(0.0, 0.0); rings];
+        for r in (0..window[0] * window[1]).map(distance) {
+            if let Some(sum) = radius.get_mut(r.round() as usize) {
+                *sum = (sum.0 + r, sum.1 + 1.0);
+            }
+        }
+        let radius: Vec<f64> = radius.into_iter().map(|(sum, n)| sum / n).collect();
         let mut sums = [0, 1, 2].map(|_| vec![RingSum::default(); rings]);
         for row in rows {
             let mut own = [0, 1, 2].map(|_| vec![RingSum::default(); rings]);
             for k in 0..window[0] * window[1] {
-                let d = [k % window[0], k / window[0]];
-                let off: [f64; 2] = std::array::from_fn(|a| d[a] as f64 - (window[a] / 2) as f64);
-                let ring = off[0].hypot(off[1]).round() as usize;
+                let ring = distance(k).round() as usize;
                 for c in (0..3).filter(|c| ring < rings && row.valid[3 * k + c] != 0) {
                     own[c][ring].add(f64::from(row.response[3 * k + c]), f64::from(row.variance[3 * k + c]));
                 }
@@ -55,19 +66,19 @@ impl Tails {
         if sums.iter().any(|s| s[0].count == 0.0) {
             return None;
         }
-        Some(Self { pitch_mm, channels: sums.map(|s| Channel::new(&s, pitch_mm)) })
+        Some(Self { pitch_mm, channels: sums.map(|s| Channel::new(&s, &radius)), radius })
     }
 
     /// The largest of the rows' responses at `r_mm`, mm⁻², channel `c` (0 to 2).
     pub fn largest_at(&self, r_mm: f64, c: usize) -> f64 {
         let channel = &self.channels[c];
-        channel.at(&channel.largest, r_mm / self.pitch_mm, self.pitch_mm)
+        channel.at(&channel.largest, &self.radius, r_mm / self.pitch_mm)
     }
 
     /// The mean of the rows' responses at `r_mm`, mm⁻².
     pub fn mean_at(&self, r_mm: f64, c: usize) -> f64 {
         let channel = &self.channels[c];
-        channel.at(&channel.mean, r_mm / self.pitch_mm, self.pitch_mm)
+        channel.at(&channel.mean, &self.radius, r_mm / self.pitch_mm)
     }
 
     /// Standard deviation of one sample at `r_mm`; beyond the window that of its rim.
@@ -76,18 +87,24 @@ impl Tails {
         sd[((r_mm / self.pitch_mm).round() as usize).min(sd.len() - 1)]
     }
 
-    /// Where the response has fallen below `share` of its peak, or below the noise of one sample, in all channels, mm; `None` when it never does.
-    pub fn reach_mm(&self, share: f64) -> Option<f64> {
-        let small =
-            |r: f64| (0..3).all(|c| self.largest_at(r, c) < (share * self.largest_at(0.0, c)).max(self.sd_at(r, c)));
-        // No window has more than 4095 samples.
-        (1..2048).map(|k| k as f64 * self.pitch_mm).find(|&r| small(r))
+    /// Where the response has fallen below `share` of its peak, or below the noise of one sample, in all channels, mm, and whether it was seen
+    /// to be there; `None` when it never does.
+    pub fn reach_mm(&self, share: f64) -> Option<(f64, bool)> {
+        let small = |r: f64, c: usize| self.largest_at(r, c) < (share * self.largest_at(0.0, c)).max(self.sd_at(r, c));
+        let mut reach = (0.0, true);
+        for c in 0..3 {
+            // No window has more than 4095 samples.
+            let r = (1..2048).map(|k| k as f64 * self.pitch_mm).find(|&r| small(r, c))?;
+            if r > reach.0 {
+                reach = (r, r <= self.measured_mm(c) + self.pitch_mm);
+            }
+        }
+        Some(reach)
     }
 
-    /// Beyond this the response is continued and not measured, mm.
-    pub fn measured_mm(&self) -> f64 {
-        let rings = self.channels.iter().map(|c| c.significant).min().unwrap_or(0);
-        rings.saturating_sub(1) as f64 * self.pitch_mm
+    /// Beyond this the response of channel `c` is continued and not measured, mm.
+    pub fn measured_mm(&self, c: usize) -> f64 {
+        self.channels[c].significant.checked_sub(1).map_or(0.0, |last| self.radius[last] * self.pitch_mm)
     }
 }
 
@@ -115,26 +132,26 @@ impl RingSum {
 }
 
 impl Channel {
-    fn new(rings: &[RingSum], pitch_mm: f64) -> Self {
+    fn new(rings: &[RingSum], radius: &[f64]) -> Self {
         let mean: Vec<f64> = rings.iter().map(|r| r.value / r.count.max(1.0)).collect();
         let stands_out = |r: &RingSum| r.count > 0.0 && r.value > SIGNIFICANT * r.variance.sqrt();
         let significant = rings.iter().position(|r| !stands_out(r)).unwrap_or(rings.len());
         let largest: Vec<f64> = rings.iter().map(|r| r.largest).collect();
         let sd = rings.iter().map(|r| (r.variance / r.count.max(1.0)).sqrt()).collect();
-        let slope = slope(&largest[..significant], pitch_mm);
+        let slope = slope(&largest[..significant], radius);
         Self { mean, largest, sd, significant, slope }
     }
 
     /// Of `values` a ring, at `r` samples: between rings as an exponential.
-    fn at(&self, values: &[f64], r: f64, pitch_mm: f64) -> f64 {
+    fn at(&self, values: &[f64], radius: &[f64], r: f64) -> f64 {
         let Some(last) = self.significant.checked_sub(1) else { return 0.0 };
-        if r < last as f64 {
-            let k = r as usize;
-            let t = r - k as f64;
+        if r < radius[last] {
+            let k = radius.partition_point(|&v| v <= r).clamp(1, last) - 1;
+            let t = (r - radius[k]) / (radius[k + 1] - radius[k]);
             return values[k].powf(1.0 - t) * values[k + 1].powf(t);
         }
         match self.slope {
-            Some(slope) => values[last] * (slope * (r - last as f64) * pitch_mm).exp(),
+            Some(slope) => values[last] * (slope * (r - radius[last])).exp(),
             // Noise hides what follows; or the tail does not fall, and stays.
             None if self.significant < values.len() => 0.0,
             None => values[last],
@@ -143,9 +160,9 @@ impl Channel {
 }
 
 /// Least squares of ln R against distance over the outer half.
-fn slope(values: &[f64], pitch_mm: f64) -> Option<f64> {
+fn slope(values: &[f64], radius: &[f64]) -> Option<f64> {
     let first = values.len() / 2;
-    let points: Vec<(f64, f64)> = (first..values.len()).map(|k| (k as f64 * pitch_mm, values[k].ln())).collect();
+    let points: Vec<(f64, f64)> = (first..values.len()).map(|k| (radius[k], values[k].ln())).collect();
     if points.len() < LEAST_RINGS {
         return None;
     }
@@ -181,7 +198,7 @@ pub struct SpacingChoice {
     pub cross_talk: f64,
     /// Whether the tails are below the noise of single samples all over the window, whatever their share.
     pub below_noise: bool,
-    /// Tails beyond this distance were continued as an exponential, mm.
+    /// Tails of that channel beyond this distance were continued as an exponential, mm.
     pub measured_mm: f64,
 }
 
@@ -206,7 +223,7 @@ pub fn choose_spacing(tails: &Tails, options: &SpacingOptions) -> Option<Spacing
     let most = (4.0 * options.window as f64 * pitch / options.lit_pitch_mm).ceil() as usize;
     (1..=most).find_map(|k| {
         let spacing_mm = k as f64 * options.lit_pitch_mm;
-        let (mut worst, mut below_noise) = (0.0f64, true);
+        let (mut worst, mut below_noise) = ((0.0f64, 0), true);
         for (c, light) in light.iter().enumerate() {
             let mut sum = 0.0;
             for (d, weight) in &cells {
@@ -214,15 +231,14 @@ pub fn choose_spacing(tails: &Tails, options: &SpacingOptions) -> Option<Spacing
                 sum += weight * tail;
                 below_noise &= tail <= tails.sd_at(d[0].hypot(d[1]), c);
             }
-            worst = worst.max(sum / light);
+            if sum / light > worst.0 {
+                worst = (sum / light, c);
+            }
         }
-        let will_do = worst <= options.most_cross_talk || below_noise;
-        will_do.then_some(SpacingChoice {
-            spacing_mm,
-            cross_talk: worst,
-            below_noise,
-            measured_mm: tails.measured_mm(),
-        })
+        let (cross_talk, channel) = worst;
+        let measured_mm = tails.measured_mm(channel);
+        let will_do = cross_talk <= options.most_cross_talk || below_noise;
+        will_do.then_some(SpacingChoice { spacing_mm, cross_talk, below_noise, measured_mm })
     })
 }
 
@@ -317,8 +333,9 @@ mod tests {
             }
         }
         // exp(−r/0.8) is 1e-4 at 7.4 mm, and below a noise of 0.01 from 3.7 mm on.
-        assert!((tails(0.8, 1e-12).reach_mm(1e-4).unwrap() - 7.4).abs() <= PITCH);
-        assert!((tails(0.8, 1e-2).reach_mm(1e-4).unwrap() - 3.7).abs() <= PITCH);
+        assert!((tails(0.8, 1e-12).reach_mm(1e-4).unwrap().0 - 7.4).abs() <= PITCH);
+        assert!(!tails(0.8, 1e-12).reach_mm(1e-4).unwrap().1 && tails(0.8, 1e-2).reach_mm(1e-4).unwrap().1);
+        assert!((tails(0.8, 1e-2).reach_mm(1e-4).unwrap().0 - 3.7).abs() <= PITCH);
     }
 
     #[test]
