@@ -27,7 +27,7 @@ pub(super) fn edge_width_px(picture: &Radiance, board: &Board, view: &CameraView
     let mut reach_px = f64::INFINITY;
     for (a, b) in edges_x.chain(edges_y) {
         let (p, q) = (corner(a[0], a[1]), corner(b[0], b[1]));
-        let samples = across(picture, &light, p, q)?;
+        let Some(samples) = across(picture, &light, p, q) else { continue };
         reach_px = reach_px.min(REACH * (q[0] - p[0]).hypot(q[1] - p[1]));
         add_normalized(&samples, reach_px, &mut bins);
     }

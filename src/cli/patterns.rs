@@ -41,6 +41,8 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let rig_path = Rig::find(&args.rig, Some(&args.rig))?;
     let probe = match &args.probe {
         Some(dir) => {
+            // The probe is built with the defaults of every other setting.
+            #[allow(clippy::needless_update)]
             let build = BuildOptions { calibration: Some(args.rig.clone()), ..BuildOptions::default() };
             Some(Probe::read(dir, &build, &context.progress)?)
         }

@@ -147,7 +147,7 @@ fn try_open(plan: &Plan, sources: &[Vec<PathBuf>], rig_path: &Path, believed: bo
         .iter()
         .map(|s| s.iter().map(|p| std::path::absolute(p).map_err(Error::io("read", p))).collect())
         .collect::<Result<_>>()?;
-    for path in absolute.iter().flatten().filter(|p| p.to_str().is_none()) {
+    if let Some(path) = absolute.iter().flatten().find(|p| p.to_str().is_none()) {
         return Err(Error::field(path, "name", "a path in UTF-8", "another encoding"));
     }
     let file = |s: usize, n: usize| absolute[s][n].to_string_lossy().into_owned();
