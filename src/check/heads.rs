@@ -105,7 +105,8 @@ fn tiff_end(file: std::fs::File) -> Option<u64> {
 fn contains_end_chunk(file: &mut std::fs::File) -> bool {
     let mut all = Vec::new();
     let read = file.seek(SeekFrom::Start(0)).and_then(|_| file.read_to_end(&mut all));
-    read.is_ok() && all.windows(8).any(|w| w == b"\0\0\0\0IEND")
+    // With its check sum behind it.
+    read.is_ok() && all.windows(12).any(|w| w.starts_with(b"\0\0\0\0IEND"))
 }
 
 /// What the heads say together.
