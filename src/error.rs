@@ -122,6 +122,24 @@ pub enum Error {
         /// Why.
         reason: String,
     },
+    /// A photograph that is not the one that the plan of a capture has next.
+    #[error("{}: shot \"{shot}\": expected {expected}, found {found}", path.display())]
+    DoesNotFit {
+        /// The photograph.
+        path: PathBuf,
+        /// The shot that it would belong to.
+        shot: String,
+        /// What the plan has there.
+        expected: String,
+        /// What it is.
+        found: String,
+    },
+    /// What `acquire check` found would stop `acquire build-matrix`.
+    #[error("would not build: {reason}")]
+    WouldNotBuild {
+        /// What it would stop with.
+        reason: Box<Error>,
+    },
     /// A matrix store cannot be read.
     #[error("{}: not a whole R_d matrix: {reason}", path.display())]
     BrokenMatrix {
@@ -283,6 +301,10 @@ impl Error {
             Self::Registration { .. } => {
                 "look at the named photograph: the whole board or pattern must be visible, sharp and unsaturated"
             }
+            Self::DoesNotFit { .. } => {
+                "compare plan.toml with the photographs around the one that is named; remove doubled ones, shoot missing ones again"
+            }
+            Self::WouldNotBuild { reason } => return reason.hint(),
             Self::BrokenMatrix { .. } => {
                 "the store may come from a stopped run; build it again with `acquire build-matrix`"
             }

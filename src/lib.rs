@@ -27,6 +27,15 @@ pub mod response;
 // All of the above, from a capture to a matrix.
 pub mod pipeline;
 
+// Patterns: what the projector is to show, and the plan of a capture that is still to be shot.
+pub mod patterns;
+
+// Import: a camera's folder, sorted into the shots of a plan.
+pub mod import;
+
+// Check: what can be known about a capture before that.
+pub mod check;
+
 // Material: what a renderer evaluates, and how it is saved, relit and exported.
 pub mod material;
 

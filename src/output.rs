@@ -35,6 +35,61 @@ impl ScratchFolder {
     }
 }
 
+/// A folder that appears under its name when it is whole.
+#[derive(Debug)]
+pub(crate) struct NewFolder {
+    scratch: ScratchFolder,
+    target: PathBuf,
+}
+
+impl NewFolder {
+    /// Checks that `target` may be made, before any work: a new or empty folder or, with `force`, an earlier output, known by its file `mark`.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] naming --out; [`Error::Io`].
+    pub(crate) fn create(target: &Path, force: bool, mark: &str) -> Result<Self> {
+        let refuse = |expected: String, found: String| Err(Error::Setting { setting: "--out", expected, found });
+        let full = match std::fs::read_dir(target) {
+            Ok(mut entries) => entries.next().is_some(),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound && target.symlink_metadata().is_err() => false,
+            Err(e) => return Err(Error::io("create", target)(e)),
+        };
+        if full && !force {
+            let expected = "a folder that is empty or not there, or --force".to_owned();
+            return refuse(expected, format!("files in {}", target.display()));
+        }
+        // Whatever else lies there is not ours to remove.
+        if full && !target.join(mark).is_file() {
+            return refuse(format!("a folder with {mark} to replace"), format!("{} without it", target.display()));
+        }
+        let target = std::path::absolute(target).map_err(Error::io("create", target))?;
+        let parent = target.parent().unwrap_or(&target).to_path_buf();
+        std::fs::create_dir_all(&parent).map_err(Error::io("create", &parent))?;
+        let scratch = ScratchFolder::new(&parent, ".acquire-new-", &target)?;
+        // One folder deeper, for the permissions of an ordinary folder.
+        let new = Self { scratch, target };
+        std::fs::create_dir(new.path()).map_err(Error::io("create", new.path()))?;
+        Ok(new)
+    }
+
+    /// Where the files go for now.
+    pub(crate) fn path(&self) -> PathBuf {
+        self.scratch.path().join("new")
+    }
+
+    /// Puts the folder into its place; an earlier one leaves with the scratch folder.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub(crate) fn finish(self) -> Result<()> {
+        if self.target.exists() {
+            std::fs::rename(&self.target, self.scratch.path().join("old"))
+                .map_err(Error::io("rename", &self.target))?;
+        }
+        std::fs::rename(self.path(), &self.target).map_err(Error::io("rename", &self.target))
+    }
+}
+
 /// A path that a signal removes, until this is dropped.
 #[derive(Debug)]
 pub(crate) struct Unfinished(PathBuf);

@@ -46,17 +46,16 @@ impl Bench {
         names.into_iter().find(|p| p.to_string_lossy().contains("lattice")).unwrap()
     }
 
-    /// `build-matrix` must fail, naming all of `words`, and leave nothing beside the capture.
+    /// `build-matrix` must fail, naming all of `words`, and leave nothing beside the capture; `check` must have known it.
     fn build_fails(&self, words: &[&str]) {
-        self.fails(
-            &[
-                "build-matrix",
-                self.path("capture").to_str().unwrap(),
-                "--out",
-                self.path("m.rd.zarr").to_str().unwrap(),
-            ],
-            words,
-        );
+        let (capture, out) = (self.path("capture"), self.path("m.rd.zarr"));
+        self.fails(&["build-matrix", capture.to_str().unwrap(), "--out", out.to_str().unwrap()], words);
+        let (status, _, stderr) = acquire(&["check", capture.to_str().unwrap()]);
+        assert_eq!(status, 1, "{stderr}");
+        assert!(stderr.contains("would not build") && stderr.contains("hint: "), "{stderr}");
+        for word in words {
+            assert!(stderr.contains(word), "check: \"{word}\" is not in: {stderr}");
+        }
     }
 
     fn fails(&self, args: &[&str], words: &[&str]) {

@@ -187,7 +187,7 @@ impl Manifest {
         std::fs::write(&path, text).map_err(Error::io("write", &path))
     }
 
-    fn check(&self, path: &Path) -> Result<()> {
+    pub(crate) fn check(&self, path: &Path) -> Result<()> {
         let range = |name: &str, v: f64, low: f64, high: f64| Error::unless_within(path, name, v, low, high);
         if self.format != FORMAT {
             return Err(Error::field(path, "format", FORMAT.to_string(), self.format));

@@ -1,9 +1,12 @@
 //! The command line: one file per subcommand, raw arguments turned into checked settings before any work.
 
 mod build_matrix;
+mod check;
 mod evaluate;
 mod export;
 mod factor;
+mod import;
+mod patterns;
 mod relight;
 mod run;
 mod simulate;
@@ -31,6 +34,7 @@ struct Cli {
 const EXAMPLES: &str = "\
 Examples:
   acquire run captures/ --out results                  photographs to matrix, material, exports and report
+  acquire check captures/                              whether it would build, in seconds
   acquire build-matrix captures/ --out slab.rd.zarr    only the matrix
   acquire factor slab.rd.zarr --out slab.safetensors   only the material
   acquire simulate demo --material chessboard-4x4      a capture without a rig
@@ -43,6 +47,9 @@ const MOST_THREADS: usize = 1024;
 #[derive(Debug, Subcommand)]
 enum Command {
     Simulate(Box<simulate::Args>),
+    Patterns(Box<patterns::Args>),
+    Import(import::Args),
+    Check(check::Args),
     BuildMatrix(build_matrix::Args),
     Factor(factor::Args),
     Evaluate(evaluate::Args),
@@ -143,6 +150,9 @@ fn run(cli: Cli) -> Result<()> {
     let context = Context { progress, quiet: cli.quiet };
     match cli.command {
         Command::Simulate(args) => simulate::run(*args, &context),
+        Command::Patterns(args) => patterns::run(*args, &context),
+        Command::Import(args) => import::run(args, &context),
+        Command::Check(args) => check::run(args, &context),
         Command::BuildMatrix(args) => build_matrix::run(args, &context),
         Command::Factor(args) => factor::run(args, &context),
         Command::Evaluate(args) => evaluate::run(args, &context),

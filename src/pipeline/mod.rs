@@ -85,20 +85,40 @@ pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &P
         capture
     };
     let mut writer = MatrixWriter::create(out, empty_header(&capture))?;
-    let shots = Shots::new(&capture);
-    let registration = shots.register(progress)?;
-    let prepared = shots.prepare(registration, progress)?;
-    let mut result = prepared.extract(&writer, progress)?;
-    let crosstalk = match options.keep_crosstalk {
-        true => None,
-        false => prepared.separate(&mut result, &writer, progress)?,
-    };
-
+    let report = measure(&capture, options, &mut writer, progress)?;
     let stage = progress.stage("write", 1);
-    let report = prepared.finish(result, crosstalk, writer.header_mut())?;
     writer.finish()?;
     stage.advance(1);
     Ok(report)
+}
+
+/// All of [`build_matrix`] but the matrix: what `acquire check` does with a sample of a capture's lattice shots.
+///
+/// # Errors
+/// Those of [`build_matrix`] after [`Capture::open`].
+pub fn try_build(capture: &Capture, options: &BuildOptions, progress: &Progress) -> Result<BuildReport> {
+    let temporary = std::env::temp_dir();
+    let scratch = crate::output::ScratchFolder::new(&temporary, ".acquire-try-", &temporary)?;
+    let mut writer = MatrixWriter::create(&scratch.path().join("try.rd.zarr"), empty_header(capture))?;
+    measure(capture, options, &mut writer, progress)
+}
+
+/// Everything between an opened capture and a complete writer.
+fn measure(
+    capture: &Capture,
+    options: &BuildOptions,
+    writer: &mut MatrixWriter,
+    progress: &Progress,
+) -> Result<BuildReport> {
+    let shots = Shots::new(capture);
+    let registration = shots.register(progress)?;
+    let prepared = shots.prepare(registration, progress)?;
+    let mut result = prepared.extract(writer, progress)?;
+    let crosstalk = match options.keep_crosstalk {
+        true => None,
+        false => prepared.separate(&mut result, writer, progress)?,
+    };
+    prepared.finish(result, crosstalk, writer.header_mut())
 }
 
 fn empty_header(capture: &Capture) -> MatrixHeader {

@@ -1,0 +1,286 @@
+//! What files, their heads and EXIF tell: nothing is decoded.
+
+use super::Finding;
+use crate::Error;
+use crate::capture::{CameraSettings, Manifest, Pattern, Photograph, Rig};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+
+/// One photograph's file, as far as it can be told without decoding.
+pub(super) struct Head {
+    /// Its shot's index.
+    shot: usize,
+    /// As `capture.toml` names it.
+    file: String,
+    /// Exposure by `capture.toml`, else EXIF.
+    exposure_secs: Option<f64>,
+    settings: Option<CameraSettings>,
+    /// Size of the file.
+    pub bytes: u64,
+    finding: Option<Finding>,
+}
+
+/// Nominal exposure times differ by rounding (1/30 for 1/32), those of neighbouring third stops by a quarter.
+const SAME_EXPOSURE: f64 = 0.1;
+
+/// The heads of all photographs, in the order of `capture.toml`.
+pub(super) fn read(dir: &Path, manifest: &Manifest, rig: &Rig) -> Vec<Head> {
+    let entries = manifest.shots.iter().enumerate().flat_map(|(s, shot)| shot.photographs.iter().map(move |p| (s, p)));
+    let entries: Vec<_> = entries.collect();
+    entries
+        .into_par_iter()
+        .map(|(shot, entry)| {
+            let path = dir.join(&entry.file);
+            let name = &manifest.shots[shot].name;
+            let photograph =
+                Photograph { path: path.clone(), shot: name.clone(), exposure_secs: 0.0, effective_secs: 0.0 };
+            let settings = CameraSettings::read(&path).ok().flatten();
+            let exposure_secs = entry.exposure_secs.or(settings.as_ref().and_then(|s| s.exposure_secs));
+            let mut finding = look(&photograph, &entry.file, rig.camera.size_px);
+            if finding.is_none() && exposure_secs.is_none() {
+                finding = Some(Finding::NoExposure { file: entry.file.clone() });
+            }
+            let bytes = std::fs::metadata(&path).map_or(0, |m| m.len());
+            Head { shot, file: entry.file.clone(), exposure_secs, settings, bytes, finding }
+        })
+        .collect()
+}
+
+fn look(photograph: &Photograph, file: &str, expected_px: [usize; 2]) -> Option<Finding> {
+    let (file, shot) = (file.to_owned(), photograph.shot.clone());
+    match photograph.size_px() {
+        Err(Error::MissingPhotograph { .. }) => Some(Finding::MissingPhotograph { file, shot }),
+        Err(Error::BrokenPhotograph { reason, .. }) => Some(Finding::BrokenPhotograph { file, shot, reason }),
+        Err(e) => Some(Finding::BrokenPhotograph { file, shot, reason: e.to_string() }),
+        Ok(found_px) if found_px != expected_px => Some(Finding::WrongSize { file, expected_px, found_px }),
+        Ok(_) => {
+            let reason = cut_short(&photograph.path).err()?;
+            Some(Finding::BrokenPhotograph { file, shot, reason })
+        }
+    }
+}
+
+/// Refuses a PNG, JPEG or TIFF that lacks its end, as a copy that was stopped does. Other formats pass, and damage in the middle too.
+fn cut_short(path: &Path) -> Result<(), String> {
+    let say = |e: std::io::Error| e.to_string();
+    let mut file = std::fs::File::open(path).map_err(say)?;
+    let mut start = [0u8; 8];
+    file.read_exact(&mut start).map_err(say)?;
+    let short = Err("the file ends before the image does".to_owned());
+    let mut end = [0u8; 12];
+    if start == *b"\x89PNG\r\n\x1a\n" {
+        let whole = file.seek(SeekFrom::End(-12)).and_then(|_| file.read_exact(&mut end)).is_ok();
+        // Bytes after the last chunk are permitted: then only decoding tells.
+        return if whole && (end[4..8] == *b"IEND" || contains_end_chunk(&mut file)) { Ok(()) } else { short };
+    }
+    if start.starts_with(b"II*\0") || start.starts_with(b"MM\0*") {
+        let bytes = file.metadata().map_err(say)?.len();
+        file.seek(SeekFrom::Start(0)).map_err(say)?;
+        return if tiff_end(file).is_some_and(|end| end > bytes) { short } else { Ok(()) };
+    }
+    if start.starts_with(&[0xff, 0xd8]) {
+        file.seek(SeekFrom::End(-2)).and_then(|_| file.read_exact(&mut end[..2])).map_err(say)?;
+        // Compressed data never hold the end marker; anything after it makes a whole reading necessary.
+        if end[..2] != [0xff, 0xd9] {
+            return crate::capture::check_jpeg_end(&std::fs::read(path).map_err(say)?);
+        }
+    }
+    Ok(())
+}
+
+/// Where the last strip or tile of a TIFF's first image ends; `None` when it does not say.
+fn tiff_end(file: std::fs::File) -> Option<u64> {
+    use tiff::tags::Tag;
+    let mut decoder = tiff::decoder::Decoder::new(std::io::BufReader::new(file)).ok()?;
+    let mut read = |tag| decoder.find_tag_unsigned_vec::<u64>(tag).ok().flatten();
+    let (offsets, counts) = match read(Tag::StripOffsets) {
+        Some(offsets) => (offsets, read(Tag::StripByteCounts)?),
+        None => (read(Tag::TileOffsets)?, read(Tag::TileByteCounts)?),
+    };
+    offsets.iter().zip(counts).map(|(o, n)| o.saturating_add(n)).max()
+}
+
+fn contains_end_chunk(file: &mut std::fs::File) -> bool {
+    let mut all = Vec::new();
+    let read = file.seek(SeekFrom::Start(0)).and_then(|_| file.read_to_end(&mut all));
+    // With its check sum behind it.
+    read.is_ok() && all.windows(12).any(|w| w.starts_with(b"\0\0\0\0IEND"))
+}
+
+/// What the heads say together.
+pub(super) fn findings(heads: &[Head], manifest: &Manifest) -> Vec<Finding> {
+    let mut found: Vec<Finding> = heads.iter().filter_map(|h| h.finding.clone()).collect();
+    let present = || heads.iter().filter(|h| !matches!(h.finding, Some(Finding::MissingPhotograph { .. })));
+    let without: Vec<&Head> = present().filter(|h| h.settings.is_none()).collect();
+    if let Some(first) = without.first() {
+        found.push(Finding::NoExif { file: first.file.clone(), photographs: without.len() });
+    }
+    let known: Vec<(&Head, &CameraSettings)> = present().filter_map(|h| Some((h, h.settings.as_ref()?))).collect();
+    let automatic: Vec<_> = known.iter().filter_map(|(h, s)| Some((h, s.automatic_exposure.as_ref()?))).collect();
+    if let Some((head, program)) = automatic.first() {
+        let (file, program) = (head.file.clone(), (*program).clone());
+        found.push(Finding::AutomaticExposure { file, photographs: automatic.len(), program });
+    }
+    let balance: Vec<_> = known.iter().filter(|(_, s)| s.automatic_white_balance == Some(true)).collect();
+    if let Some((head, _)) = balance.first() {
+        found.push(Finding::AutomaticWhiteBalance { file: head.file.clone(), photographs: balance.len() });
+    }
+    let decimal = |v: Option<f64>| v.map(|v| format!("{}", (v * 100.0).round() / 100.0));
+    type Read<'a> = &'a dyn Fn(&CameraSettings) -> Option<String>;
+    let settings: [(&str, Read); 4] = [
+        ("ISO", &|s| decimal(s.iso)),
+        ("f-number", &|s| decimal(s.f_number)),
+        ("focal length", &|s| decimal(s.focal_mm).map(|v| format!("{v} mm"))),
+        ("camera", &|s| s.camera.clone()),
+    ];
+    found.extend(settings.iter().filter_map(|(name, read)| changes(name, &known, read)));
+    found.extend(bracket_differs(heads, manifest));
+    found.extend(out_of_order(heads, manifest));
+    found
+}
+
+fn changes(
+    setting: &str,
+    known: &[(&Head, &CameraSettings)],
+    read: &dyn Fn(&CameraSettings) -> Option<String>,
+) -> Option<Finding> {
+    let values: Vec<(&Head, String)> = known.iter().filter_map(|(h, s)| Some((*h, read(s)?))).collect();
+    let expected = most(values.iter().map(|(_, v)| v))?;
+    let mut others = values.iter().filter(|(_, v)| *v != expected);
+    let (head, found) = others.next()?;
+    let (setting, file, found) = (setting.to_owned(), head.file.clone(), found.clone());
+    Some(Finding::SettingChanges { setting, file, photographs: 1 + others.count(), expected, found })
+}
+
+/// The value that occurs most often; of equals the first in order.
+fn most<'a, T: Ord + Clone + 'a>(values: impl Iterator<Item = &'a T>) -> Option<T> {
+    let mut counts: BTreeMap<&T, usize> = BTreeMap::new();
+    values.for_each(|v| *counts.entry(v).or_default() += 1);
+    let largest = *counts.values().max()?;
+    counts.into_iter().find(|(_, n)| *n == largest).map(|(v, _)| v.clone())
+}
+
+/// Exposures of each lattice shot, shortest first.
+fn lattice_brackets(heads: &[Head], manifest: &Manifest) -> BTreeMap<usize, Vec<f64>> {
+    let mut brackets: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
+    for head in heads {
+        if matches!(manifest.shots[head.shot].pattern, Pattern::Lattice { .. }) {
+            brackets.entry(head.shot).or_default().extend(head.exposure_secs);
+        }
+    }
+    brackets.values_mut().for_each(|b| b.sort_by(f64::total_cmp));
+    brackets
+}
+
+fn usual_bracket(brackets: &BTreeMap<usize, Vec<f64>>) -> Option<Vec<f64>> {
+    // Times are positive: their bits are in their order.
+    let keys: Vec<Vec<u64>> = brackets.values().map(|b| b.iter().map(|t| t.to_bits()).collect()).collect();
+    Some(most(keys.iter())?.into_iter().map(f64::from_bits).collect())
+}
+
+fn bracket_differs(heads: &[Head], manifest: &Manifest) -> Option<Finding> {
+    let brackets = lattice_brackets(heads, manifest);
+    let expected = usual_bracket(&brackets)?;
+    let same = |b: &[f64]| {
+        b.len() == expected.len() && b.iter().zip(&expected).all(|(a, b)| (a / b - 1.0).abs() < SAME_EXPOSURE)
+    };
+    let mut others = brackets.iter().filter(|(_, b)| !same(b));
+    let (&shot, found_secs) = others.next()?;
+    let shot = manifest.shots[shot].name.clone();
+    Some(Finding::BracketDiffers {
+        shot,
+        shots: 1 + others.count(),
+        found_secs: found_secs.clone(),
+        expected_secs: expected,
+    })
+}
+
+/// Shots that begin before an earlier one of the manifest has ended, by the camera's clock.
+fn out_of_order(heads: &[Head], manifest: &Manifest) -> Option<Finding> {
+    let time = |h: &Head| h.settings.as_ref().and_then(|s| s.taken_secs);
+    let mut spans: BTreeMap<usize, [(f64, &Head); 2]> = BTreeMap::new();
+    for head in heads {
+        let Some(t) = time(head) else { continue };
+        let [first, last] = spans.entry(head.shot).or_insert([(t, head); 2]);
+        if t < first.0 {
+            *first = (t, head);
+        }
+        if t > last.0 {
+            *last = (t, head);
+        }
+    }
+    let mut latest: Option<(f64, &Head)> = None;
+    let (mut first, mut shots, mut lattice) = (None, 0, false);
+    for (&shot, &[begin, end]) in &spans {
+        if let Some(before) = latest.filter(|l| begin.0 < l.0) {
+            first.get_or_insert((begin.1.file.clone(), before.1.file.clone()));
+            shots += 1;
+            lattice |= matches!(manifest.shots[shot].pattern, Pattern::Lattice { .. });
+        }
+        latest = latest.filter(|l| l.0 > end.0).or(Some(end));
+    }
+    let (file, after_file) = first?;
+    Some(Finding::OutOfOrder { file, after_file, shots, lattice })
+}
+
+/// The exposures of most lattice shots, s, shortest first.
+pub(super) fn lattice_exposures(heads: &[Head], manifest: &Manifest) -> Vec<f64> {
+    usual_bracket(&lattice_brackets(heads, manifest)).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_that_lack_their_end_are_cut_short_whatever_their_format() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("photograph");
+        let pixels = image::RgbImage::from_fn(40, 30, |x, y| image::Rgb([x as u8 * 6, y as u8 * 8, 77]));
+        let encoded = |format| {
+            let mut bytes = std::io::Cursor::new(Vec::new());
+            pixels.write_to(&mut bytes, format).unwrap();
+            bytes.into_inner()
+        };
+        let mut tiff = std::io::Cursor::new(Vec::new());
+        let mut encoder = tiff::encoder::TiffEncoder::new(&mut tiff).unwrap();
+        let codes: Vec<u16> = pixels.as_raw().iter().map(|&v| u16::from(v) * 257).collect();
+        encoder.write_image::<tiff::encoder::colortype::RGB16>(40, 30, &codes).unwrap();
+        // The writer puts the directory behind the strips: as cameras do not.
+        let whole = [encoded(image::ImageFormat::Png), encoded(image::ImageFormat::Jpeg)];
+        for bytes in &whole {
+            std::fs::write(&path, bytes).unwrap();
+            assert_eq!(cut_short(&path), Ok(()));
+            // A camera's trailer is no harm.
+            std::fs::write(&path, [&bytes[..], b"trailer"].concat()).unwrap();
+            assert_eq!(cut_short(&path), Ok(()));
+            for cut in [1, 12, bytes.len() / 2] {
+                std::fs::write(&path, &bytes[..bytes.len() - cut]).unwrap();
+                assert!(cut_short(&path).is_err(), "{cut} bytes");
+            }
+        }
+        let tiff = directory_first(&tiff.into_inner());
+        std::fs::write(&path, &tiff).unwrap();
+        assert_eq!(cut_short(&path), Ok(()));
+        std::fs::write(&path, &tiff[..tiff.len() - 1]).unwrap();
+        assert!(cut_short(&path).is_err());
+    }
+
+    /// A little-endian TIFF of one strip with its strip moved behind everything else.
+    fn directory_first(tiff: &[u8]) -> Vec<u8> {
+        let u16_at = |k: usize| u16::from_le_bytes([tiff[k], tiff[k + 1]]);
+        let u32_at = |k: usize| u32::from_le_bytes([tiff[k], tiff[k + 1], tiff[k + 2], tiff[k + 3]]);
+        let directory = u32_at(4) as usize;
+        let entry =
+            |tag: u16| (0..usize::from(u16_at(directory))).map(|n| directory + 2 + 12 * n).find(|&k| u16_at(k) == tag);
+        let (offsets, counts) = (entry(273).unwrap(), entry(279).unwrap());
+        assert_eq!(u32_at(offsets + 4), 1, "one strip");
+        let (from, count) = (u32_at(offsets + 8) as usize, u32_at(counts + 8) as usize);
+        let mut moved = tiff.to_vec();
+        moved[offsets + 8..offsets + 12].copy_from_slice(&(tiff.len() as u32).to_le_bytes());
+        moved.extend_from_slice(&tiff[from..from + count]);
+        moved
+    }
+}

@@ -1,0 +1,362 @@
+//! Check: everything that can be known about a capture before an hour of work, in seconds.
+//!
+//! Looks at every file's head, and takes a sample of the lattice shots the whole way that `build-matrix` goes, by the same code: what
+//! stops that at opening, at registration or at the sampled shots is found here.
+//!
+//! Not found: what only an unsampled lattice shot shows (lost reference dots, saturated dots), damage in the middle of a file,
+//! and all that `docs/captures.md` lists as what the program does not find.
+
+mod finding;
+mod focus;
+mod heads;
+mod pixels;
+mod text;
+
+pub use finding::{Finding, Severity, Topic};
+pub use text::table;
+
+use crate::capture::{Capture, Manifest, Pattern, Rig};
+use crate::pipeline::{BuildOptions, BuildReport, try_build};
+use crate::progress::Progress;
+use crate::{Error, Result, Warning};
+use pixels::Pictures;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// Settings of [`check`].
+#[derive(Debug, Clone, clap::Args)]
+pub struct CheckOptions {
+    /// Those of the build that is to come.
+    #[command(flatten)]
+    pub build: BuildOptions,
+    /// Lattice shots to look at, spread over the sweep. 8: the first, the last and some between show drift and light.
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    pub lattice_shots: usize,
+}
+
+impl Default for CheckOptions {
+    fn default() -> Self {
+        Self { build: BuildOptions::default(), lattice_shots: 8 }
+    }
+}
+
+/// What was measured; each `None` when it was not reached.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Figures {
+    /// Photographs that `capture.toml` names.
+    pub photographs: usize,
+    /// Bytes of those that are there.
+    pub photograph_bytes: u64,
+    /// Shots.
+    pub shots: usize,
+    /// Lattice shots.
+    pub lattice_shots: usize,
+    /// Those of them that were looked at.
+    pub lattice_shots_looked_at: usize,
+    /// Grid points, and how many of them are lit.
+    pub points: [usize; 2],
+    /// How many of them a shot lights.
+    pub points_lit: usize,
+    /// Exposures of most lattice shots, s.
+    pub lattice_exposures_secs: Vec<f64>,
+    /// RMS of the board's corners, camera px.
+    pub camera_rms_px: Option<f64>,
+    /// RMS of the Gray code's edges, projector px.
+    pub projector_rms_px: Option<f64>,
+    /// Rise of the board's edges from a tenth to nine tenths, camera px.
+    pub edge_px: Option<f64>,
+    /// Side of an outgoing sample, camera px.
+    pub sample_px: Option<f64>,
+    /// Largest drift of the shots that were looked at, camera px.
+    pub drift_most_px: Option<f64>,
+    /// Dots that were looked at.
+    pub dots_looked_at: usize,
+    /// Largest share of the windows of a shot that is black in its longest exposure.
+    pub dark_share: Option<f64>,
+    /// The matrix is no larger than this.
+    pub matrix_bytes_most: u64,
+    /// What building the whole matrix would take here, s.
+    pub build_secs: Option<f64>,
+}
+
+/// What [`check`] found.
+#[derive(Debug)]
+pub struct CheckReport {
+    /// The capture's name, when its manifest can be read.
+    pub name: Option<String>,
+    /// What was measured.
+    pub figures: Figures,
+    /// What was found, worst first.
+    pub findings: Vec<Finding>,
+    /// What `build-matrix` would stop with; `None` when nothing is known that would stop it.
+    pub stopped_by: Option<Error>,
+}
+
+/// The farthest drift that the pipeline follows, camera px: its search less the two that a centroid needs.
+const DRIFT_FOLLOWED_PX: f64 = 6.0;
+/// Blur over more than this share of an outgoing sample (as a standard deviation) spreads much of the peak into its neighbours.
+const BLUR_SHARE: f64 = 1.0 / 3.0;
+/// A Gaussian's rise from a tenth to nine tenths, in standard deviations.
+const RISE_PER_SIGMA: f64 = 2.563;
+
+/// Checks the capture in `dir`. What is wrong with it is in the report.
+///
+/// # Errors
+/// [`Error::Setting`] for no lattice shots to look at; [`Error::Internal`].
+pub fn check(dir: &Path, options: &CheckOptions, progress: &Progress) -> Result<CheckReport> {
+    if options.lattice_shots == 0 {
+        let (expected, found) = ("1 or more".into(), "0".into());
+        return Err(Error::Setting { setting: "--lattice-shots", expected, found });
+    }
+    let mut report = CheckReport { name: None, figures: Figures::default(), findings: Vec::new(), stopped_by: None };
+    let done = report.look(dir, options, progress);
+    if let Err(error) = done {
+        if error.is_internal() {
+            return Err(error);
+        }
+        report.stop(error);
+    }
+    report.stop_at_files(dir);
+    report.findings.sort_by_key(|f| std::cmp::Reverse(f.severity()));
+    Ok(report)
+}
+
+impl CheckReport {
+    /// Whether nothing is known that would stop `build-matrix`.
+    pub fn would_build(&self) -> bool {
+        self.stopped_by.is_none()
+    }
+
+    /// One object for programs: `would_build`, `reason`, `figures`, `findings` with `severity` and `topic`.
+    ///
+    /// # Errors
+    /// [`Error::Internal`].
+    pub fn json(&self) -> Result<serde_json::Value> {
+        let finding = |f: &Finding| {
+            let mut object = serde_json::to_value(f)?;
+            object["severity"] = serde_json::to_value(f.severity())?;
+            object["topic"] = serde_json::to_value(f.topic())?;
+            object["message"] = f.to_string().into();
+            Ok(object)
+        };
+        let findings: serde_json::Result<Vec<serde_json::Value>> = self.findings.iter().map(finding).collect();
+        Ok(serde_json::json!({
+            "name": self.name,
+            "would_build": self.would_build(),
+            "reason": self.stopped_by.as_ref().map(ToString::to_string),
+            "figures": serde_json::to_value(&self.figures).map_err(Error::internal)?,
+            "findings": findings.map_err(Error::internal)?,
+        }))
+    }
+
+    fn look(&mut self, dir: &Path, options: &CheckOptions, progress: &Progress) -> Result<()> {
+        let calibration = options.build.calibration.as_deref();
+        {
+            let stage = progress.stage("files", 2);
+            if dir.is_dir() {
+                let manifest = Manifest::read(dir)?;
+                let rig = Rig::read(&Rig::find(dir, calibration)?)?;
+                self.heads(dir, &manifest, &rig);
+            }
+            stage.advance(1);
+        }
+        let capture = Capture::open(dir, calibration).inspect_err(|_| self.findings.push(Finding::NotLookedAt))?;
+        self.warned(&capture.warnings);
+        let sample = sampled(&capture, options.lattice_shots);
+        self.figures.lattice_shots_looked_at = sample.shots(is_lattice).len();
+        let tried = try_build(&sample, &options.build, progress);
+        self.pixels(&capture, &sample, tried.as_ref().ok(), progress)?;
+        let tried = tried?;
+        self.estimate(&capture, &sample, progress);
+        dots_on_slab(&capture, &tried)
+    }
+
+    fn heads(&mut self, dir: &Path, manifest: &Manifest, rig: &Rig) {
+        self.name = Some(manifest.name.clone());
+        let heads = heads::read(dir, manifest, rig);
+        self.findings.extend(heads::findings(&heads, manifest));
+        let lit: std::collections::BTreeSet<[usize; 2]> =
+            manifest.shots.iter().flat_map(|s| dots(&s.pattern)).copied().collect();
+        let points = manifest.grid.len();
+        if lit.len() < points {
+            self.findings.push(Finding::UnlitPoints { points: points - lit.len(), of: points });
+        }
+        // Response and variance in four bytes each, validity in one, three channels.
+        let row_bytes = 27 * manifest.window.samples[0] * manifest.window.samples[1];
+        self.figures = Figures {
+            photographs: heads.len(),
+            photograph_bytes: heads.iter().map(|h| h.bytes).sum(),
+            shots: manifest.shots.len(),
+            lattice_shots: manifest.shots.iter().filter(|s| is_lattice(&s.pattern)).count(),
+            points: manifest.grid.points,
+            points_lit: lit.len(),
+            lattice_exposures_secs: heads::lattice_exposures(&heads, manifest),
+            matrix_bytes_most: row_bytes as u64 * points as u64,
+            ..Figures::default()
+        };
+    }
+
+    /// Warnings of the pipeline that say more than what was found already.
+    fn warned(&mut self, warnings: &[Warning]) {
+        let changes = self.findings.iter().any(|f| matches!(f, Finding::SettingChanges { .. }));
+        for warning in warnings {
+            let known = match warning {
+                // Of a sample, every other point is unlit.
+                Warning::UnlitPoints { .. } => true,
+                Warning::ApertureOrIsoChanges { .. } => changes,
+                _ => false,
+            };
+            let finding = Finding::Warned { warning: warning.clone() };
+            if !known && !self.findings.contains(&finding) {
+                self.findings.push(finding);
+            }
+        }
+    }
+
+    fn pixels(
+        &mut self,
+        capture: &Capture,
+        sample: &Capture,
+        tried: Option<&BuildReport>,
+        progress: &Progress,
+    ) -> Result<()> {
+        let stage = progress.stage("light", 3);
+        let pictures = Pictures::new(sample);
+        self.findings.extend(pictures.stills(tried)?);
+        stage.advance(1);
+        let Some(tried) = tried else { return Ok(()) };
+        self.warned(&tried.warnings);
+        let dots = pictures.lattice(tried)?;
+        self.findings.extend(dots.findings());
+        (self.figures.dots_looked_at, self.figures.dark_share) = (dots.looked_at, dots.dark_share());
+        stage.advance(1);
+
+        self.figures.camera_rms_px = Some(tried.registration.camera_rms_px);
+        self.figures.projector_rms_px = Some(tried.registration.projector_rms_px);
+        self.drift(tried);
+        let sample_px = capture.manifest.window.pitch_mm * pixels::px_per_mm(tried);
+        self.figures.sample_px = Some(sample_px);
+        let board = sample.shots(|p| matches!(p, Pattern::Board));
+        let picture = pictures.merged(board.first().map_or(&[][..], |&s| &sample.brackets[s]))?;
+        self.figures.edge_px = focus::edge_width_px(&picture, &capture.rig.board, &tried.registration.view);
+        match self.figures.edge_px {
+            None => self.findings.push(Finding::FocusUnmeasured),
+            Some(edge_px) if edge_px > RISE_PER_SIGMA * BLUR_SHARE * sample_px => {
+                self.findings.push(Finding::Blurred { edge_px, sample_px });
+            }
+            Some(_) => {}
+        }
+        stage.advance(1);
+        Ok(())
+    }
+
+    fn drift(&mut self, tried: &BuildReport) {
+        let length = |s: &crate::transport::ShotRecord| s.drift_px[0].hypot(s.drift_px[1]);
+        let Some(shot) = tried.shots.iter().max_by(|a, b| length(a).total_cmp(&length(b))) else { return };
+        let drift_px = length(shot);
+        self.figures.drift_most_px = Some(drift_px);
+        if drift_px > 0.5 * DRIFT_FOLLOWED_PX {
+            let most_px = DRIFT_FOLLOWED_PX;
+            self.findings.push(Finding::LargeDrift { shot: shot.name.clone(), drift_px, most_px });
+        }
+    }
+
+    /// From the time that the sample took.
+    fn estimate(&mut self, capture: &Capture, sample: &Capture, progress: &Progress) {
+        let timings = progress.timings();
+        let secs = |stage: &str| timings.iter().rev().find(|t| t.stage == stage).map(|t| t.secs);
+        let photographs = |c: &Capture| c.shots(is_lattice).iter().map(|&s| c.brackets[s].len()).sum::<usize>();
+        let more = photographs(capture) as f64 / photographs(sample).max(1) as f64;
+        let stages = (secs("register"), secs("reference"), secs("extract"));
+        if let (Some(register), Some(reference), Some(extract)) = stages {
+            self.figures.build_secs = Some(register + reference + more * extract);
+        }
+    }
+
+    fn stop(&mut self, error: Error) {
+        let told = matches!(
+            error,
+            Error::MissingPhotograph { .. } | Error::BrokenPhotograph { .. } | Error::NoExposure { .. }
+        ) || matches!(&error, Error::Field { field, .. } if field == "size");
+        let errors = self.findings.iter().any(|f| f.severity() == Severity::Error);
+        if !(told && errors) {
+            self.findings.push(Finding::WouldNotBuild { reason: error.to_string(), topic: topic_of(&error) });
+        }
+        self.stopped_by.get_or_insert(error);
+    }
+
+    /// A broken photograph of a shot that was not sampled stops the build too.
+    fn stop_at_files(&mut self, dir: &Path) {
+        if self.stopped_by.is_some() {
+            return;
+        }
+        let error = self.findings.iter().find_map(|f| match f {
+            Finding::BrokenPhotograph { file, shot, reason } => {
+                Some(Error::BrokenPhotograph { path: dir.join(file), shot: shot.clone(), reason: reason.clone() })
+            }
+            Finding::MissingPhotograph { file, shot } => {
+                Some(Error::MissingPhotograph { path: PathBuf::from(dir).join(file), shot: shot.clone() })
+            }
+            _ => None,
+        });
+        self.stopped_by = error;
+    }
+}
+
+fn topic_of(error: &Error) -> Topic {
+    match error {
+        Error::Registration { .. } => Topic::Registration,
+        Error::DotSaturated { .. } => Topic::Light,
+        Error::DotOutsideSlab { .. } => Topic::Dots,
+        Error::NoExposure { .. } | Error::SameExposure { .. } => Topic::Exposures,
+        _ => Topic::Files,
+    }
+}
+
+fn is_lattice(pattern: &Pattern) -> bool {
+    matches!(pattern, Pattern::Lattice { .. })
+}
+
+fn dots(pattern: &Pattern) -> &[[usize; 2]] {
+    match pattern {
+        Pattern::Lattice { dots } => dots,
+        _ => &[],
+    }
+}
+
+/// The capture with no more than `most` of its lattice shots: the first, the last, and some evenly between.
+fn sampled(capture: &Capture, most: usize) -> Capture {
+    let lattice = capture.shots(|p| !dots(p).is_empty());
+    let last = lattice.len().saturating_sub(1);
+    let steps = most.saturating_sub(1).max(1);
+    let kept: Vec<usize> = match lattice.len() <= most {
+        true => lattice,
+        false => (0..most).map(|k| lattice[k * last / steps]).collect(),
+    };
+    let keep = |s: &usize| !is_lattice(&capture.manifest.shots[*s].pattern) || kept.contains(s);
+    let shots: Vec<usize> = (0..capture.manifest.shots.len()).filter(keep).collect();
+    let mut sample = capture.clone();
+    sample.manifest.shots = shots.iter().map(|&s| capture.manifest.shots[s].clone()).collect();
+    sample.brackets = shots.iter().map(|&s| capture.brackets[s].clone()).collect();
+    sample
+}
+
+/// All dots, of unsampled shots too, as the pipeline requires them.
+fn dots_on_slab(capture: &Capture, tried: &BuildReport) -> Result<()> {
+    let size = capture.manifest.slab.size_mm;
+    for shot in &capture.manifest.shots {
+        for &dot in dots(&shot.pattern) {
+            let at = tried.registration.slab_from_projector.map(capture.manifest.grid.dot_projector_px(dot));
+            if !(0..2).all(|a| at[a] >= 0.0 && at[a] <= size[a]) {
+                return Err(Error::DotOutsideSlab {
+                    path: capture.manifest_path(),
+                    shot: shot.name.clone(),
+                    dot,
+                    expected: format!("a place on the slab, within {:.2} × {:.2} mm", size[0], size[1]),
+                    found: format!("({:.2}, {:.2}) mm", at[0], at[1]),
+                });
+            }
+        }
+    }
+    Ok(())
+}

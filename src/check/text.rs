@@ -1,0 +1,91 @@
+//! The table that people read.
+
+use super::finding::times;
+use super::{CheckReport, Finding, Severity, Topic};
+
+/// Findings of one topic that are listed; all are in the JSON.
+const LISTED: usize = 5;
+
+/// A line a topic: its state in a word, its figures, and what was found below it. `color` is for terminals.
+pub fn table(report: &CheckReport, color: bool) -> String {
+    let mut lines = Vec::new();
+    for topic in Topic::ALL {
+        let findings: Vec<&Finding> = report.findings.iter().filter(|f| f.topic() == topic).collect();
+        let figures = figures(report, topic);
+        let worst = findings.iter().map(|f| f.severity()).max();
+        let state = match (worst, &figures) {
+            (Some(Severity::Error), _) => paint("bad", "31", color),
+            (Some(Severity::Warning), _) => paint("look", "33", color),
+            (_, Some(_)) => paint("good", "32", color),
+            (_, None) => paint("-", "2", color),
+        };
+        let figures = figures.unwrap_or_else(|| if worst.is_some() { String::new() } else { "not reached".into() });
+        lines.push(format!("{:<13} {state} {figures}", topic.name()).trim_end().to_owned());
+        lines.extend(findings.iter().take(LISTED).map(|f| format!("{:<18} {}", "", f)));
+        if findings.len() > LISTED {
+            lines.push(format!("{:<18} … and {} more: --json lists all", "", findings.len() - LISTED));
+        }
+    }
+    lines.join("\n")
+}
+
+/// A word in a field of four.
+fn paint(word: &str, code: &str, color: bool) -> String {
+    let field = format!("{word:<4}");
+    if color { format!("\x1b[{code}m{field}\x1b[0m") } else { field }
+}
+
+/// What was measured of a topic; `None` when it was not reached.
+fn figures(report: &CheckReport, topic: Topic) -> Option<String> {
+    let f = &report.figures;
+    let known = f.photographs > 0;
+    let mb = |bytes: u64| match bytes as f64 / 1e6 {
+        mb if mb < 10.0 => format!("{mb:.1} MB"),
+        mb if mb < 1e4 => format!("{mb:.0} MB"),
+        mb => format!("{:.1} GB", mb / 1e3),
+    };
+    match topic {
+        Topic::Files => known.then(|| {
+            let time = f.build_secs.map_or(String::new(), |s| format!(", built in about {}", duration(s)));
+            let (photographs, matrix) = (mb(f.photograph_bytes), mb(f.matrix_bytes_most));
+            format!(
+                "{} photographs of {} shots, {photographs}; the matrix: {matrix} at most{time}",
+                f.photographs, f.shots
+            )
+        }),
+        Topic::Exposures => (!f.lattice_exposures_secs.is_empty())
+            .then(|| format!("{} in the lattice shots", times(&f.lattice_exposures_secs))),
+        Topic::Settings => known.then(|| "ISO, aperture, focal length, white balance, mode".into()),
+        Topic::Order => known.then(|| "as in capture.toml, as far as EXIF tells".into()),
+        Topic::Light => f.dark_share.map(|share| {
+            format!(
+                "{} dots looked at; {:.0} % of their windows black in the longest exposure, at most",
+                f.dots_looked_at,
+                100.0 * share
+            )
+        }),
+        Topic::Focus => f.edge_px.zip(f.sample_px).map(|(edge, sample)| {
+            format!("edges {edge:.2} px wide (0.8 is a perfect lens), an outgoing sample {sample:.1} px")
+        }),
+        Topic::Registration => f.camera_rms_px.zip(f.projector_rms_px).map(|(camera, projector)| {
+            format!("board RMS {camera:.3} px camera, Gray code RMS {projector:.3} px projector")
+        }),
+        Topic::Drift => f.drift_most_px.map(|px| {
+            format!("{px:.2} px at most in {} of {} lattice shots", f.lattice_shots_looked_at, f.lattice_shots)
+        }),
+        Topic::Dots => known.then(|| {
+            let [x, y] = f.points;
+            format!("{} of {x} × {y} points lit by {} lattice shots", f.points_lit, f.lattice_shots)
+        }),
+    }
+}
+
+/// Seconds as people read them.
+fn duration(secs: f64) -> String {
+    match secs {
+        s if s < 10.0 => format!("{s:.1} s"),
+        s if s < 120.0 => format!("{s:.0} s"),
+        s if s < 7200.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}

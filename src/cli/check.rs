@@ -1,0 +1,53 @@
+use super::Context;
+use crate::check::{CheckOptions, Severity, check, table};
+use crate::{Error, Result};
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+
+/// Tell in seconds whether a capture would build, and what is odd about it.
+///
+/// Reads every photograph's head, and takes a few of the lattice shots the whole way of build-matrix. Looks at missing and broken
+/// files, exposures, settings that changed or were automatic, the order of shooting, saturation, focus, registration, drift and dots.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  acquire check captures/
+  acquire check captures/ --calibration lab/rig-3 --lattice-shots 32
+  acquire check captures/ --json | jq -r '.findings[] | .severity + \": \" + .message'
+
+Each topic is good, look (it builds, but look at it) or bad. Exit status 1 when build-matrix would fail, 0 otherwise.")]
+pub struct Args {
+    /// Folder of capture.toml.
+    capture: PathBuf,
+    #[command(flatten)]
+    options: CheckOptions,
+    /// Print one JSON object instead of a table.
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: Args, context: &Context) -> Result<()> {
+    let start = std::time::Instant::now();
+    let report = check(&args.capture, &args.options, &context.progress)?;
+    let mut out = std::io::stdout();
+    let text = match args.json {
+        true => serde_json::to_string_pretty(&report.json()?).map_err(Error::internal)?,
+        false => table(&report, out.is_terminal() && std::env::var_os("NO_COLOR").is_none()),
+    };
+    match writeln!(out, "{text}") {
+        // `| head` has read all that it wants.
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => return Err(Error::io("write", "standard output")(e)),
+        _ => {}
+    }
+    let warnings = report.findings.iter().filter(|f| f.severity() == Severity::Warning).count();
+    let figures = &report.figures;
+    let sample = format!("{} of {} lattice shots", figures.lattice_shots_looked_at, figures.lattice_shots);
+    match report.stopped_by {
+        Some(reason) => Err(Error::WouldNotBuild { reason: Box::new(reason) }),
+        None => {
+            let secs = start.elapsed().as_secs_f64();
+            context.done(format_args!("would build; {warnings} warnings; {sample} looked at in {secs:.1} s"));
+            Ok(())
+        }
+    }
+}

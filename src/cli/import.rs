@@ -1,0 +1,41 @@
+use super::Context;
+use crate::Result;
+use crate::import::{ImportOptions, import};
+use std::path::PathBuf;
+
+/// Sort a camera's folder of photographs into the shots of a plan.
+///
+/// Photographs are taken in the order of their EXIF times (and of the numbers in their names), and must repeat the exposures that the plan's
+/// shots ask for. What does not fit is refused by the name of the first such photograph, and nothing is written then.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  acquire import /media/DCIM --plan plan --out captures/marble
+  acquire import from-gphoto2 --plan plan --out captures/marble --link --take jpg
+
+Then: acquire check captures/marble")]
+pub struct Args {
+    /// Folder of the photographs, as the camera or gphoto2 made it.
+    folder: PathBuf,
+    /// Folder of plan.toml, as `acquire patterns` made it.
+    #[arg(long, value_name = "DIR")]
+    plan: PathBuf,
+    /// The capture to make.
+    #[arg(long, short, value_name = "DIR")]
+    out: PathBuf,
+    #[command(flatten)]
+    options: ImportOptions,
+}
+
+pub fn run(args: Args, context: &Context) -> Result<()> {
+    let done = import(&args.folder, &args.plan, &args.out, &args.options, &context.progress)?;
+    let out = args.out.display();
+    let left = if done.left > 0 { format!(", {} of other kinds left", done.left) } else { String::new() };
+    let ignored = if done.ignored > 0 { format!(", {} other files ignored", done.ignored) } else { String::new() };
+    let order = if done.by_number { "by the numbers in their names" } else { "by their times" };
+    context.done(format_args!(
+        "{out}: {} photographs (.{}{left}{ignored}) in {} shots, {order}; next: acquire check {out}",
+        done.photographs, done.kind, done.shots,
+    ));
+    Ok(())
+}

@@ -1,0 +1,318 @@
+//! Patterns: the pictures that a projector shows for a capture, the plan that tells `import` what to expect, and a page for the person.
+//!
+//! With a quick probe capture the plan asks for no photograph that the scene does not require: see [`Probe`].
+
+mod layout;
+mod page;
+mod picture;
+mod plan;
+mod probe;
+mod spacing;
+
+pub use layout::{gray_bits, lattice_shots};
+pub use page::hours;
+pub use picture::Picture;
+pub use plan::{PLAN_FILE, Plan, PlannedShot};
+pub use probe::{Probe, ProbeChoice};
+pub use spacing::{SpacingChoice, SpacingOptions, Tails, choose_spacing};
+
+use crate::capture::{Rig, Window};
+use crate::geometry::{Homography, Point};
+use crate::output::NewFolder;
+use crate::progress::Progress;
+use crate::{Error, Result};
+use layout::Layout;
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+
+/// Settings of [`patterns`].
+#[derive(Debug, Clone, clap::Args)]
+pub struct PatternsOptions {
+    /// A name for people; it heads the report.
+    #[arg(long)]
+    pub name: Option<String>,
+    /// Width and height of the sample, mm: 20 or 30x20 [default with --probe: the probe's].
+    #[arg(long, value_name = "MM[xMM]", value_parser = pair_of::<f64>)]
+    pub slab_mm: Option<Point>,
+    /// Projector pixels in a mm of the slab [default with --probe: as registered].
+    #[arg(long, value_name = "PX")]
+    pub projector_px_per_mm: Option<f64>,
+    /// Projector pixel that falls on the middle of the slab [default: the projector's middle; with --probe: as registered].
+    #[arg(long, value_name = "XxY", value_parser = pair_of::<f64>)]
+    pub center_px: Option<Point>,
+    /// Lit points: 32 or 40x30 [default: as many as --lit-pitch-mm makes].
+    #[arg(long, value_name = "N[xN]", value_parser = pair_of::<usize>, conflicts_with = "lit_pitch_mm")]
+    pub grid: Option<[usize; 2]>,
+    /// Distance of lit points, mm [default: --pitch-mm].
+    #[arg(long, value_name = "MM")]
+    pub lit_pitch_mm: Option<f64>,
+    /// Outgoing samples of a window along each axis, odd [default: 31; with --probe: as far as the response reaches].
+    #[arg(long, value_name = "N")]
+    pub window: Option<usize>,
+    /// Side of an outgoing cell, mm [default: 0.5; with --probe: the probe's].
+    #[arg(long, value_name = "MM")]
+    pub pitch_mm: Option<f64>,
+    /// Side of a dot, projector pixels. 3: a dark pixel between neighbours four pixels apart.
+    #[arg(long, value_name = "PX", default_value_t = 3)]
+    pub dot_px: usize,
+    /// Distance of the dots of one shot, mm [default: one and a half windows; with --probe: the smallest that the tails permit].
+    #[arg(long, value_name = "MM")]
+    pub spacing_mm: Option<f64>,
+    /// Least distance of the lit points from the slab's rim, mm [default: half a window, or a quarter of the slab when that is less].
+    #[arg(long, value_name = "MM")]
+    pub margin_mm: Option<f64>,
+    /// Width of the opaque frame, mm: the reference dots lie in its middle.
+    #[arg(long, value_name = "MM", default_value_t = 6.0)]
+    pub frame_mm: f64,
+    /// Narrowest stripes of the Gray code, projector pixels [default: 8; with --probe: what is six camera pixels].
+    #[arg(long, value_name = "PX")]
+    pub narrowest_stripe_px: Option<usize>,
+    /// Exposures of each lattice and each black shot [default: 5; with --probe: as many as the response requires].
+    #[arg(long, value_name = "N")]
+    pub exposures: Option<usize>,
+    /// Stops between exposures.
+    #[arg(long, value_name = "STOPS", default_value_t = 2.0)]
+    pub stops: f64,
+    /// Shortest exposure of a lattice shot, s, as 0.004 or 1/250: the brightest dot must not saturate in it [default: 1/256; with --probe: as measured].
+    #[arg(long, value_name = "S", value_parser = secs)]
+    pub shortest_secs: Option<f64>,
+    /// Shorter of the two exposures of board, white reference and Gray code, s [default: --shortest-secs; with --probe: the probe's].
+    #[arg(long, value_name = "S", value_parser = secs)]
+    pub white_secs: Option<f64>,
+    /// What the camera takes for a photograph besides its exposure, s, to tell the time.
+    #[arg(long, value_name = "S", default_value_t = 1.5)]
+    pub overhead_secs: f64,
+    /// Share of a row's light that other dots' tails may add to it, with --probe.
+    #[arg(long, value_name = "SHARE", default_value_t = SpacingOptions::default().most_cross_talk)]
+    pub most_cross_talk: f64,
+}
+
+impl Default for PatternsOptions {
+    fn default() -> Self {
+        Self {
+            name: None,
+            slab_mm: None,
+            projector_px_per_mm: None,
+            center_px: None,
+            grid: None,
+            lit_pitch_mm: None,
+            window: None,
+            pitch_mm: None,
+            dot_px: 3,
+            spacing_mm: None,
+            margin_mm: None,
+            frame_mm: 6.0,
+            narrowest_stripe_px: None,
+            exposures: None,
+            stops: 2.0,
+            shortest_secs: None,
+            white_secs: None,
+            overhead_secs: 1.5,
+            most_cross_talk: SpacingOptions::default().most_cross_talk,
+        }
+    }
+}
+
+/// Window of a plan without a probe, samples: what the simulator's bench and the published measurements use.
+const WINDOW: usize = 31;
+/// Side of its cells, mm.
+const PITCH_MM: f64 = 0.5;
+/// Distance of the dots of one shot without a probe, windows: neighbours' tails are below a thousandth of the peak in most materials.
+const SPACING_WINDOWS: f64 = 1.5;
+/// Stripes without a probe, projector px: where projector and camera have about the same pixels, edges are far enough apart.
+const NARROWEST_STRIPE_PX: usize = 8;
+/// Exposures without a probe.
+const EXPOSURES: usize = 5;
+/// The shortest without a probe, s.
+const SHORTEST_SECS: f64 = 1.0 / 256.0;
+/// Exposures of white things: dark corners and squares need a longer one.
+const WHITE_EXPOSURES: usize = 2;
+
+/// What [`patterns`] wrote.
+#[derive(Debug, Clone)]
+pub struct Patterns {
+    /// The plan.
+    pub plan: Plan,
+    /// The same without the probe, to compare; `None` without one.
+    pub without_probe: Option<Plan>,
+    /// What the probe chose.
+    pub choice: Option<ProbeChoice>,
+}
+
+/// The plan for a rig, and for the material when a probe of it is given.
+///
+/// # Errors
+/// [`Error::Setting`] for options out of range or that do not fit the projector, or one that is missing without a probe.
+pub fn plan(options: &PatternsOptions, rig: &Rig, probe: Option<&Probe>) -> Result<Patterns> {
+    options.check()?;
+    let choice = probe.map(|p| p.choose(options, rig)).transpose()?;
+    let plan = layout(options, rig, probe, choice.as_ref())?.plan(options, rig)?;
+    let without_probe = match probe {
+        Some(_) => Some(layout(options, rig, probe, None)?.plan(options, rig)?),
+        None => None,
+    };
+    for plan in [Some(&plan), without_probe.as_ref()].into_iter().flatten() {
+        plan.check(Path::new(PLAN_FILE))?;
+    }
+    Ok(Patterns { plan, without_probe, choice })
+}
+
+fn layout(options: &PatternsOptions, rig: &Rig, probe: Option<&Probe>, choice: Option<&ProbeChoice>) -> Result<Layout> {
+    let missing = |setting, expected: &str| Error::Setting { setting, expected: expected.into(), found: "none".into() };
+    let slab_mm = options.slab_mm.or(probe.map(|p| p.manifest.slab.size_mm));
+    let slab_mm = slab_mm.ok_or_else(|| missing("--slab-mm", "the sample's size, or a --probe of it"))?;
+    let pitch_mm = options.pitch_mm.or(probe.map(|p| p.manifest.window.pitch_mm)).unwrap_or(PITCH_MM);
+    let samples = options.window.or(choice.map(|c| c.window)).unwrap_or(WINDOW);
+    let projector_from_slab = match (options.projector_px_per_mm, probe) {
+        (None, Some(probe)) => probe.projector_from_slab()?,
+        (scale, _) => {
+            let scale = scale.ok_or_else(|| missing("--projector-px-per-mm", "a number, or a --probe"))?;
+            let middle = options.center_px.unwrap_or(rig.projector.size_px.map(|s| 0.5 * (s as f64 - 1.0)));
+            let corner = std::array::from_fn(|a| middle[a] - 0.5 * scale * slab_mm[a]);
+            Homography::similarity(scale, corner)
+        }
+    };
+    let default_spacing = SPACING_WINDOWS * samples as f64 * pitch_mm;
+    let shortest = options.shortest_secs.or(choice.and_then(|c| c.shortest_secs)).unwrap_or(SHORTEST_SECS);
+    let exposures = options.exposures.or(choice.and_then(|c| c.exposures)).unwrap_or(EXPOSURES);
+    let bracket = |shortest: f64, n: usize| (0..n).map(|k| shortest * (k as f64 * options.stops).exp2()).collect();
+    let white_secs: Vec<f64> = match (options.white_secs, probe) {
+        (None, Some(probe)) => probe.white_secs.clone(),
+        (secs, _) => bracket(secs.unwrap_or(shortest), WHITE_EXPOSURES),
+    };
+    Ok(Layout {
+        slab_mm,
+        projector_from_slab,
+        window: Window { samples: [samples; 2], pitch_mm },
+        spacing_mm: options.spacing_mm.or(choice.map(|c| c.spacing.spacing_mm)).unwrap_or(default_spacing),
+        narrowest_stripe_px: options
+            .narrowest_stripe_px
+            .or(probe.map(Probe::narrowest_stripe_px))
+            .unwrap_or(NARROWEST_STRIPE_PX),
+        lattice_secs: bracket(shortest, exposures),
+        white_secs,
+    })
+}
+
+/// Writes the pictures, `plan.toml`, the rig and the page for the person into `out`; nothing appears there before all is written.
+///
+/// # Errors
+/// Those of [`plan`] and [`Rig::read`]; [`Error::Setting`] when `out` is in use (see `force`); [`Error::Io`].
+pub fn patterns(
+    options: &PatternsOptions,
+    rig_path: &Path,
+    probe: Option<&Probe>,
+    out: &Path,
+    force: bool,
+    progress: &Progress,
+) -> Result<Patterns> {
+    let rig = Rig::read(rig_path)?;
+    let written = plan(options, &rig, probe)?;
+    let folder = NewFolder::create(out, force, PLAN_FILE)?;
+    let dir = folder.path();
+    let make = |path: PathBuf| std::fs::create_dir(&path).map_err(Error::io("create", &path));
+    make(dir.join("pictures"))?;
+    make(dir.join("calibration"))?;
+    let copy = dir.join("calibration/rig.toml");
+    std::fs::copy(rig_path, &copy).map_err(Error::io("write", &copy))?;
+    written.plan.write(&dir)?;
+    let page = dir.join(page::PAGE_FILE);
+    std::fs::write(&page, page::text(&written.plan, options.overhead_secs, out)).map_err(Error::io("write", &page))?;
+    let layout = layout(options, &rig, probe, written.choice.as_ref())?;
+    alignment(&layout, &written.plan, &rig).write(&dir.join("align.png"))?;
+
+    let stage = progress.stage("pictures", written.plan.shots.len());
+    written.plan.shots.par_iter().try_for_each(|shot| {
+        let Some(picture) = &shot.picture else { return Ok(()) };
+        Picture::of(&written.plan, &shot.pattern, rig.projector.size_px).write(&dir.join(picture))?;
+        stage.advance(1);
+        Ok::<_, Error>(())
+    })?;
+    drop(stage);
+    folder.finish()?;
+    Ok(written)
+}
+
+/// The rims of slab and lit points as the projector sees them.
+fn alignment(layout: &Layout, plan: &Plan, rig: &Rig) -> Picture {
+    let [w, h] = layout.slab_mm;
+    let slab = [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(|p| layout.projector_from_slab.map(p));
+    let last = plan.grid.points.map(|n| n - 1);
+    let lit = [[0, 0], [last[0], 0], last, [0, last[1]]].map(|d| plan.grid.dot_projector_px(d));
+    let middle = layout.projector_from_slab.map([0.5 * w, 0.5 * h]);
+    Picture::alignment(&[slab, lit], middle, rig.projector.size_px)
+}
+
+impl PatternsOptions {
+    /// Refuses values that make no patterns.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] naming the option as typed.
+    pub fn check(&self) -> Result<()> {
+        let range = |setting, value: Option<f64>, low: f64, high: f64| match value {
+            Some(v) if !(v >= low && v <= high) => Err(Error::Setting {
+                setting,
+                expected: format!("{} to {}", crate::error::number(low), crate::error::number(high)),
+                found: crate::error::number(v),
+            }),
+            _ => Ok(()),
+        };
+        for a in 0..2 {
+            range("--slab-mm", self.slab_mm.map(|s| s[a]), 1e-3, 1e6)?;
+            range("--center-px", self.center_px.map(|s| s[a]), -65_536.0, 65_536.0)?;
+            range("--grid", self.grid.map(|g| g[a] as f64), 1.0, 65_536.0)?;
+        }
+        range("--projector-px-per-mm", self.projector_px_per_mm, 1e-3, 1e6)?;
+        range("--lit-pitch-mm", self.lit_pitch_mm, 1e-6, 1e6)?;
+        range("--window", self.window.map(|w| w as f64), 1.0, 4095.0)?;
+        range("--pitch-mm", self.pitch_mm, 1e-6, 1e6)?;
+        range("--dot-px", Some(self.dot_px as f64), 1.0, 1000.0)?;
+        range("--spacing-mm", self.spacing_mm, 1e-6, 1e6)?;
+        range("--margin-mm", self.margin_mm, 0.0, 1e6)?;
+        range("--frame-mm", Some(self.frame_mm), 1e-3, 1e6)?;
+        range("--narrowest-stripe-px", self.narrowest_stripe_px.map(|n| n as f64), 2.0, 65_536.0)?;
+        range("--exposures", self.exposures.map(|n| n as f64), 1.0, 20.0)?;
+        range("--stops", Some(self.stops), 0.33, 6.0)?;
+        range("--shortest-secs", self.shortest_secs, 1e-6, 1e3)?;
+        range("--white-secs", self.white_secs, 1e-6, 1e3)?;
+        range("--overhead-secs", Some(self.overhead_secs), 0.0, 1e4)?;
+        range("--most-cross-talk", Some(self.most_cross_talk), 1e-6, 1.0)?;
+        if self.window.is_some_and(|w| w.is_multiple_of(2)) {
+            let found = self.window.unwrap_or(0).to_string();
+            return Err(Error::Setting { setting: "--window", expected: "an odd number".into(), found });
+        }
+        Ok(())
+    }
+}
+
+/// One number for both axes, or two as 30x20.
+fn pair_of<T: std::str::FromStr + Copy>(text: &str) -> std::result::Result<[T; 2], String> {
+    let one = |t: &str| t.trim().parse().map_err(|_| format!("a number or two as 30x20, not {text:?}"));
+    match text.split_once(['x', '×', ',']) {
+        Some((x, y)) => Ok([one(x)?, one(y)?]),
+        None => one(text).map(|v| [v; 2]),
+    }
+}
+
+/// Seconds, also as a fraction: 1/250.
+fn secs(text: &str) -> std::result::Result<f64, String> {
+    let number = |t: &str| t.trim().parse::<f64>().map_err(|_| format!("seconds as 0.004 or 1/250, not {text:?}"));
+    match text.split_once('/') {
+        Some((above, below)) => Ok(number(above)? / number(below)?),
+        None => number(text),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_and_times_are_read_as_people_write_them() {
+        assert_eq!(pair_of::<f64>("20"), Ok([20.0, 20.0]));
+        assert_eq!(pair_of::<usize>("40x30"), Ok([40, 30]));
+        assert!(pair_of::<usize>("40x").is_err() && pair_of::<usize>("-1").is_err());
+        assert_eq!((secs("1/250"), secs("0.5")), (Ok(0.004), Ok(0.5)));
+        assert!(secs("1/").is_err() && secs("fast").is_err());
+    }
+}
