@@ -46,6 +46,11 @@ pub enum Warning {
         /// The relative sensitivity against the first photograph.
         factor: f64,
     },
+    /// The pattern has moved suddenly between shots, by more than its slow walk explains.
+    DriftJumps {
+        /// The shots before which it happened.
+        jumps: Vec<DriftJump>,
+    },
     /// No reference dots: drift is the median of the lattice dots' own shifts, which edges of materials bias.
     DriftFromLatticeDots,
     /// Without reference dots, shots have too few dots to measure their drift; it is taken for none.
@@ -130,6 +135,15 @@ pub enum Warning {
     },
 }
 
+/// One jump of the projected pattern.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DriftJump {
+    /// The first shot after it.
+    pub shot: String,
+    /// Its length, camera px.
+    pub length_px: f64,
+}
+
 impl std::fmt::Display for Warning {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
@@ -151,6 +165,12 @@ impl std::fmt::Display for Warning {
             }
             Self::ApertureOrIsoChanges { file, factor } => {
                 write!(f, "{file}: aperture or ISO differ from the first photograph; radiance is scaled by {factor:.4}")
+            }
+            Self::DriftJumps { jumps } => {
+                let named = jumps.iter().take(5).map(|j| format!("\"{}\" by {:.2} px", j.shot, j.length_px));
+                let more = if jumps.len() > 5 { format!(" and {} more", jumps.len() - 5) } else { String::new() };
+                let list = named.collect::<Vec<_>>().join(", ");
+                write!(f, "the pattern jumped before {list}{more}; it is taken out, but something was touched")
             }
             Self::DriftFromLatticeDots => {
                 write!(

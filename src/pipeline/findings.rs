@@ -3,7 +3,9 @@
 use super::lattice::{Prepared, ShotResult};
 use super::{BuildReport, Overview};
 use crate::geometry::Point;
+use crate::registration::{Jump, find_jumps};
 use crate::transport::{MatrixHeader, ShotRecord};
+use crate::warning::DriftJump;
 use crate::{Error, Result, Warning};
 use std::path::Path;
 
@@ -42,6 +44,7 @@ impl Prepared<'_> {
         }
         warnings.extend(saturated.map(|(first, shots, samples)| Warning::SaturatedSamples { first, shots, samples }));
         warnings.extend(unmeasured.map(|(first, shots)| Warning::DriftUnmeasured { first, shots }));
+        warnings.extend(jumps(&results, header));
         if clipped.0 > 0 {
             warnings.push(Warning::ClippedWindow { rows: clipped.0, samples: clipped.1 });
         }
@@ -172,4 +175,12 @@ impl Prepared<'_> {
             slab_px: [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(camera),
         })
     }
+}
+
+/// Shots before which the pattern has jumped.
+fn jumps(results: &[ShotResult], header: &MatrixHeader) -> Option<Warning> {
+    let path: Vec<_> = results.iter().map(|r| r.drift.map(|d| (d.camera_px, d.sd_px))).collect();
+    let found = find_jumps(&path);
+    let named = |j: &Jump| header.shots.get(j.at).map(|s| DriftJump { shot: s.name.clone(), length_px: j.length_px });
+    (!found.is_empty()).then(|| Warning::DriftJumps { jumps: found.iter().filter_map(named).collect() })
 }

@@ -1,18 +1,19 @@
 //! The lattice shots: drift, windows, rows.
 
+use super::drift::DriftSource;
 use super::shots::Shots;
 use crate::capture::{Pattern, Rect};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Bracket, Radiance};
-use crate::registration::{Drift, Registration, measure_drift};
+use crate::registration::{Drift, Registration};
 use crate::response::{CellWeights, Irradiance, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
 use crate::transport::MatrixWriter;
 use crate::{Error, Result};
 use rayon::prelude::*;
 
 /// Pixels around a reference dot's expected place in which it is searched; drift of up to two less is measured, more is refused.
-const DRIFT_SEARCH_PX: f64 = 8.0;
+pub(super) const DRIFT_SEARCH_PX: f64 = 8.0;
 
 /// Everything that lattice shots are measured against.
 pub(super) struct Prepared<'a> {
@@ -74,28 +75,29 @@ impl Prepared<'_> {
                 }
             }
         }
+        let drift_source = self.drift_source()?;
         let photographs = shots.iter().map(|&s| self.shots.capture.brackets[s].len()).sum();
         let stage = progress.stage("extract", photographs);
         shots
             .into_par_iter()
             .with_max_len(1)
             .map(|shot| {
-                let result = self.extract_shot(shot, writer)?;
+                let result = self.extract_shot(shot, &drift_source, writer)?;
                 stage.advance(self.shots.capture.brackets[shot].len());
                 Ok(result)
             })
             .collect()
     }
 
-    fn extract_shot(&self, shot: usize, writer: &MatrixWriter) -> Result<ShotResult> {
+    fn extract_shot(&self, shot: usize, drift_source: &DriftSource, writer: &MatrixWriter) -> Result<ShotResult> {
         let manifest = &self.shots.capture.manifest;
         let size_px = self.shots.capture.rig.camera.size_px;
         let dots = self.dots(shot);
-        let references = self.reference_mm();
+        let references: &[Point] = if let DriftSource::Frame(places) = drift_source { places } else { &[] };
         let radius_px = self.dot_radius_px();
         // Rectangles: reference dots, then each window with room for its drift.
         let mut rects: Vec<Rect> = Vec::new();
-        for &p in &references {
+        for &p in references {
             let q = self.registration.view.camera_from_slab(p);
             rects.push(square(q, radius_px + DRIFT_SEARCH_PX, size_px).ok_or_else(|| self.outside_picture(shot))?);
         }
@@ -106,10 +108,7 @@ impl Prepared<'_> {
         }
         let mut references_seen = self.shots.decode(shot, &rects)?;
         let windows = references_seen.split_off(references.len());
-        let drift = self.drift(shot, dots, &references, &references_seen, &windows, radius_px);
-        if drift.is_none() && !references.is_empty() {
-            return Err(self.lost(shot, &windows, references.len()));
-        }
+        let drift = self.drift(shot, drift_source, &references_seen, &windows)?;
         let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
 
         let mut result = ShotResult { lit: vec![], drift, findings: vec![], albedo_above_one: vec![] };
@@ -135,51 +134,11 @@ impl Prepared<'_> {
         Ok(result)
     }
 
-    /// Why a shot's reference dots were not found: saturation of everything, or a pattern that is elsewhere.
-    fn lost(&self, shot: usize, windows: &[Bracket], references: usize) -> Error {
-        for (&dot, bracket) in self.dots(shot).iter().zip(windows) {
-            if let Err(saturated) =
-                self.check_peak(shot, dot, self.nominal_mm(dot), &self.picture(bracket, bracket.rect()))
-            {
-                return saturated;
-            }
-        }
-        let reach = DRIFT_SEARCH_PX - 2.0;
-        self.shots.failed(shot)(format!(
-            "less than half of its {references} reference dots were found within {reach} px of where the pattern puts them"
-        ))
-    }
-
     /// Radiance of a part of a bracket, ambient light subtracted.
-    fn picture(&self, bracket: &Bracket, part: Rect) -> Radiance {
+    pub(super) fn picture(&self, bracket: &Bracket, part: Rect) -> Radiance {
         let mut picture = bracket.merge(part, &self.shots.sensor);
         picture.subtract(&self.ambient);
         picture
-    }
-
-    /// From the reference dots, or without any from the lattice's own.
-    fn drift(
-        &self,
-        shot: usize,
-        dots: &[[usize; 2]],
-        references: &[Point],
-        references_seen: &[Bracket],
-        windows: &[Bracket],
-        radius_px: f64,
-    ) -> Option<Drift> {
-        let seen: Vec<(Point, Radiance)> = if references.is_empty() {
-            // Further than half the way to the next dot, one would be taken for the other.
-            let half_px = self.shot_spacing(shot).map_or(f64::INFINITY, |s| 0.5 * s * self.cell_px);
-            let around = |p: Point, b: &Bracket| {
-                let q = self.registration.view.camera_from_slab(p);
-                let near = square(q, radius_px + half_px.min(DRIFT_SEARCH_PX), self.shots.capture.rig.camera.size_px)?;
-                Some((p, self.picture(b, overlap(near, b.rect())?)))
-            };
-            dots.iter().zip(windows).filter_map(|(&d, b)| around(self.nominal_mm(d), b)).collect()
-        } else {
-            references.iter().zip(references_seen).map(|(&p, b)| (p, self.picture(b, b.rect()))).collect()
-        };
-        measure_drift(&seen, &self.registration, radius_px)
     }
 
     fn lit_dot(&self, shot: usize, dot: [usize; 2], center: Point, drift: Option<Drift>) -> Result<LitDot> {
@@ -198,7 +157,7 @@ impl Prepared<'_> {
     }
 
     /// A dot of whose middle no exposure measured any pixel cannot be used at all.
-    fn check_peak(&self, shot: usize, dot: [usize; 2], center: Point, picture: &Radiance) -> Result<()> {
+    pub(super) fn check_peak(&self, shot: usize, dot: [usize; 2], center: Point, picture: &Radiance) -> Result<()> {
         let q = self.registration.view.camera_from_slab(center);
         let inside = |v: f64, from: usize, len: usize| (v.round().max(from as f64) as usize).min(from + len - 1);
         let r = picture.rect;
@@ -215,7 +174,7 @@ impl Prepared<'_> {
         }
     }
 
-    fn dot_radius_px(&self) -> f64 {
+    pub(super) fn dot_radius_px(&self) -> f64 {
         let grid = &self.shots.capture.manifest.grid;
         let middle = self.nominal_mm([grid.points[0] / 2, grid.points[1] / 2]);
         let pixel_mm = self.registration.slab_from_projector.area_scale(grid.dot_projector_px([0, 0])).sqrt();
@@ -223,13 +182,13 @@ impl Prepared<'_> {
         0.75 * grid.dot_projector_px as f64 * pixel_mm * self.px_per_mm
     }
 
-    fn outside_picture(&self, shot: usize) -> Error {
+    pub(super) fn outside_picture(&self, shot: usize) -> Error {
         self.shots.failed(shot)("a dot lies outside the photograph".into())
     }
 }
 
 /// The square of half side `radius` around `at`, cut to the photograph; `None` when it lies outside.
-fn square(at: Point, radius: f64, size_px: [usize; 2]) -> Option<Rect> {
+pub(super) fn square(at: Point, radius: f64, size_px: [usize; 2]) -> Option<Rect> {
     let range = |a: usize| {
         let (low, high) = ((at[a] - radius).floor().max(0.0), (at[a] + radius).ceil().min(size_px[a] as f64 - 1.0));
         (low <= high).then_some((low as usize, (high - low) as usize + 1))
@@ -245,7 +204,7 @@ fn grown(r: Rect, by: usize, size_px: [usize; 2]) -> Rect {
 }
 
 /// The pixels that both have; `None` when there are none.
-fn overlap(a: Rect, b: Rect) -> Option<Rect> {
+pub(super) fn overlap(a: Rect, b: Rect) -> Option<Rect> {
     let (x, y) = (a.x.max(b.x), a.y.max(b.y));
     let (right, bottom) = ((a.x + a.width).min(b.x + b.width), (a.y + a.height).min(b.y + b.height));
     (right > x && bottom > y).then(|| Rect { x, y, width: right - x, height: bottom - y })

@@ -1,5 +1,6 @@
 //! From a capture folder to the matrix: the way of the photographs, stage by stage.
 
+mod drift;
 mod findings;
 mod lattice;
 mod shots;

@@ -1,13 +1,19 @@
 //! Register: slab ↔ camera ↔ projector, and the drift of every lattice shot.
 
 mod board;
+mod dot_fit;
 mod drift;
 mod fit;
 mod gray_code;
+mod jumps;
+mod sample_drift;
 
 pub use board::register_board;
+pub use dot_fit::{DotShape, FoundDot};
 pub use drift::{Drift, measure_drift};
 pub use fit::{Observation, ViewFit, fit_homography, fit_view};
+pub use jumps::{Jump, find_jumps};
+pub use sample_drift::{Located, Parallax, SampleDots};
 pub use gray_code::{BitPair, ProjectorFit, register_projector};
 
 use crate::geometry::{CameraView, Homography, Point};
