@@ -51,6 +51,17 @@ pub enum Warning {
         /// The shots before which it happened.
         jumps: Vec<DriftJump>,
     },
+    /// The camera (or the sample) has moved since registration, seen at the sample's rim; windows were moved with it.
+    CameraMoved {
+        /// The first such shot.
+        first: String,
+        /// How many lattice shots.
+        shots: usize,
+        /// In how many lattice shots the rim was seen well enough to tell.
+        measured: usize,
+        /// The largest movement, camera px.
+        largest_px: f64,
+    },
     /// No reference dots: drift is the median of the lattice dots' own shifts, which edges of materials bias.
     DriftFromLatticeDots,
     /// Without reference dots, shots have too few dots to measure their drift; it is taken for none.
@@ -172,6 +183,10 @@ impl std::fmt::Display for Warning {
                 let list = named.collect::<Vec<_>>().join(", ");
                 write!(f, "the pattern jumped before {list}{more}; it is taken out, but something was touched")
             }
+            Self::CameraMoved { first, shots, measured, largest_px } => write!(
+                f,
+                "camera and sample have moved against each other by up to {largest_px:.2} px in {shots} of {measured} lattice shots (\"{first}\" first); windows were moved with the sample's rim"
+            ),
             Self::DriftFromLatticeDots => {
                 write!(
                     f,

@@ -3,7 +3,7 @@
 use super::lattice::{Prepared, ShotResult};
 use super::{BuildReport, Overview};
 use crate::geometry::Point;
-use crate::registration::{Jump, find_jumps};
+use crate::registration::{CameraMotion, Jump, find_jumps};
 use crate::transport::{MatrixHeader, ShotRecord};
 use crate::warning::DriftJump;
 use crate::{Error, Result, Warning};
@@ -40,11 +40,14 @@ impl Prepared<'_> {
                 header.shot_of[row] = Some(number);
             }
             let drift_px = result.drift.map_or([0.0; 2], |d| d.camera_px);
-            header.shots.push(ShotRecord { name, drift_px, drift_sd_px: result.drift.map(|d| d.sd_px) });
+            // The dots are seen against a camera whose own movement has its uncertainty.
+            let camera_sd = result.camera.filter(CameraMotion::is_sure).map_or(0.0, |m| m.sd_px);
+            header.shots.push(ShotRecord { name, drift_px, drift_sd_px: result.drift.map(|d| d.sd_px.hypot(camera_sd)) });
         }
         warnings.extend(saturated.map(|(first, shots, samples)| Warning::SaturatedSamples { first, shots, samples }));
         warnings.extend(unmeasured.map(|(first, shots)| Warning::DriftUnmeasured { first, shots }));
         warnings.extend(jumps(&results, header));
+        warnings.extend(camera_moved(&results, header));
         if clipped.0 > 0 {
             warnings.push(Warning::ClippedWindow { rows: clipped.0, samples: clipped.1 });
         }
@@ -183,4 +186,14 @@ fn jumps(results: &[ShotResult], header: &MatrixHeader) -> Option<Warning> {
     let found = find_jumps(&path);
     let named = |j: &Jump| header.shots.get(j.at).map(|s| DriftJump { shot: s.name.clone(), length_px: j.length_px });
     (!found.is_empty()).then(|| Warning::DriftJumps { jumps: found.iter().filter_map(named).collect() })
+}
+
+/// Shots in which the camera's picture has moved; all were corrected.
+fn camera_moved(results: &[ShotResult], header: &MatrixHeader) -> Option<Warning> {
+    let length = |r: &ShotResult| r.camera.filter(CameraMotion::is_sure).map(|m| m.camera_px[0].hypot(m.camera_px[1]));
+    let moved: Vec<(usize, f64)> = results.iter().enumerate().filter_map(|(k, r)| Some((k, length(r)?))).collect();
+    let first = header.shots.get(moved.first()?.0)?.name.clone();
+    let largest_px = moved.iter().map(|m| m.1).fold(0.0, f64::max);
+    let measured = results.iter().filter(|r| r.camera.is_some()).count();
+    Some(Warning::CameraMoved { first, shots: moved.len(), measured, largest_px })
 }

@@ -1,12 +1,12 @@
 //! The lattice shots: drift, windows, rows.
 
-use super::drift::DriftSource;
+use super::drift::{Movements, moved_part};
 use super::shots::Shots;
 use crate::capture::{Pattern, Rect};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Bracket, Radiance};
-use crate::registration::{Drift, Registration};
+use crate::registration::{CameraMotion, Drift, Registration};
 use crate::response::{CellWeights, Irradiance, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
 use crate::transport::MatrixWriter;
 use crate::{Error, Result};
@@ -30,6 +30,7 @@ pub(super) struct ShotResult {
     /// Grid index and place of each dot.
     pub(super) lit: Vec<([usize; 2], Point)>,
     pub(super) drift: Option<Drift>,
+    pub(super) camera: Option<CameraMotion>,
     pub(super) findings: Vec<([usize; 2], RowFindings)>,
     pub(super) albedo_above_one: Vec<f64>,
 }
@@ -75,25 +76,25 @@ impl Prepared<'_> {
                 }
             }
         }
-        let drift_source = self.drift_source()?;
+        let movements = self.movements()?;
         let photographs = shots.iter().map(|&s| self.shots.capture.brackets[s].len()).sum();
         let stage = progress.stage("extract", photographs);
         shots
             .into_par_iter()
             .with_max_len(1)
             .map(|shot| {
-                let result = self.extract_shot(shot, &drift_source, writer)?;
+                let result = self.extract_shot(shot, &movements, writer)?;
                 stage.advance(self.shots.capture.brackets[shot].len());
                 Ok(result)
             })
             .collect()
     }
 
-    fn extract_shot(&self, shot: usize, drift_source: &DriftSource, writer: &MatrixWriter) -> Result<ShotResult> {
+    fn extract_shot(&self, shot: usize, movements: &Movements, writer: &MatrixWriter) -> Result<ShotResult> {
         let manifest = &self.shots.capture.manifest;
         let size_px = self.shots.capture.rig.camera.size_px;
         let dots = self.dots(shot);
-        let references: &[Point] = if let DriftSource::Frame(places) = drift_source { places } else { &[] };
+        let references = movements.references();
         let radius_px = self.dot_radius_px();
         // Rectangles: reference dots, then each window with room for its drift.
         let mut rects: Vec<Rect> = Vec::new();
@@ -106,20 +107,26 @@ impl Prepared<'_> {
             let rect = window_rect(&grid, size_px).ok_or_else(|| self.outside_picture(shot))?;
             rects.push(grown(rect, DRIFT_SEARCH_PX as usize, size_px));
         }
+        rects.extend(movements.rim_rects());
         let mut references_seen = self.shots.decode(shot, &rects)?;
-        let windows = references_seen.split_off(references.len());
-        let drift = self.drift(shot, drift_source, &references_seen, &windows)?;
+        let mut windows = references_seen.split_off(references.len());
+        let camera = self.camera_motion(movements, &windows.split_off(dots.len()));
+        let camera_px = camera.filter(CameraMotion::is_sure).map_or([0.0; 2], |m| m.camera_px);
+        let registration = &self.registration.moved(camera_px);
+        let drift = self.drift(shot, registration, movements, &references_seen, &windows)?;
         let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
 
-        let mut result = ShotResult { lit: vec![], drift, findings: vec![], albedo_above_one: vec![] };
+        let mut result = ShotResult { lit: vec![], drift, camera, findings: vec![], albedo_above_one: vec![] };
         let mut weights = CellWeights::new(self.cell_px);
         for (&dot, bracket) in dots.iter().zip(&windows) {
             let nominal = self.nominal_mm(dot);
             let center = [nominal[0] + moved[0], nominal[1] + moved[1]];
-            let grid = WindowGrid::new(&manifest.window, center, &self.registration.view);
+            let grid = WindowGrid::new(&manifest.window, center, &registration.view);
             let lit = self.lit_dot(shot, dot, center, drift)?;
             let needed = window_rect(&grid, size_px).and_then(|r| overlap(r, bracket.rect()));
-            let picture = self.picture(bracket, needed.ok_or_else(|| self.outside_picture(shot))?);
+            let needed = needed.ok_or_else(|| self.outside_picture(shot))?;
+            let mut picture = bracket.merge(needed, &self.shots.sensor);
+            picture.subtract(&moved_part(&self.ambient, needed, camera_px));
             let (row, findings) =
                 extract_row(&picture, &grid, &lit, self.irradiance.sensitivity(), manifest.slab.size_mm, &mut weights);
             self.check_peak(shot, dot, center, &picture)?;

@@ -1,6 +1,7 @@
 //! The sharp core of a projected dot, found on a translucent sample whose glow is not symmetric.
 
 use crate::geometry::Point;
+use super::small::solve;
 use crate::radiance::Radiance;
 
 /// Points of the template across a camera pixel.
@@ -235,37 +236,4 @@ fn blurred(sharp: &[f64], side: usize, blur_px: f64) -> Vec<f64> {
         to
     };
     pass(&pass(sharp, 1, side), side, 1)
-}
-
-/// Solves by Cholesky's factors (lower triangle given); also the diagonal of the inverse. `None` unless positive definite.
-fn solve<const N: usize>(mut a: [[f64; N]; N], b: [f64; N]) -> Option<([f64; N], [f64; N])> {
-    for i in 0..N {
-        for j in 0..=i {
-            let sum: f64 = a[i][j] - (0..j).map(|k| a[i][k] * a[j][k]).sum::<f64>();
-            if i == j {
-                if !(sum > 1e-12 * a[i][i].abs()) {
-                    return None;
-                }
-                a[i][i] = sum.sqrt();
-            } else {
-                a[i][j] = sum / a[j][j];
-            }
-        }
-    }
-    let through = |b: [f64; N]| {
-        let mut x = b;
-        for i in 0..N {
-            x[i] = (x[i] - (0..i).map(|k| a[i][k] * x[k]).sum::<f64>()) / a[i][i];
-        }
-        for i in (0..N).rev() {
-            x[i] = (x[i] - (i + 1..N).map(|k| a[k][i] * x[k]).sum::<f64>()) / a[i][i];
-        }
-        x
-    };
-    let inverse = std::array::from_fn(|i| {
-        let mut e = [0.0; N];
-        e[i] = 1.0;
-        through(e)[i]
-    });
-    Some((through(b), inverse))
 }

@@ -1,14 +1,17 @@
 //! Register: slab ↔ camera ↔ projector, and the drift of every lattice shot.
 
 mod board;
+mod camera_motion;
 mod dot_fit;
 mod drift;
 mod fit;
 mod gray_code;
 mod jumps;
 mod sample_drift;
+mod small;
 
 pub use board::register_board;
+pub use camera_motion::{CameraMotion, RimPlace, RimSegment, camera_motion, locate_rim, rim_segments};
 pub use dot_fit::{DotShape, FoundDot};
 pub use drift::{Drift, measure_drift};
 pub use fit::{Observation, ViewFit, fit_homography, fit_view};
@@ -37,6 +40,14 @@ pub struct Registration {
 }
 
 impl Registration {
+    /// The same with the camera's picture moved by `camera_px`.
+    pub fn moved(&self, camera_px: Point) -> Self {
+        let mut moved = self.clone();
+        moved.view.ideal_from_slab = Homography::similarity(1.0, camera_px).after(&self.view.ideal_from_slab);
+        moved.view.lens.center_px = [0, 1].map(|a| self.view.lens.center_px[a] + camera_px[a]);
+        moved
+    }
+
     /// Puts the two fits together for a slab of `size_mm`; `None` when the projector's map cannot be inverted.
     pub fn new(camera: &ViewFit, projector: &ProjectorFit, size_mm: Point) -> Option<Self> {
         let slab_from_projector = projector.projector_from_slab.inverse()?;

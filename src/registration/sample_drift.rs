@@ -14,6 +14,8 @@ use crate::radiance::Radiance;
 const UNKNOWN_DOT_SD_PX: f64 = 0.1;
 /// Sharp dots are found this well at best, px.
 const FLOOR_PX: f64 = 0.01;
+/// Cores on a real material are not the model's footprint: what all dots of a capture are off by alike, px (simulated materials: up to 0.03).
+const COMMON_PX: f64 = 0.03;
 /// A depth of this many standard deviations is believed.
 const BELIEVED_SIGMA: f64 = 4.0;
 
@@ -139,7 +141,7 @@ impl Parallax {
         let depth_px = self.depth_sd_mm * tangent[0].hypot(tangent[1]) * px_per_mm;
         let noise = dots.iter().map(|d| d.variance_px2).sum::<f64>() / n;
         // The spread between dots has the pixels' noise in it already; in dim captures that noise is more.
-        let sd_px = (self.dot_sd_px.powi(2).max(noise) / n + depth_px * depth_px).sqrt();
+        let sd_px = (self.dot_sd_px.powi(2).max(noise) / n + depth_px * depth_px + COMMON_PX * COMMON_PX).sqrt();
         Some(Drift { slab_mm, camera_px, sd_px, dots: dots.len() })
     }
 }
