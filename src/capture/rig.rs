@@ -82,6 +82,16 @@ pub struct Noise {
 pub struct Projector {
     /// Width and height, px.
     pub size_px: [usize; 2],
+    /// Where its lens's axis meets the image, px: far from the middle when the lens is shifted. `None` for the middle.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub principal_px: Option<Point>,
+}
+
+impl Projector {
+    /// Centre of the lens's distortion, px.
+    pub fn lens_center_px(&self) -> Point {
+        self.principal_px.unwrap_or(self.size_px.map(|s| 0.5 * (s as f64 - 1.0)))
+    }
 }
 
 /// A printed chessboard that lies in the slab's plane for the board shot.
@@ -173,6 +183,9 @@ impl Rig {
             range("projector.size_px", self.projector.size_px[a] as f64, 1.0, 65_536.0)?;
             range("camera.principal_px", self.camera.principal_px[a], -1e6, 1e6)?;
             range("board.origin_mm", self.board.origin_mm[a], -1e6, 1e6)?;
+            if let Some(principal) = self.projector.principal_px {
+                range("projector.principal_px", principal[a], -1e6, 1e6)?;
+            }
         }
         for r in self.white_reference.reflectance {
             range("white_reference.reflectance", r, 1e-6, 1.0)?;

@@ -23,6 +23,11 @@ impl Lens {
         Self { center_px, focal_px, k1: 0.0, k2: 0.0 }
     }
 
+    /// Whether it distorts nothing.
+    pub fn is_ideal(&self) -> bool {
+        self.k1 == 0.0 && self.k2 == 0.0
+    }
+
     /// Where the lens really puts an ideal (pinhole) image point.
     pub fn distort(&self, ideal: Point) -> Point {
         let n = [(ideal[0] - self.center_px[0]) / self.focal_px, (ideal[1] - self.center_px[1]) / self.focal_px];

@@ -1,10 +1,11 @@
 //! Decoding and merging any shot of a capture; the shots that everything else is measured against.
 
 use super::lattice::Prepared;
-use crate::capture::{Capture, Pattern, Photograph, Rect};
+use crate::capture::{Capture, Pattern, Photograph, Rect, Surface};
+use crate::geometry::Lens;
 use crate::progress::{Progress, Stage};
 use crate::radiance::{Bracket, Radiance, Sensor, decode_shot};
-use crate::registration::{BitPair, Registration, register_board, register_projector};
+use crate::registration::{BitPair, Registration, StripeSurface, register_board, register_projector};
 use crate::response::Irradiance;
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -69,16 +70,38 @@ impl<'a> Shots<'a> {
         );
         let (camera, pairs) = (camera?, pairs?);
         let first = codes[0];
-        let projector =
-            register_projector(&pairs, self.capture.rig.camera.size_px, &camera.view).map_err(self.failed(first))?;
+        let rig = &self.capture.rig;
+        // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
+        let lens = Lens::ideal(rig.projector.lens_center_px(), rig.projector.size_px[0] as f64);
+        let surface = self.stripe_surface(&codes)?;
+        let projector = register_projector(&pairs, rig.camera.size_px, &camera.view, surface, lens)
+            .map_err(self.failed(first))?;
         Registration::new(&camera, &projector, self.capture.manifest.slab.size_mm)
             .ok_or_else(|| self.failed(first)("the projector's map cannot be inverted".into()))
+    }
+
+    /// What the Gray code was projected on: all of it on the same.
+    fn stripe_surface(&self, codes: &[usize]) -> Result<StripeSurface> {
+        let manifest = &self.capture.manifest;
+        let of = |s: usize| match manifest.shots[s].pattern {
+            Pattern::GrayCode { on, .. } => on,
+            _ => Surface::default(),
+        };
+        if let Some(&other) = codes.iter().find(|&&s| of(s) != of(codes[0])) {
+            let (field, first) = (format!("shots \"{}\": on", manifest.shots[other].name), &manifest.shots[codes[0]].name);
+            let expected = format!("the surface of shot \"{first}\": one for the whole Gray code");
+            return Err(Error::field(self.capture.manifest_path(), field, expected, "another"));
+        }
+        Ok(match of(codes[0]) {
+            Surface::WhiteReference => StripeSurface::White,
+            Surface::Frame => StripeSurface::Frame(manifest.slab.size_mm),
+        })
     }
 
     fn bit_pairs(&self, codes: &[usize], stage: &Stage<'_>) -> Result<Vec<BitPair>> {
         let mut pairs: BTreeMap<(usize, u32), [Option<usize>; 2]> = BTreeMap::new();
         for &s in codes {
-            if let Pattern::GrayCode { axis, bit, inverse } = self.capture.manifest.shots[s].pattern {
+            if let Pattern::GrayCode { axis, bit, inverse, .. } = self.capture.manifest.shots[s].pattern {
                 let slot = &mut pairs.entry((axis as usize, bit)).or_default()[usize::from(inverse)];
                 if slot.replace(s).is_some() {
                     return Err(self.failed(s)("this bit of the Gray code was shot twice".into()));
@@ -93,8 +116,10 @@ impl<'a> Shots<'a> {
                     let shot = shots.into_iter().flatten().next().unwrap_or(codes[0]);
                     return Err(self.failed(shot)("each bit of the Gray code needs its inverse".into()));
                 };
-                let light = |s: usize| Ok::<_, Error>(self.merge_whole(s)?.luminance());
-                let pair = BitPair { axis, bit, pattern: light(pattern)?, inverse: light(inverse)? };
+                let (pattern, inverse) = (self.merge_whole(pattern)?, self.merge_whole(inverse)?);
+                let used = pattern.used.as_chunks::<3>().0.iter().zip(inverse.used.as_chunks::<3>().0);
+                let valid = used.map(|(a, b)| !a.contains(&0) && !b.contains(&0)).collect();
+                let pair = BitPair { axis, bit, pattern: pattern.luminance(), inverse: inverse.luminance(), valid };
                 stage.advance(2);
                 Ok(pair)
             })

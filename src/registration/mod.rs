@@ -7,6 +7,7 @@ mod drift;
 mod fit;
 mod gray_code;
 mod jumps;
+mod projector_fit;
 mod sample_drift;
 mod small;
 
@@ -17,9 +18,10 @@ pub use drift::{Drift, measure_drift};
 pub use fit::{Observation, ViewFit, fit_homography, fit_view};
 pub use jumps::{Jump, find_jumps};
 pub use sample_drift::{Located, Parallax, SampleDots};
-pub use gray_code::{BitPair, ProjectorFit, register_projector};
+pub use gray_code::{BitPair, StripeSurface, register_projector};
+pub use projector_fit::{ProjectorFit, fit_projector};
 
-use crate::geometry::{CameraView, Homography, Point};
+use crate::geometry::{CameraView, Homography, Point, SlabFromProjector};
 use serde::{Deserialize, Serialize};
 
 /// Slab, camera and projector related to each other.
@@ -28,13 +30,15 @@ pub struct Registration {
     /// The camera's view of the slab's plane.
     pub view: CameraView,
     /// Projector px to slab mm.
-    pub slab_from_projector: Homography,
+    pub slab_from_projector: SlabFromProjector,
     /// The slab's centre, mm.
     pub center_mm: Point,
     /// RMS of the board's corners against the model, camera px.
     pub camera_rms_px: f64,
     /// RMS of the stripes' edges against the model, projector px.
     pub projector_rms_px: f64,
+    /// The same against a projector without distortion, projector px.
+    pub projector_ideal_rms_px: f64,
     /// Standard deviation per axis of where a projected point is on the slab, relative to the camera's samples, mm (without drift).
     pub position_sd_mm: f64,
 }
@@ -50,9 +54,13 @@ impl Registration {
 
     /// Puts the two fits together for a slab of `size_mm`; `None` when the projector's map cannot be inverted.
     pub fn new(camera: &ViewFit, projector: &ProjectorFit, size_mm: Point) -> Option<Self> {
-        let slab_from_projector = projector.projector_from_slab.inverse()?;
+        let slab_from_projector = projector.slab_from_projector;
         let center_mm = [size_mm[0] / 2.0, size_mm[1] / 2.0];
-        let projector_px_per_mm = projector.projector_from_slab.area_scale(center_mm).sqrt();
+        let middle_px = slab_from_projector.projector_from_slab(center_mm);
+        let projector_px_per_mm = (1.0 / slab_from_projector.area_scale(middle_px)).sqrt();
+        if !projector_px_per_mm.is_finite() {
+            return None;
+        }
         // The stripes are seen by the same camera: an error of its view moves stripes and samples alike, and cancels to first order.
         let position_sd_mm = projector.sd_px / projector_px_per_mm;
         Some(Self {
@@ -61,6 +69,7 @@ impl Registration {
             center_mm,
             camera_rms_px: camera.rms_px,
             projector_rms_px: projector.rms_px,
+            projector_ideal_rms_px: projector.ideal_rms_px,
             position_sd_mm,
         })
     }

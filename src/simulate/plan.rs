@@ -3,7 +3,7 @@
 use super::{
     FileFormat, Options, ShotTruth, camera::photograph::ExposureTime, mix_seed, scene::drift::Motion, studio::Studio,
 };
-use crate::capture::{Axis, FORMAT, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Window};
+use crate::capture::{Axis, FORMAT, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Surface, Window};
 use crate::geometry::Point;
 
 /// Projector px of the narrowest Gray stripes: narrower ones blur together.
@@ -31,10 +31,11 @@ impl Plan {
             [(Axis::X, 'x', scene.projector.size_px[0]), (Axis::Y, 'y', scene.projector.size_px[1])]
         {
             let bits = usize::BITS - (size.max(2) - 1).leading_zeros();
+            let on = if options.gray_on_frame { Surface::Frame } else { Surface::WhiteReference };
             for bit in (0..bits).rev().filter(|&bit| 2 << bit >= NARROWEST_STRIPE_PX) {
                 for inverse in [false, true] {
                     let name = format!("gray-{letter}-{bit:02}{}", if inverse { "-inverse" } else { "" });
-                    patterns.push((name, Pattern::GrayCode { axis, bit, inverse }));
+                    patterns.push((name, Pattern::GrayCode { axis, bit, inverse, on }));
                 }
             }
         }

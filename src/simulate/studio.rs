@@ -19,7 +19,7 @@ use super::{
 };
 use crate::{
     Result, Warning,
-    capture::Pattern,
+    capture::{Pattern, Surface},
     geometry::Point,
     progress::Progress,
     transport::{MatrixWriter, Row},
@@ -125,6 +125,8 @@ impl Studio {
     /// The exposure times of a shot.
     pub fn bracket(&self, options: &Options, pattern: &Pattern) -> Vec<ExposureTime> {
         match pattern {
+            // The frame is darker than the white reference by four stops.
+            Pattern::GrayCode { on: Surface::Frame, .. } => plan::bracket(self.white_shortest, 3, 2.0),
             Pattern::Board | Pattern::ReferenceWhite | Pattern::GrayCode { .. } => {
                 plan::bracket(self.white_shortest, 2, 2.0)
             }
@@ -194,17 +196,21 @@ impl Studio {
             }
             Pattern::ReferenceWhite => self.pixels.picture(|_| GAUSS_1, |p| white(p, 1.0)),
             Pattern::ReferenceBlack => self.pixels.picture(|_| GAUSS_1, |p| white(p, 0.0)),
-            Pattern::GrayCode { axis, bit, inverse } => {
+            Pattern::GrayCode { axis, bit, inverse, on: Surface::Frame } => {
+                let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
+                self.lit_sample(options, |p| code.brightness(p), |p| code.blurred(p, options))
+            }
+            Pattern::GrayCode { axis, bit, inverse, on: Surface::WhiteReference } => {
                 let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
                 let lit_mm = options.lit_pitch_mm() / options.step_projector_px as f64;
                 // Turn and keystone of the projector add little to a pixel's extent in projector px.
                 let pixel_px = 1.2 * self.pixels.pixel_mm() / lit_mm;
                 self.pixels.picture_of(|pixel| {
-                    let q = scene.projector_from_slab.map(pixel.first_corner_mm());
+                    let q = scene.slab_from_projector.projector_from_slab(pixel.first_corner_mm());
                     let light = match code.around(q, pixel_px) {
                         Brightness::Even(lit) => pixel.mean(GAUSS_1, |p| white(p, lit)),
                         Brightness::Edge(rule) => {
-                            pixel.mean(rule, |p| white(p, code.brightness(scene.projector_from_slab.map(p))))
+                            pixel.mean(rule, |p| white(p, code.brightness(scene.slab_from_projector.projector_from_slab(p))))
                         }
                     };
                     light.map(|v| v as f32)
@@ -212,6 +218,31 @@ impl Studio {
             }
             Pattern::SampleBlack | Pattern::Lattice { .. } => self.dark_sample.clone(),
         }
+    }
+
+    /// Sample and frame under a pattern: `sharp` is its brightness (0 to 1) at projector px on the frame, `blurred` on the sample.
+    ///
+    /// An approximation on the sample: what it sends back under even light, times the blurred pattern.
+    fn lit_sample(
+        &self,
+        options: &Options,
+        sharp: impl Fn(Point) -> f64 + Sync,
+        blurred: impl Fn(Point) -> f64 + Sync,
+    ) -> Picture {
+        let (scene, black) = (&self.scene, options.projector_black);
+        let dark = black + options.ambient;
+        let light = |p: Point| {
+            let q = scene.slab_from_projector.projector_from_slab(p);
+            let level = |lit: f64| black + (1.0 - black) * lit;
+            let arriving = |lit: f64| scene.white_irradiance(p).map(|e| e * level(lit) + options.ambient);
+            match (&self.dark_field, scene.on_sample(p), scene.on_frame_or_sample(p)) {
+                (Some(field), true, _) => field.at(p).map(|v| f64::from(v) * (level(blurred(q)) + options.ambient) / dark),
+                (None, true, _) => arriving(blurred(q)).map(|e| 0.5 * e),
+                (_, _, true) => arriving(sharp(q)).map(|e| e * FRAME_ALBEDO),
+                _ => [0.0; 3],
+            }
+        };
+        self.pixels.picture(|_| GAUSS_6, light)
     }
 
     /// A shot of dots, in the memory of `picture`; `keep` receives the truth of each.

@@ -9,7 +9,7 @@ use crate::simulate::{Beam, Options};
 use crate::{
     Error, Result,
     capture::{Board, Camera, Grid, Projector, Rig, WhiteReference},
-    geometry::{CameraView, Homography, Lens, Point},
+    geometry::{CameraView, Homography, Lens, Point, SlabFromProjector},
 };
 
 /// Width of the opaque frame, in outgoing pitches.
@@ -41,8 +41,7 @@ pub(crate) struct Scene {
     /// First corner and side of the area that the nominal grid covers, half a lit pitch around it included.
     pub lit_origin_mm: Point,
     pub lit_side_mm: f64,
-    pub slab_from_projector: Homography,
-    pub projector_from_slab: Homography,
+    pub slab_from_projector: SlabFromProjector,
     pub projector: Projector,
     pub view: CameraView,
     /// Where the camera is, slab mm; z is negative above the slab.
@@ -80,8 +79,7 @@ impl Scene {
             lit_origin_mm: low.map(|v| -v - 0.5 * lit_side_mm),
             lit_side_mm,
             slab_from_projector: raster.slab_from_projector,
-            projector_from_slab: raster.projector_from_slab,
-            projector: Projector { size_px: raster.size_px },
+            projector: Projector { size_px: raster.size_px, principal_px: None },
             view,
             eye_mm,
             board: board(slab_size_mm, frame_mm, &camera),
@@ -166,7 +164,7 @@ impl Scene {
         let (w, h, f) = (self.slab_size_mm[0], self.slab_size_mm[1], 0.5 * self.frame_mm);
         let along = [0.2, 0.8];
         let sides = along.iter().flat_map(|&t| [[t * w, -f], [t * w, h + f], [-f, t * h], [w + f, t * h]]);
-        sides.map(|p| self.projector_from_slab.map(p).map(|v| whole_dot(options, v))).collect()
+        sides.map(|p| self.slab_from_projector.projector_from_slab(p).map(|v| whole_dot(options, v))).collect()
     }
 }
 
@@ -174,8 +172,7 @@ impl Scene {
 struct Raster {
     size_px: [usize; 2],
     grid: Grid,
-    slab_from_projector: Homography,
-    projector_from_slab: Homography,
+    slab_from_projector: SlabFromProjector,
 }
 
 impl Raster {
@@ -199,8 +196,16 @@ impl Raster {
             dot_projector_px: options.dot_projector_px,
         };
         let slab_from_projector = slab_from_centered.after(&Homography::similarity(1.0, center.map(|c| -c)));
-        let projector_from_slab = invert(&slab_from_projector)?;
-        Ok(Self { size_px, grid, slab_from_projector, projector_from_slab })
+        // The middle of the raster stays where it is.
+        let lens = Lens {
+            center_px: size_px.map(|s: usize| 0.5 * (s as f64 - 1.0)),
+            focal_px: size_px[0] as f64,
+            k1: options.projector_distortion,
+            k2: 0.0,
+        };
+        let slab_from_projector = SlabFromProjector::new(invert(&slab_from_projector)?, lens)
+            .ok_or_else(|| Error::internal("the projector's view is singular"))?;
+        Ok(Self { size_px, grid, slab_from_projector })
     }
 }
 
@@ -319,7 +324,7 @@ mod tests {
         for p in outline(scene.slab_size_mm, scene.frame_mm) {
             let q = scene.view.camera_from_slab(p);
             assert!((0..2).all(|a| q[a] > 8.0 && q[a] < scene.camera.size_px[a] as f64 - 9.0), "{q:?}");
-            let r = scene.projector_from_slab.map(p);
+            let r = scene.slab_from_projector.projector_from_slab(p);
             assert!((0..2).all(|a| r[a] > 8.0 && r[a] < scene.projector.size_px[a] as f64 - 9.0), "{r:?}");
         }
         assert_eq!(scene.reference_dots.len(), 8);

@@ -1,6 +1,7 @@
 //! What the camera receives: the light of a scene averaged over the area of each pixel.
 
 use super::Scene;
+use crate::simulate::Options;
 use crate::simulate::light::field::{Field, Nodes};
 use crate::{Error, Result, capture::Axis, geometry::Point};
 use rayon::prelude::*;
@@ -151,7 +152,7 @@ impl PixelGrid {
         let low: Point = std::array::from_fn(|a| corners.iter().map(|p| p[a]).fold(f64::MAX, f64::min));
         let high: Point = std::array::from_fn(|a| corners.iter().map(|p| p[a]).fold(f64::MIN, f64::max));
         let light = |p: Point| {
-            let q = scene.projector_from_slab.map([p[0] - drift_mm[0], p[1] - drift_mm[1]]);
+            let q = scene.slab_from_projector.projector_from_slab([p[0] - drift_mm[0], p[1] - drift_mm[1]]);
             let blur = scene.projector_blur_px;
             let lit = soft_box(q[0] - dot_px[0], half, blur) * soft_box(q[1] - dot_px[1], half, blur);
             scene.white_irradiance(p).map(|e| albedo_lit * lit * e)
@@ -264,6 +265,21 @@ impl GrayCode {
         let (distance, rises) = self.nearest_edge(q);
         let after = blurred_step(distance, self.blur_px);
         if rises { after } else { 1.0 - after }
+    }
+
+    /// Brightness at `q` as a translucent sample shows it: the mean of the stripes over a Gaussian of two outgoing pitches.
+    pub fn blurred(&self, q: Point, options: &Options) -> f64 {
+        const POINTS: i32 = 9;
+        let px_per_mm = options.step_projector_px as f64 / options.lit_pitch_mm();
+        let sd = 2.0 * options.pitch_mm * px_per_mm;
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for k in -POINTS..=POINTS {
+            let t = 3.0 * f64::from(k) / f64::from(POINTS);
+            let weight = (-0.5 * t * t).exp();
+            sum += weight * self.brightness([q[0] + t * sd, q[1] + t * sd]);
+            weights += weight;
+        }
+        sum / weights
     }
 
     /// What pixels see that begin at `q` and reach `pixel_px` far.
