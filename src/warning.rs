@@ -62,6 +62,20 @@ pub enum Warning {
         /// The largest movement, camera px.
         largest_px: f64,
     },
+    /// A later photograph of the frame shows it elsewhere: camera or frame have moved during the capture.
+    FrameMoved {
+        /// The later shot.
+        shot: String,
+        /// Median movement of its marks since the first frame shot, camera px.
+        moved_px: [f64; 2],
+        /// Its standard deviation per axis, px.
+        sd_px: f64,
+    },
+    /// The board lay elsewhere than the frame's marks: the marks' plane is used.
+    BoardElsewhere {
+        /// The largest distance between the two at the slab's corners, camera px.
+        largest_px: f64,
+    },
     /// No reference dots: drift is the median of the lattice dots' own shifts, which edges of materials bias.
     DriftFromLatticeDots,
     /// Without reference dots, shots have too few dots to measure their drift; it is taken for none.
@@ -186,6 +200,14 @@ impl std::fmt::Display for Warning {
             Self::CameraMoved { first, shots, measured, largest_px } => write!(
                 f,
                 "camera and sample have moved against each other by up to {largest_px:.2} px in {shots} of {measured} lattice shots (\"{first}\" first); windows were moved with the sample's rim"
+            ),
+            Self::FrameMoved { shot, moved_px: [x, y], sd_px } => write!(
+                f,
+                "the frame is seen ({x:.3}, {y:.3}) px from its first place in \"{shot}\" (standard deviation {sd_px:.3} px): camera or frame have moved during the capture"
+            ),
+            Self::BoardElsewhere { largest_px } => write!(
+                f,
+                "the board lay up to {largest_px:.2} px from where the frame's marks put the slab's corners; the marks are believed"
             ),
             Self::DriftFromLatticeDots => {
                 write!(

@@ -10,7 +10,7 @@ pub use folder::Capture;
 pub use manifest::{Axis, Surface, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Window};
 pub use photograph::{Photograph, Pixels, Rect, Samples};
 pub(crate) use photograph::{check_exr_size, check_jpeg_end};
-pub use rig::{Board, Camera, Noise, Projector, ResponseCurve, Rig, WhiteReference};
+pub use rig::{Board, Camera, FrameMarks, Noise, Projector, ResponseCurve, Rig, WhiteReference};
 
 use crate::{Error, Result};
 use std::path::Path;

@@ -2,6 +2,7 @@
 
 use super::lattice::{Prepared, ShotResult};
 use super::{BuildReport, Overview};
+use crate::capture::Pattern;
 use crate::geometry::Point;
 use crate::registration::{CameraMotion, Jump, find_jumps};
 use crate::transport::{MatrixHeader, ShotRecord};
@@ -14,6 +15,7 @@ impl Prepared<'_> {
     pub(super) fn finish(&self, results: Vec<ShotResult>, header: &mut MatrixHeader) -> Result<BuildReport> {
         let capture = self.shots.capture;
         let mut warnings = capture.warnings.clone();
+        warnings.extend(self.registration_warnings.iter().cloned());
         let mut clipped = (0, 0);
         let mut bright: Vec<f64> = Vec::new();
         let mut saturated: Option<(String, usize, usize)> = None;
@@ -124,7 +126,11 @@ impl Prepared<'_> {
 
     /// How far the slab reaches beyond the board's corners, mm; `None` when it does not by more than a square.
     fn outside_board(&self) -> Option<f64> {
-        let board = &self.shots.capture.rig.board;
+        // The frame's marks are all around the slab.
+        if !self.shots.capture.shots(|p| matches!(p, Pattern::Frame)).is_empty() {
+            return None;
+        }
+        let board = self.shots.capture.rig.board.as_ref()?;
         let far = board.corner_mm([board.inner_corners[0] - 1, board.inner_corners[1] - 1]);
         let size = self.shots.capture.manifest.slab.size_mm;
         let outside = (0..2).map(|a| board.origin_mm[a].max(size[a] - far[a])).fold(0.0, f64::max);

@@ -9,7 +9,7 @@ use crate::radiance::{Bracket, Radiance};
 use crate::registration::{CameraMotion, Drift, Registration};
 use crate::response::{CellWeights, Irradiance, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
 use crate::transport::MatrixWriter;
-use crate::{Error, Result};
+use crate::{Error, Result, Warning};
 use rayon::prelude::*;
 
 /// Pixels around a reference dot's expected place in which it is searched; drift of up to two less is measured, more is refused.
@@ -19,6 +19,8 @@ pub(super) const DRIFT_SEARCH_PX: f64 = 8.0;
 pub(super) struct Prepared<'a> {
     pub(super) shots: Shots<'a>,
     pub(super) registration: Registration,
+    /// What was found while registering.
+    pub(super) registration_warnings: Vec<Warning>,
     pub(super) ambient: Radiance,
     pub(super) irradiance: Irradiance,
     pub(super) px_per_mm: f64,

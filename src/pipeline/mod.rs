@@ -79,8 +79,8 @@ pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &P
     };
     let mut writer = MatrixWriter::create(out, empty_header(&capture))?;
     let shots = Shots::new(&capture);
-    let registration = shots.register(progress)?;
-    let prepared = shots.prepare(registration, progress)?;
+    let (registration, found) = shots.register(progress)?;
+    let prepared = shots.prepare(registration, found, progress)?;
     let result = prepared.extract(&writer, progress)?;
 
     let stage = progress.stage("write", 1);

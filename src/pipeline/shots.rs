@@ -2,12 +2,15 @@
 
 use super::lattice::Prepared;
 use crate::capture::{Capture, Pattern, Photograph, Rect, Surface};
-use crate::geometry::Lens;
+use crate::geometry::{CameraView, Lens, Point};
 use crate::progress::{Progress, Stage};
 use crate::radiance::{Bracket, Radiance, Sensor, decode_shot};
-use crate::registration::{BitPair, Registration, StripeSurface, register_board, register_projector};
+use crate::registration::{
+    BitPair, FrameFit, Registration, StripeSurface, ViewFit, marks_moved, register_board, register_frame,
+    register_projector,
+};
 use crate::response::Irradiance;
-use crate::{Error, Result};
+use crate::{Error, Result, Warning};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -55,20 +58,19 @@ impl<'a> Shots<'a> {
     }
 
     /// Camera from the board, projector from the Gray code.
-    pub(super) fn register(&self, progress: &Progress) -> Result<Registration> {
+    pub(super) fn register(&self, progress: &Progress) -> Result<(Registration, Vec<Warning>)> {
         let codes = self.capture.shots(|p| matches!(p, Pattern::GrayCode { .. }));
         let stage = progress.stage("register", 1 + codes.len());
-        let board = self.one(|p| matches!(p, Pattern::Board))?;
         // Finding the board's corners runs on one core: the other decodes stripes meanwhile.
         let (camera, pairs) = rayon::join(
             || {
-                let picture = self.merge_whole(board)?;
+                let found = self.camera_view();
                 stage.advance(1);
-                register_board(&picture, &self.capture.rig).map_err(self.failed(board))
+                found
             },
             || self.bit_pairs(&codes, &stage),
         );
-        let (camera, pairs) = (camera?, pairs?);
+        let ((camera, warnings), pairs) = (camera?, pairs?);
         let first = codes[0];
         let rig = &self.capture.rig;
         // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
@@ -76,8 +78,51 @@ impl<'a> Shots<'a> {
         let surface = self.stripe_surface(&codes)?;
         let projector = register_projector(&pairs, rig.camera.size_px, &camera.view, surface, lens)
             .map_err(self.failed(first))?;
-        Registration::new(&camera, &projector, self.capture.manifest.slab.size_mm)
-            .ok_or_else(|| self.failed(first)("the projector's map cannot be inverted".into()))
+        let registration = Registration::new(&camera, &projector, self.capture.manifest.slab.size_mm);
+        registration.map(|r| (r, warnings)).ok_or_else(|| self.failed(first)("the projector's map cannot be inverted".into()))
+    }
+
+    /// The board gives the lens and a plane; the frame's marks give the plane as the sample really lies, the lens too without a board.
+    fn camera_view(&self) -> Result<(ViewFit, Vec<Warning>)> {
+        let rig = &self.capture.rig;
+        let mut warnings = Vec::new();
+        let mut view = None;
+        if let (Some(&shot), Some(board)) = (self.capture.shots(|p| matches!(p, Pattern::Board)).first(), &rig.board) {
+            let picture = self.merge_whole(shot)?;
+            view = Some(register_board(&picture, board, &rig.camera).map_err(self.failed(shot))?);
+        }
+        let mut first: Option<FrameFit> = None;
+        for shot in self.capture.shots(|p| matches!(p, Pattern::Frame)) {
+            let Some(marks) = &rig.frame else { continue };
+            let (picture, prior) = (self.merge_whole(shot)?, view.as_ref().map(|v: &ViewFit| v.view));
+            let found = register_frame(&picture, marks, prior.as_ref(), &rig.camera).map_err(self.failed(shot))?;
+            let name = self.capture.manifest.shots[shot].name.clone();
+            match &first {
+                None => {
+                    warnings.extend(prior.and_then(|board| self.board_elsewhere(&board, &found.fit)));
+                    view = Some(found.fit);
+                    first = Some(found);
+                }
+                Some(before) => {
+                    let moved = marks_moved(before, &found);
+                    let beyond = |(m, sd): &(Point, f64)| m[0].hypot(m[1]) > (5.0 * sd).max(0.05);
+                    let told = |(moved_px, sd_px)| Warning::FrameMoved { shot: name, moved_px, sd_px };
+                    warnings.extend(moved.filter(beyond).map(told));
+                }
+            }
+        }
+        view.map(|v| (v, warnings)).ok_or_else(|| Error::internal("a checked capture lacks a board and a frame"))
+    }
+
+    /// Whether board and frame disagree about where the slab's corners are seen.
+    fn board_elsewhere(&self, board: &CameraView, frame: &ViewFit) -> Option<Warning> {
+        let [w, h] = self.capture.manifest.slab.size_mm;
+        let off = |p: Point| {
+            let (a, b) = (board.camera_from_slab(p), frame.view.camera_from_slab(p));
+            (a[0] - b[0]).hypot(a[1] - b[1])
+        };
+        let largest_px = [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(off).into_iter().fold(0.0, f64::max);
+        (largest_px > (5.0 * frame.sd_px).max(0.2)).then_some(Warning::BoardElsewhere { largest_px })
     }
 
     /// What the Gray code was projected on: all of it on the same.
@@ -127,7 +172,12 @@ impl<'a> Shots<'a> {
     }
 
     /// Ambient light and irradiance.
-    pub(super) fn prepare(self, registration: Registration, progress: &Progress) -> Result<Prepared<'a>> {
+    pub(super) fn prepare(
+        self,
+        registration: Registration,
+        registration_warnings: Vec<Warning>,
+        progress: &Progress,
+    ) -> Result<Prepared<'a>> {
         let stage = progress.stage("reference", 3);
         let shots = [
             self.one(|p| matches!(p, Pattern::SampleBlack))?,
@@ -146,6 +196,6 @@ impl<'a> Shots<'a> {
         };
         let cell_px = px_per_mm * self.capture.manifest.window.pitch_mm;
         let irradiance = Irradiance::new(white, &self.capture.rig, cell_px.round().clamp(2.0, 50.0) as usize);
-        Ok(Prepared { shots: self, registration, ambient, irradiance, px_per_mm, cell_px })
+        Ok(Prepared { shots: self, registration, registration_warnings, ambient, irradiance, px_per_mm, cell_px })
     }
 }

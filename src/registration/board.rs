@@ -1,7 +1,7 @@
 //! The chessboard in the slab's plane: where the camera sees the slab.
 
 use super::fit::{ViewFit, fit_view};
-use crate::capture::Rig;
+use crate::capture::{Board, Camera};
 use crate::geometry::Point;
 use crate::radiance::Radiance;
 use opencv::{calib3d, core, imgproc, prelude::*};
@@ -15,9 +15,9 @@ use opencv::{calib3d, core, imgproc, prelude::*};
 /// A text that says what was not found.
 ///
 /// Not detected: a board that is not in the slab's plane, or not where `rig.toml` says.
-pub fn register_board(picture: &Radiance, rig: &Rig) -> Result<ViewFit, String> {
-    let [nx, ny] = rig.board.inner_corners;
-    let corners = find_corners(picture, rig.board.inner_corners)?;
+pub fn register_board(picture: &Radiance, board: &Board, camera: &Camera) -> Result<ViewFit, String> {
+    let [nx, ny] = board.inner_corners;
+    let corners = find_corners(picture, board.inner_corners)?;
     let at = |i: usize, j: usize| corners[j * nx + i];
     // OpenCV starts at either end of the board: x must grow to the right, y downwards.
     let flip_x = at(nx - 1, 0)[0] < at(0, 0)[0];
@@ -26,10 +26,10 @@ pub fn register_board(picture: &Radiance, rig: &Rig) -> Result<ViewFit, String> 
         .flat_map(|j| (0..nx).map(move |i| [i, j]))
         .map(|[i, j]| {
             let seen = at(if flip_x { nx - 1 - i } else { i }, if flip_y { ny - 1 - j } else { j });
-            (rig.board.corner_mm([i, j]), seen)
+            (board.corner_mm([i, j]), seen)
         })
         .collect();
-    let fit = fit_view(&pairs, rig.camera.principal_px, rig.camera.focal_px)
+    let fit = fit_view(&pairs, camera.principal_px, camera.focal_px)
         .ok_or("the board's corners do not span a plane")?;
     // A mistaken corner is off by whole squares; detection noise is far below a pixel.
     if fit.rms_px > 1.0 {

@@ -174,7 +174,7 @@ fn settle(pixels: &[Pixel], start: f64, softness_px: f64) -> Option<(RimPlace, f
 }
 
 /// The integral of the logistic distribution function, and the function.
-fn softened(x: f64) -> (f64, f64) {
+pub(super) fn softened(x: f64) -> (f64, f64) {
     let tail = (-x.abs()).exp();
     let above = tail.ln_1p();
     if x > 0.0 { (x + above, 1.0 / (1.0 + tail)) } else { (above, tail / (1.0 + tail)) }

@@ -1,10 +1,12 @@
 //! Register: slab ↔ camera ↔ projector, and the drift of every lattice shot.
 
+mod blobs;
 mod board;
 mod camera_motion;
 mod dot_fit;
 mod drift;
 mod fit;
+mod frame_marks;
 mod gray_code;
 mod jumps;
 mod projector_fit;
@@ -18,6 +20,7 @@ pub use drift::{Drift, measure_drift};
 pub use fit::{Observation, ViewFit, fit_homography, fit_view};
 pub use jumps::{Jump, find_jumps};
 pub use sample_drift::{Located, Parallax, SampleDots};
+pub use frame_marks::{FoundMark, FrameFit, marks_moved, register_frame};
 pub use gray_code::{BitPair, StripeSurface, register_projector};
 pub use projector_fit::{ProjectorFit, fit_projector};
 

@@ -155,6 +155,12 @@ pub struct Options {
     /// Distortion of its lens, Brown's k1 with the image's width for focal length. Usual: 0.01, 1 px at the corner of a picture of 300.
     #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = Options::default().projector_distortion, help_heading = "Projector")]
     pub projector_distortion: f64,
+    /// Print dark discs on the frame, photograph them before and after the lattice shots, and tell the rig file.
+    #[arg(long, help_heading = "Capture")]
+    pub frame_marks: bool,
+    /// A lab without a board: the frame's marks alone tell where the slab is.
+    #[arg(long, requires = "frame_marks", help_heading = "Capture")]
+    pub without_board: bool,
     /// Project the Gray code on the sample in its frame instead of the white reference.
     #[arg(long, help_heading = "Projector")]
     pub gray_on_frame: bool,
@@ -235,6 +241,8 @@ impl Default for Options {
             projector_black: 2e-4,
             projector_distortion: 0.0,
             gray_on_frame: false,
+            frame_marks: false,
+            without_board: false,
             falloff: 0.12,
             projector_blur_px: 0.3,
             ambient: 5e-5,

@@ -9,7 +9,7 @@ use crate::geometry::Point;
 /// Projector px of the narrowest Gray stripes: narrower ones blur together.
 const NARROWEST_STRIPE_PX: u32 = 8;
 
-/// The shots of a capture; lattice shots come last.
+/// The shots of a capture; after lattice shots comes at most one more of the frame.
 #[derive(Debug)]
 pub(super) struct Plan {
     pub manifest: Manifest,
@@ -27,6 +27,12 @@ impl Plan {
             ("reference-black".to_owned(), Pattern::ReferenceBlack),
             ("sample-black".to_owned(), Pattern::SampleBlack),
         ];
+        if options.without_board {
+            patterns.remove(0);
+        }
+        if options.frame_marks {
+            patterns.insert(0, ("frame".to_owned(), Pattern::Frame));
+        }
         for (axis, letter, size) in
             [(Axis::X, 'x', scene.projector.size_px[0]), (Axis::Y, 'y', scene.projector.size_px[1])]
         {
@@ -46,8 +52,11 @@ impl Plan {
             let dots = every(phase / spacing).flat_map(|y| every(phase % spacing).map(move |x| [x, y])).collect();
             patterns.push((format!("lattice-{phase:04}"), Pattern::Lattice { dots }));
         }
-        let names = patterns[first_lattice..].iter().map(|(name, _)| name.clone());
-        let lattices = lattice_drift(options, names.collect(), |drift_px| scene.drift_mm(drift_px));
+        let names: Vec<String> = patterns[first_lattice..].iter().map(|(name, _)| name.clone()).collect();
+        if options.frame_marks {
+            patterns.push(("frame-after".to_owned(), Pattern::Frame));
+        }
+        let lattices = lattice_drift(options, names, |drift_px| scene.drift_mm(drift_px));
         let shots = patterns.into_iter().map(|(name, pattern)| shot(options, studio, name, pattern)).collect();
         let manifest = Manifest {
             format: FORMAT,

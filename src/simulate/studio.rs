@@ -126,7 +126,7 @@ impl Studio {
     pub fn bracket(&self, options: &Options, pattern: &Pattern) -> Vec<ExposureTime> {
         match pattern {
             // The frame is darker than the white reference by four stops.
-            Pattern::GrayCode { on: Surface::Frame, .. } => plan::bracket(self.white_shortest, 3, 2.0),
+            Pattern::Frame | Pattern::GrayCode { on: Surface::Frame, .. } => plan::bracket(self.white_shortest, 3, 2.0),
             Pattern::Board | Pattern::ReferenceWhite | Pattern::GrayCode { .. } => {
                 plan::bracket(self.white_shortest, 2, 2.0)
             }
@@ -149,6 +149,7 @@ impl Studio {
                 let keep = |dot, row| truth.put(plan.manifest.grid.row_index(dot), &row);
                 self.lattice(options, dots, moved, keep, room.picture)?
             }
+            Pattern::Frame => self.lit_sample(options, &self.pixels_at(plan, shot)?, |_| 1.0, |_| 1.0),
             pattern => self.still(options, pattern),
         };
         room.rate = self.rate(options, &room.picture, room.rate);
@@ -198,7 +199,7 @@ impl Studio {
             Pattern::ReferenceBlack => self.pixels.picture(|_| GAUSS_1, |p| white(p, 0.0)),
             Pattern::GrayCode { axis, bit, inverse, on: Surface::Frame } => {
                 let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
-                self.lit_sample(options, |p| code.brightness(p), |p| code.blurred(p, options))
+                self.lit_sample(options, &self.pixels, |p| code.brightness(p), |p| code.blurred(p, options))
             }
             Pattern::GrayCode { axis, bit, inverse, on: Surface::WhiteReference } => {
                 let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
@@ -216,8 +217,14 @@ impl Studio {
                     light.map(|v| v as f32)
                 })
             }
-            Pattern::SampleBlack | Pattern::Lattice { .. } => self.dark_sample.clone(),
+            Pattern::SampleBlack | Pattern::Frame | Pattern::Lattice { .. } => self.dark_sample.clone(),
         }
+    }
+
+    /// The pixels of a shot before or after the lattice shots: a camera that has moved stays where it is.
+    fn pixels_at(&self, plan: &Plan, shot: usize) -> Result<PixelGrid> {
+        let last = plan.lattices.last().filter(|_| shot > plan.first_lattice);
+        PixelGrid::new(&self.scene, last.map_or([0.0; 2], |l| l.camera_drift_px))
     }
 
     /// Sample and frame under a pattern: `sharp` is its brightness (0 to 1) at projector px on the frame, `blurred` on the sample.
@@ -226,6 +233,7 @@ impl Studio {
     fn lit_sample(
         &self,
         options: &Options,
+        pixels: &PixelGrid,
         sharp: impl Fn(Point) -> f64 + Sync,
         blurred: impl Fn(Point) -> f64 + Sync,
     ) -> Picture {
@@ -238,11 +246,11 @@ impl Studio {
             match (&self.dark_field, scene.on_sample(p), scene.on_frame_or_sample(p)) {
                 (Some(field), true, _) => field.at(p).map(|v| f64::from(v) * (level(blurred(q)) + options.ambient) / dark),
                 (None, true, _) => arriving(blurred(q)).map(|e| 0.5 * e),
-                (_, _, true) => arriving(sharp(q)).map(|e| e * FRAME_ALBEDO),
+                (_, _, true) => arriving(sharp(q)).map(|e| e * scene.frame_albedo(p)),
                 _ => [0.0; 3],
             }
         };
-        self.pixels.picture(|_| GAUSS_6, light)
+        pixels.picture(|_| GAUSS_6, light)
     }
 
     /// A shot of dots, in the memory of `picture`; `keep` receives the truth of each.
@@ -340,14 +348,14 @@ impl Studio {
         };
         let light = |p: Point| match () {
             () if scene.on_sample(p) => field.at(p).map(f64::from),
-            () if scene.on_frame_or_sample(p) => self.dark_irradiance(options, p).map(|e| e * FRAME_ALBEDO),
+            () if scene.on_frame_or_sample(p) => self.dark_irradiance(options, p).map(|e| e * scene.frame_albedo(p)),
             () => [0.0; 3],
         };
         let mean = FieldMean::new(pixel_mm, field);
         pixels.picture_of(|pixel| {
             let p = pixel.first_corner_mm();
             match () {
-                () if scene.near_rim(p, pixel_mm) => pixel.mean(GAUSS_6, light).map(|v| v as f32),
+                () if scene.near_rim(p, pixel_mm) || scene.near_mark(p, 2.0 * pixel_mm) => pixel.mean(GAUSS_6, light).map(|v| v as f32),
                 () if scene.on_sample(p) => mean.on_sample(scene, pixel),
                 () => pixel.mean(GAUSS_1, light).map(|v| v as f32),
             }

@@ -8,7 +8,7 @@ pub(crate) use drift::JUMP_REACH;
 use crate::simulate::{Beam, Options};
 use crate::{
     Error, Result,
-    capture::{Board, Camera, Grid, Projector, Rig, WhiteReference},
+    capture::{Board, Camera, FrameMarks, Grid, Projector, Rig, WhiteReference},
     geometry::{CameraView, Homography, Lens, Point, SlabFromProjector},
 };
 
@@ -16,6 +16,10 @@ use crate::{
 const FRAME_PITCHES: f64 = 7.0;
 /// Albedo of the frame: its dots are about as bright as those on the sample, so that one bracket suits both.
 pub(crate) const FRAME_ALBEDO: f64 = 0.06;
+/// How much darker the frame's marks are.
+const MARK_DARKNESS: f64 = 0.8;
+/// Softness of their edges, camera px.
+const PRINT_BLUR_PX: f64 = 0.2;
 /// What is seen around the frame, camera px.
 const IMAGE_MARGIN_PX: f64 = 10.0;
 /// Turn of the projector about its axis, degrees, and its keystone: change of scale over the lit area.
@@ -48,10 +52,15 @@ pub(crate) struct Scene {
     pub eye_mm: [f64; 3],
     pub camera: Camera,
     pub board: Board,
+    pub marks: Option<FrameMarks>,
     pub reference_dots: Vec<Point>,
     pub white: WhiteReference,
     /// Irradiance lost from the projector's brightest point to the corner of the frame, of itself.
     falloff: f64,
+    /// Whether the lab has no board.
+    without_board: bool,
+    /// Width of a camera pixel on the slab, mm.
+    px_mm: f64,
     /// Blur of the projector's pixels (standard deviation), projector px; never sharper than can be rendered.
     pub projector_blur_px: f64,
 }
@@ -83,10 +92,13 @@ impl Scene {
             view,
             eye_mm,
             board: board(slab_size_mm, frame_mm, &camera),
+            marks: options.frame_marks.then(|| marks(slab_size_mm, frame_mm)),
             camera,
             reference_dots: Vec::new(),
             white: WhiteReference { reflectance: [0.99; 3] },
             falloff: options.falloff,
+            without_board: options.without_board,
+            px_mm,
             projector_blur_px: options.projector_blur_px.max(FINEST_EDGE_PX * projector_px_per_camera_px(options)),
         };
         scene.reference_dots = scene.reference_dots(options);
@@ -100,7 +112,8 @@ impl Scene {
             camera: self.camera.clone(),
             noise,
             projector: self.projector.clone(),
-            board: self.board.clone(),
+            board: Some(self.board.clone()).filter(|_| !self.without_board),
+            frame: self.marks.clone(),
             white_reference: self.white.clone(),
         }
     }
@@ -108,6 +121,23 @@ impl Scene {
     /// The middle of the slab, mm.
     pub fn center_mm(&self) -> Point {
         self.slab_size_mm.map(|s| 0.5 * s)
+    }
+
+    /// Albedo of the frame at `p` (mm): dark discs are printed on it.
+    pub fn frame_albedo(&self, p: Point) -> f64 {
+        let Some(marks) = &self.marks else { return FRAME_ALBEDO };
+        let radius = 0.5 * marks.diameter_mm;
+        let cover = |m: &Point| {
+            let inside = (radius - (p[0] - m[0]).hypot(p[1] - m[1])) / (PRINT_BLUR_PX * self.px_mm);
+            if inside < -6.0 { 0.0 } else { render::normal_cdf(inside) }
+        };
+        FRAME_ALBEDO * (1.0 - MARK_DARKNESS * marks.marks_mm.iter().map(cover).sum::<f64>())
+    }
+
+    /// Whether a mark's edge may pass within `reach_mm` of `p` (mm).
+    pub fn near_mark(&self, p: Point, reach_mm: f64) -> bool {
+        let near = |m: &Point, radius: f64| (p[0] - m[0]).hypot(p[1] - m[1]) <= radius + reach_mm;
+        self.marks.as_ref().is_some_and(|f| f.marks_mm.iter().any(|m| near(m, 0.5 * f.diameter_mm)))
     }
 
     /// Whether `p` (mm) is on the sample.
@@ -306,6 +336,15 @@ fn board(size: Point, frame: f64, camera: &Camera) -> Board {
     let inner_corners = [squares - 1, squares - 2];
     let origin_mm = std::array::from_fn(|a| -frame + 0.5 * (extent[a] - (inner_corners[a] as f64 - 1.0) * square_mm));
     Board { inner_corners, square_mm, origin_mm }
+}
+
+/// Discs in the frame's corners and along its sides, away from the reference dots.
+fn marks(size: Point, frame: f64) -> FrameMarks {
+    let out = 0.6 * frame;
+    let ([w, h], along) = (size, [0.08, 0.35, 0.5, 0.65, 0.92]);
+    let corners = [[-out, -out], [w + out, -out], [-out, h + out], [w + out, h + out]];
+    let sides = along.iter().flat_map(|&t| [[t * w, -out], [t * w, h + out], [-out, t * h], [w + out, t * h]]);
+    FrameMarks { marks_mm: corners.into_iter().chain(sides).collect(), diameter_mm: 0.4 * frame }
 }
 
 #[cfg(test)]
