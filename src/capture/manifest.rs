@@ -113,6 +113,8 @@ pub struct Shot {
 pub enum Pattern {
     /// The chessboard of `rig.toml` in the slab's plane, projector white.
     Board,
+    /// The same chessboard anywhere in view, in any pose: for the lens only.
+    CalibrationBoard,
     /// The sample in its frame, projector white: the frame's marks of `rig.toml` give the plane. A second one tells movement.
     Frame,
     /// The white reference in the slab's plane, projector white.

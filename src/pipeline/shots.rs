@@ -6,8 +6,8 @@ use crate::geometry::{CameraView, Lens, Point};
 use crate::progress::{Progress, Stage};
 use crate::radiance::{Bracket, Radiance, Sensor, decode_shot};
 use crate::registration::{
-    BitPair, FrameFit, Registration, StripeSurface, ViewFit, marks_moved, register_board, register_frame,
-    register_projector,
+    BitPair, FrameFit, LensChoice, Pairs, Registration, StripeSurface, ViewFit, find_board, fit_lens_of_views,
+    marks_moved, register_frame, register_projector,
 };
 use crate::response::Irradiance;
 use crate::{Error, Result, Warning};
@@ -70,7 +70,7 @@ impl<'a> Shots<'a> {
             },
             || self.bit_pairs(&codes, &stage),
         );
-        let ((camera, warnings), pairs) = (camera?, pairs?);
+        let ((camera, choice, warnings), pairs) = (camera?, pairs?);
         let first = codes[0];
         let rig = &self.capture.rig;
         // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
@@ -78,29 +78,38 @@ impl<'a> Shots<'a> {
         let surface = self.stripe_surface(&codes)?;
         let projector = register_projector(&pairs, rig.camera.size_px, &camera.view, surface, lens)
             .map_err(self.failed(first))?;
-        let registration = Registration::new(&camera, &projector, self.capture.manifest.slab.size_mm);
+        let registration = Registration::new(&camera, choice, &projector, self.capture.manifest.slab.size_mm);
         registration.map(|r| (r, warnings)).ok_or_else(|| self.failed(first)("the projector's map cannot be inverted".into()))
     }
 
-    /// The board gives the lens and a plane; the frame's marks give the plane as the sample really lies, the lens too without a board.
-    fn camera_view(&self) -> Result<(ViewFit, Vec<Warning>)> {
+    /// The board gives a plane, the frame's marks the plane as the sample really lies; the lens is fitted to all of them together, and to
+    /// boards in other poses where there are any.
+    fn camera_view(&self) -> Result<(ViewFit, LensChoice, Vec<Warning>)> {
         let rig = &self.capture.rig;
+        let camera = &rig.camera;
         let mut warnings = Vec::new();
-        let mut view = None;
-        if let (Some(&shot), Some(board)) = (self.capture.shots(|p| matches!(p, Pattern::Board)).first(), &rig.board) {
-            let picture = self.merge_whole(shot)?;
-            view = Some(register_board(&picture, board, &rig.camera).map_err(self.failed(shot))?);
+        let (mut planes, mut has_board): (Vec<Pairs>, bool) = (Vec::new(), false);
+        for calibrating in [false, true] {
+            let kind = |p: &Pattern| if calibrating { *p == Pattern::CalibrationBoard } else { *p == Pattern::Board };
+            for shot in self.capture.shots(kind) {
+                let Some(board) = &rig.board else { continue };
+                planes.push(find_board(&self.merge_whole(shot)?, board, camera).map_err(self.failed(shot))?);
+                has_board |= !calibrating;
+            }
         }
+        let lens_of = |planes: &[Pairs]| fit_lens_of_views(planes, camera.principal_px, camera.focal_px);
+        let mut fits = lens_of(&planes);
+        let prior = fits.as_ref().filter(|_| has_board).map(|(fits, _)| fits[0].view);
         let mut first: Option<FrameFit> = None;
-        for shot in self.capture.shots(|p| matches!(p, Pattern::Frame)) {
+        for shot in self.capture.shots(|p| *p == Pattern::Frame) {
             let Some(marks) = &rig.frame else { continue };
-            let (picture, prior) = (self.merge_whole(shot)?, view.as_ref().map(|v: &ViewFit| v.view));
-            let found = register_frame(&picture, marks, prior.as_ref(), &rig.camera).map_err(self.failed(shot))?;
+            let picture = self.merge_whole(shot)?;
+            let found = register_frame(&picture, marks, prior.as_ref(), camera).map_err(self.failed(shot))?;
             let name = self.capture.manifest.shots[shot].name.clone();
             match &first {
                 None => {
-                    warnings.extend(prior.and_then(|board| self.board_elsewhere(&board, &found.fit)));
-                    view = Some(found.fit);
+                    planes.insert(0, found.pairs(marks));
+                    fits = lens_of(&planes);
                     first = Some(found);
                 }
                 Some(before) => {
@@ -111,7 +120,13 @@ impl<'a> Shots<'a> {
                 }
             }
         }
-        view.map(|v| (v, warnings)).ok_or_else(|| Error::internal("a checked capture lacks a board and a frame"))
+        let (fits, choice) = fits.ok_or_else(|| {
+            Error::field(&self.capture.rig_path, "board or frame.marks_mm", "points that span a plane", "too few or on a line")
+        })?;
+        if first.is_some() && has_board {
+            warnings.extend(self.board_elsewhere(&fits[1].view, &fits[0]));
+        }
+        Ok((fits[0], choice, warnings))
     }
 
     /// Whether board and frame disagree about where the slab's corners are seen.

@@ -139,9 +139,9 @@ pub fn fit_view(pairs: &[(Point, Point)], center_px: Point, focal_px: f64) -> Op
 }
 
 /// Steps of Gauss–Newton on the first `terms` distortion coefficients, by finite differences; four are enough from zero.
-pub(super) fn gauss_newton<T>(
-    solve: &dyn Fn([f64; 2]) -> Option<(T, Vec<f64>)>,
-    k: &mut [f64; 2],
+pub(super) fn gauss_newton<T, const N: usize>(
+    solve: &dyn Fn([f64; N]) -> Option<(T, Vec<f64>)>,
+    k: &mut [f64; N],
     terms: usize,
 ) -> Option<(T, Vec<f64>)> {
     let mut current = solve(*k)?;

@@ -3,6 +3,7 @@
 use super::blobs::{Blob, find_blobs};
 use super::camera_motion::softened;
 use super::drift::median;
+use super::Pairs;
 use super::fit::{Observation, ViewFit, fit_homography, fit_view};
 use super::small::solve;
 use crate::capture::{Camera, FrameMarks};
@@ -72,6 +73,13 @@ pub fn register_frame(
         return Err(format!("the frame's marks fit no plane: RMS {:.2} px", fit.rms_px));
     }
     Ok(FrameFit { fit, marks: pairs })
+}
+
+impl FrameFit {
+    /// The marks in slab coordinates and where they are seen.
+    pub fn pairs(&self, frame: &FrameMarks) -> Pairs {
+        self.marks.iter().map(|m| (frame.marks_mm[m.index], m.camera_px)).collect()
+    }
 }
 
 /// Median displacement of the marks from one photograph to another and its standard deviation per axis, camera px; `None` with fewer than

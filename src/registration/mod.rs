@@ -9,15 +9,17 @@ mod fit;
 mod frame_marks;
 mod gray_code;
 mod jumps;
+mod lens_fit;
 mod projector_fit;
 mod sample_drift;
 mod small;
 
-pub use board::register_board;
+pub use board::find_board;
 pub use camera_motion::{CameraMotion, RimPlace, RimSegment, camera_motion, locate_rim, rim_segments};
 pub use dot_fit::{DotShape, FoundDot};
 pub use drift::{Drift, measure_drift};
 pub use fit::{Observation, ViewFit, fit_homography, fit_view};
+pub use lens_fit::{LensChoice, LensTrial, Pairs, fit_lens_of_views};
 pub use jumps::{Jump, find_jumps};
 pub use sample_drift::{Located, Parallax, SampleDots};
 pub use frame_marks::{FoundMark, FrameFit, marks_moved, register_frame};
@@ -36,8 +38,10 @@ pub struct Registration {
     pub slab_from_projector: SlabFromProjector,
     /// The slab's centre, mm.
     pub center_mm: Point,
-    /// RMS of the board's corners against the model, camera px.
+    /// RMS of the board's corners (or the frame's marks) against the model, camera px.
     pub camera_rms_px: f64,
+    /// How the camera's lens was chosen.
+    pub lens: LensChoice,
     /// RMS of the stripes' edges against the model, projector px.
     pub projector_rms_px: f64,
     /// The same against a projector without distortion, projector px.
@@ -56,7 +60,7 @@ impl Registration {
     }
 
     /// Puts the two fits together for a slab of `size_mm`; `None` when the projector's map cannot be inverted.
-    pub fn new(camera: &ViewFit, projector: &ProjectorFit, size_mm: Point) -> Option<Self> {
+    pub fn new(camera: &ViewFit, lens: LensChoice, projector: &ProjectorFit, size_mm: Point) -> Option<Self> {
         let slab_from_projector = projector.slab_from_projector;
         let center_mm = [size_mm[0] / 2.0, size_mm[1] / 2.0];
         let middle_px = slab_from_projector.projector_from_slab(center_mm);
@@ -71,6 +75,7 @@ impl Registration {
             slab_from_projector,
             center_mm,
             camera_rms_px: camera.rms_px,
+            lens,
             projector_rms_px: projector.rms_px,
             projector_ideal_rms_px: projector.ideal_rms_px,
             position_sd_mm,

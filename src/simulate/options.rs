@@ -155,11 +155,14 @@ pub struct Options {
     /// Distortion of its lens, Brown's k1 with the image's width for focal length. Usual: 0.01, 1 px at the corner of a picture of 300.
     #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = Options::default().projector_distortion, help_heading = "Projector")]
     pub projector_distortion: f64,
+    /// Photographs of the board in other poses, for the lens.
+    #[arg(long, value_name = "N", default_value_t = Options::default().calibration_boards, help_heading = "Capture")]
+    pub calibration_boards: usize,
     /// Print dark discs on the frame, photograph them before and after the lattice shots, and tell the rig file.
     #[arg(long, help_heading = "Capture")]
     pub frame_marks: bool,
     /// A lab without a board: the frame's marks alone tell where the slab is.
-    #[arg(long, requires = "frame_marks", help_heading = "Capture")]
+    #[arg(long, requires = "frame_marks", conflicts_with = "calibration_boards", help_heading = "Capture")]
     pub without_board: bool,
     /// Project the Gray code on the sample in its frame instead of the white reference.
     #[arg(long, help_heading = "Projector")]
@@ -242,6 +245,7 @@ impl Default for Options {
             projector_distortion: 0.0,
             gray_on_frame: false,
             frame_marks: false,
+            calibration_boards: 0,
             without_board: false,
             falloff: 0.12,
             projector_blur_px: 0.3,
@@ -312,6 +316,7 @@ impl Options {
         range("--pitch-mm", self.pitch_mm, 1e-3, 1e3)?;
         range("--lit-pitch-mm", self.lit_pitch_mm(), 1e-3, 1e3)?;
         range("--spacing", self.spacing() as f64, 1.0, 1e6)?;
+        range("--calibration-boards", self.calibration_boards as f64, 0.0, 100.0)?;
         range("--exposures", self.exposures as f64, 1.0, 10.0)?;
         range("--stops", self.stops, 0.1, 4.0)?;
         range("--bits", f64::from(self.bits.unwrap_or(8)), 8.0, 16.0)?;

@@ -33,6 +33,9 @@ impl Plan {
         if options.frame_marks {
             patterns.insert(0, ("frame".to_owned(), Pattern::Frame));
         }
+        for n in 0..options.calibration_boards {
+            patterns.push((format!("calibration-board-{n:02}"), Pattern::CalibrationBoard));
+        }
         for (axis, letter, size) in
             [(Axis::X, 'x', scene.projector.size_px[0]), (Axis::Y, 'y', scene.projector.size_px[1])]
         {

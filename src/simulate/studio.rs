@@ -127,7 +127,7 @@ impl Studio {
         match pattern {
             // The frame is darker than the white reference by four stops.
             Pattern::Frame | Pattern::GrayCode { on: Surface::Frame, .. } => plan::bracket(self.white_shortest, 3, 2.0),
-            Pattern::Board | Pattern::ReferenceWhite | Pattern::GrayCode { .. } => {
+            Pattern::Board | Pattern::CalibrationBoard | Pattern::ReferenceWhite | Pattern::GrayCode { .. } => {
                 plan::bracket(self.white_shortest, 2, 2.0)
             }
             _ => plan::bracket(ExposureTime::one_over(SHORTEST_PER_SEC), options.exposures, options.stops),
@@ -150,6 +150,10 @@ impl Studio {
                 self.lattice(options, dots, moved, keep, room.picture)?
             }
             Pattern::Frame => self.lit_sample(options, &self.pixels_at(plan, shot)?, |_| 1.0, |_| 1.0),
+            Pattern::CalibrationBoard => {
+                let earlier = plan.manifest.shots[..shot].iter().filter(|s| s.pattern == Pattern::CalibrationBoard);
+                self.board(options, &PixelGrid::of_view(&self.scene.posed_view(earlier.count()), &self.scene)?)
+            }
             pattern => self.still(options, pattern),
         };
         room.rate = self.rate(options, &room.picture, room.rate);
@@ -187,14 +191,7 @@ impl Studio {
             std::array::from_fn(|c| light[c] * scene.white.reflectance[c])
         };
         match *pattern {
-            Pattern::Board => {
-                let px_mm = options.pitch_mm / options.camera_px_per_sample;
-                let pixel_mm = self.pixels.pixel_mm();
-                self.pixels.picture(
-                    |p| board_rule(scene, pixel_mm, p),
-                    |p| irradiance(p, 1.0).map(|e| e * board_albedo(scene, px_mm, p)),
-                )
-            }
+            Pattern::Board | Pattern::CalibrationBoard => self.board(options, &self.pixels),
             Pattern::ReferenceWhite => self.pixels.picture(|_| GAUSS_1, |p| white(p, 1.0)),
             Pattern::ReferenceBlack => self.pixels.picture(|_| GAUSS_1, |p| white(p, 0.0)),
             Pattern::GrayCode { axis, bit, inverse, on: Surface::Frame } => {
@@ -219,6 +216,16 @@ impl Studio {
             }
             Pattern::SampleBlack | Pattern::Frame | Pattern::Lattice { .. } => self.dark_sample.clone(),
         }
+    }
+
+    /// The board under white light; in another pose it is lit as in the slab's plane, which moves no corner.
+    fn board(&self, options: &Options, pixels: &PixelGrid) -> Picture {
+        let (scene, px_mm, pixel_mm) = (&self.scene, options.pitch_mm / options.camera_px_per_sample, pixels.pixel_mm());
+        let lit = |p: Point| scene.white_irradiance(p).map(|e| e + options.ambient);
+        pixels.picture(
+            |p| board_rule(scene, pixel_mm, p),
+            |p| lit(p).map(|e| e * board_albedo(scene, px_mm, p)),
+        )
     }
 
     /// The pixels of a shot before or after the lattice shots: a camera that has moved stays where it is.

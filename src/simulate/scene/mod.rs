@@ -123,6 +123,35 @@ impl Scene {
         self.slab_size_mm.map(|s| 0.5 * s)
     }
 
+    /// The camera's view of the board in pose number `n`: a third farther away, tilted by 25 degrees, towards one corner or another.
+    pub fn posed_view(&self, n: usize) -> CameraView {
+        let (lens, m) = (self.view.lens, self.view.ideal_from_slab.matrix);
+        let column = |j: usize| {
+            [(m[0][j] - lens.center_px[0] * m[2][j]) / lens.focal_px, (m[1][j] - lens.center_px[1] * m[2][j]) / lens.focal_px, m[2][j]]
+        };
+        let [x, y, t] = [column(0), column(1), column(2)];
+        let length = |v: [f64; 3]| v.iter().map(|e| e * e).sum::<f64>().sqrt();
+        let scale = 0.5 * (length(x) + length(y));
+        let z = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]].map(|v| v / scale);
+        // From the board's (x, y) about the slab's centre to slab (x, y, z): tilted about an axis that turns from pose to pose.
+        let (sin, cos) = (1.1 + 2.4 * n as f64).sin_cos();
+        let (st, ct) = 25f64.to_radians().sin_cos();
+        let tilt = [[cos * cos + ct * sin * sin, cos * sin * (1.0 - ct)], [cos * sin * (1.0 - ct), sin * sin + ct * cos * cos], [-st * sin, st * cos]];
+        let reach = 0.1 * (self.slab_size_mm[0] + 2.0 * self.frame_mm);
+        let corner = [reach * if n % 2 == 0 { 1.0 } else { -1.0 }, reach * if n / 2 % 2 == 0 { 1.0 } else { -1.0 }];
+        let c = self.center_mm();
+        let place = [c[0] + corner[0], c[1] + corner[1], -0.35 * self.eye_mm[2]];
+        let from = |v: [f64; 3], one: f64| std::array::from_fn::<f64, 3, _>(|i| x[i] * v[0] + y[i] * v[1] + z[i] * v[2] + one * t[i]);
+        let [a, b] = [0, 1].map(|k| from([tilt[0][k], tilt[1][k], tilt[2][k]], 0.0));
+        let d = from(place, 1.0);
+        let row = |i: usize| match i {
+            2 => [a[2], b[2], d[2]],
+            _ => [a, b, d].map(|v| lens.focal_px * v[i] + lens.center_px[i] * v[2]),
+        };
+        let about_center = Homography { matrix: [row(0), row(1), row(2)] };
+        CameraView { ideal_from_slab: about_center.after(&Homography::similarity(1.0, [-c[0], -c[1]])), lens }
+    }
+
     /// Albedo of the frame at `p` (mm): dark discs are printed on it.
     pub fn frame_albedo(&self, p: Point) -> f64 {
         let Some(marks) = &self.marks else { return FRAME_ALBEDO };

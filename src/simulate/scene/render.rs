@@ -3,7 +3,11 @@
 use super::Scene;
 use crate::simulate::Options;
 use crate::simulate::light::field::{Field, Nodes};
-use crate::{Error, Result, capture::Axis, geometry::Point};
+use crate::{
+    Error, Result,
+    capture::Axis,
+    geometry::{CameraView, Homography, Point},
+};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -75,16 +79,24 @@ pub(crate) struct PixelGrid {
 impl PixelGrid {
     /// Projects all corners back onto the slab, for a picture that has moved by `shift_px`.
     pub fn new(scene: &Scene, shift_px: Point) -> Result<Self> {
+        let mut view = scene.view;
+        view.ideal_from_slab = Homography::similarity(1.0, shift_px).after(&view.ideal_from_slab);
+        view.lens.center_px = [0, 1].map(|a| view.lens.center_px[a] + shift_px[a]);
+        Ok(Self { shift_px, ..Self::of_view(&view, scene)? })
+    }
+
+    /// The same for any view.
+    pub fn of_view(view: &CameraView, scene: &Scene) -> Result<Self> {
         let size_px = scene.camera.size_px;
         let slab_from_ideal =
-            scene.view.ideal_from_slab.inverse().ok_or_else(|| Error::internal("camera view is singular"))?;
+            view.ideal_from_slab.inverse().ok_or_else(|| Error::internal("camera view is singular"))?;
         let across = size_px[0] + 1;
         let corner = |i: usize| {
-            let q = [(i % across) as f64 - 0.5 - shift_px[0], (i / across) as f64 - 0.5 - shift_px[1]];
-            slab_from_ideal.map(scene.view.lens.undistort(q))
+            let q = [(i % across) as f64 - 0.5, (i / across) as f64 - 0.5];
+            slab_from_ideal.map(view.lens.undistort(q))
         };
         let corners_mm = (0..across * (size_px[1] + 1)).into_par_iter().map(corner).collect();
-        Ok(Self { size_px, corners_mm, shift_px })
+        Ok(Self { size_px, corners_mm, shift_px: [0.0; 2] })
     }
 
     /// A whole picture of `f`, averaged over each pixel by `rule(p)`, p the pixel's first corner: edges need more
