@@ -91,7 +91,8 @@ impl Prepared<'_> {
         let seen = |&shot: &usize| {
             let reach = dots.shape.radius_px() + self.search_px(shot) + 2.0;
             let size_px = self.shots.capture.rig.camera.size_px;
-            let near = |&d: &[usize; 2]| square(self.registration.view.camera_from_slab(self.nominal_mm(d)), reach, size_px);
+            let near =
+                |&d: &[usize; 2]| square(self.registration.view.camera_from_slab(self.nominal_mm(d)), reach, size_px);
             let rects = self.dots(shot).iter().filter_map(near).collect::<Vec<_>>();
             if rects.len() < self.dots(shot).len() {
                 return Err(self.outside_picture(shot));
@@ -112,7 +113,13 @@ impl Prepared<'_> {
         self.shot_spacing(shot).map_or(f64::INFINITY, |s| 0.5 * s * self.cell_px)
     }
 
-    fn locate(&self, shot: usize, registration: &Registration, windows: &[Bracket], dots: &SampleDots) -> Vec<Option<Located>> {
+    fn locate(
+        &self,
+        shot: usize,
+        registration: &Registration,
+        windows: &[Bracket],
+        dots: &SampleDots,
+    ) -> Vec<Option<Located>> {
         let (search_px, size_px) = (self.search_px(shot), self.shots.capture.rig.camera.size_px);
         let reach = dots.shape.radius_px() + search_px + 2.0;
         let around = |(&dot, bracket): (&[usize; 2], &Bracket)| {

@@ -44,7 +44,11 @@ impl Prepared<'_> {
             let drift_px = result.drift.map_or([0.0; 2], |d| d.camera_px);
             // The dots are seen against a camera whose own movement has its uncertainty.
             let camera_sd = result.camera.filter(CameraMotion::is_sure).map_or(0.0, |m| m.sd_px);
-            header.shots.push(ShotRecord { name, drift_px, drift_sd_px: result.drift.map(|d| d.sd_px.hypot(camera_sd)) });
+            header.shots.push(ShotRecord {
+                name,
+                drift_px,
+                drift_sd_px: result.drift.map(|d| d.sd_px.hypot(camera_sd)),
+            });
         }
         warnings.extend(saturated.map(|(first, shots, samples)| Warning::SaturatedSamples { first, shots, samples }));
         warnings.extend(unmeasured.map(|(first, shots)| Warning::DriftUnmeasured { first, shots }));

@@ -76,10 +76,12 @@ impl<'a> Shots<'a> {
         // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
         let lens = Lens::ideal(rig.projector.lens_center_px(), rig.projector.size_px[0] as f64);
         let surface = self.stripe_surface(&codes)?;
-        let projector = register_projector(&pairs, rig.camera.size_px, &camera.view, surface, lens)
-            .map_err(self.failed(first))?;
+        let projector =
+            register_projector(&pairs, rig.camera.size_px, &camera.view, surface, lens).map_err(self.failed(first))?;
         let registration = Registration::new(&camera, choice, &projector, self.capture.manifest.slab.size_mm);
-        registration.map(|r| (r, warnings)).ok_or_else(|| self.failed(first)("the projector's map cannot be inverted".into()))
+        registration
+            .map(|r| (r, warnings))
+            .ok_or_else(|| self.failed(first)("the projector's map cannot be inverted".into()))
     }
 
     /// The board gives a plane, the frame's marks the plane as the sample really lies; the lens is fitted to all of them together, and to
@@ -121,7 +123,12 @@ impl<'a> Shots<'a> {
             }
         }
         let (fits, choice) = fits.ok_or_else(|| {
-            Error::field(&self.capture.rig_path, "board or frame.marks_mm", "points that span a plane", "too few or on a line")
+            Error::field(
+                &self.capture.rig_path,
+                "board or frame.marks_mm",
+                "points that span a plane",
+                "too few or on a line",
+            )
         })?;
         if first.is_some() && has_board {
             warnings.extend(self.board_elsewhere(&fits[1].view, &fits[0]));
@@ -148,7 +155,8 @@ impl<'a> Shots<'a> {
             _ => Surface::default(),
         };
         if let Some(&other) = codes.iter().find(|&&s| of(s) != of(codes[0])) {
-            let (field, first) = (format!("shots \"{}\": on", manifest.shots[other].name), &manifest.shots[codes[0]].name);
+            let (field, first) =
+                (format!("shots \"{}\": on", manifest.shots[other].name), &manifest.shots[codes[0]].name);
             let expected = format!("the surface of shot \"{first}\": one for the whole Gray code");
             return Err(Error::field(self.capture.manifest_path(), field, expected, "another"));
         }

@@ -71,7 +71,12 @@ fn parts(light: &[f32], width: usize, height: usize, belongs: impl Fn(f32) -> bo
             part.push(k);
             let (x, y) = (k % width, k / width);
             at_border |= x == 0 || y == 0 || x + 1 == width || y + 1 == height;
-            let sides = [(x > 0, k.wrapping_sub(1)), (x + 1 < width, k + 1), (y > 0, k.wrapping_sub(width)), (y + 1 < height, k + width)];
+            let sides = [
+                (x > 0, k.wrapping_sub(1)),
+                (x + 1 < width, k + 1),
+                (y > 0, k.wrapping_sub(width)),
+                (y + 1 < height, k + width),
+            ];
             for (inside, n) in sides {
                 if inside && todo[n] {
                     todo[n] = false;
@@ -92,7 +97,8 @@ fn disc(part: &[usize], width: usize) -> Option<Blob> {
     let center_px = [0, 1].map(|a| places().map(|p| p[a]).sum::<f64>() / n);
     // A pixel is a square, not a point: a twelfth more of variance.
     let moment = |a: usize, b: usize| {
-        places().map(|p| (p[a] - center_px[a]) * (p[b] - center_px[b])).sum::<f64>() / n + if a == b { 1.0 / 12.0 } else { 0.0 }
+        places().map(|p| (p[a] - center_px[a]) * (p[b] - center_px[b])).sum::<f64>() / n
+            + if a == b { 1.0 / 12.0 } else { 0.0 }
     };
     let (xx, xy, yy) = (moment(0, 0), moment(0, 1), moment(1, 1));
     let det = xx * yy - xy * xy;

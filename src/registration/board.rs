@@ -30,8 +30,8 @@ pub fn find_board(picture: &Radiance, board: &Board, camera: &Camera) -> Result<
             (board.corner_mm([i, j]), seen)
         })
         .collect();
-    let fit = fit_view(&pairs, camera.principal_px, camera.focal_px)
-        .ok_or("the board's corners do not span a plane")?;
+    let fit =
+        fit_view(&pairs, camera.principal_px, camera.focal_px).ok_or("the board's corners do not span a plane")?;
     // A mistaken corner is off by whole squares; detection noise is far below a pixel.
     if fit.rms_px > 1.0 {
         return Err(format!("the board's corners fit no flat board: RMS {:.2} px", fit.rms_px));

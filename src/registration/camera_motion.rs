@@ -81,13 +81,14 @@ pub fn rim_segments(view: &CameraView, size_mm: Point, size_px: [usize; 2]) -> V
         let low = [0, 1].map(|a| (at[a] - reach[a]).floor());
         let high = [0, 1].map(|a| (at[a] + reach[a]).ceil());
         let inside = (0..2).all(|a| low[a] >= 0.0 && high[a] <= size_px[a] as f64 - 1.0) && length > 0.0;
-        inside.then(|| Rect {
-            x: low[0] as usize,
-            y: low[1] as usize,
-            width: (high[0] - low[0]) as usize + 1,
-            height: (high[1] - low[1]) as usize + 1,
-        })
-        .map(|rect| RimSegment { rect, at, normal })
+        inside
+            .then(|| Rect {
+                x: low[0] as usize,
+                y: low[1] as usize,
+                width: (high[0] - low[0]) as usize + 1,
+                height: (high[1] - low[1]) as usize + 1,
+            })
+            .map(|rect| RimSegment { rect, at, normal })
     };
     sides.iter().flat_map(|&(a, b)| (0..PER_SIDE).filter_map(move |k| segment(a, b, k))).collect()
 }

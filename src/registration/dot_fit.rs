@@ -1,7 +1,7 @@
 //! The sharp core of a projected dot, found on a translucent sample whose glow is not symmetric.
 
-use crate::geometry::Point;
 use super::small::solve;
+use crate::geometry::Point;
 use crate::radiance::Radiance;
 
 /// Points of the template across a camera pixel.
@@ -57,9 +57,8 @@ impl DotShape {
         let cell = |k: usize| {
             let (x, y) = ((k % side) as f64 - middle, (k / side) as f64 - middle);
             let sub = |n: usize| (n as f64 - 1.5) / 4.0;
-            let lit = (0..16)
-                .filter(|n| inside((x + sub(n % 4)) / FINE as f64, (y + sub(n / 4)) / FINE as f64))
-                .count();
+            let lit =
+                (0..16).filter(|n| inside((x + sub(n % 4)) / FINE as f64, (y + sub(n / 4)) / FINE as f64)).count();
             lit as f64 / 16.0
         };
         let sharp: Vec<f64> = (0..side * side).map(cell).collect();
@@ -126,12 +125,18 @@ impl DotShape {
     }
 
     /// Normal equations about `at`, weighted by a taper that moves with it.
-    fn equations(&self, template: &[f64], w: &Window, at: Point) -> Option<([[f64; UNKNOWNS]; UNKNOWNS], [f64; UNKNOWNS], Sums)> {
+    fn equations(
+        &self,
+        template: &[f64],
+        w: &Window,
+        at: Point,
+    ) -> Option<([[f64; UNKNOWNS]; UNKNOWNS], [f64; UNKNOWNS], Sums)> {
         let r = self.radius_px;
         let (x0, x1) = ((at[0] - r).ceil(), (at[0] + r).floor());
         let (y0, y1) = ((at[1] - r).ceil(), (at[1] + r).floor());
         let rect = w.rect;
-        let inside = |low: f64, high: f64, from: usize, len: usize| low >= from as f64 && high <= (from + len - 1) as f64;
+        let inside =
+            |low: f64, high: f64, from: usize, len: usize| low >= from as f64 && high <= (from + len - 1) as f64;
         if !inside(x0, x1, rect.x, rect.width) || !inside(y0, y1, rect.y, rect.height) {
             return None;
         }
@@ -173,7 +178,8 @@ impl DotShape {
         let (fu, fv) = (u - i as f64, v - j as f64);
         let at = |i: usize, j: usize| template[j * self.across + i];
         let mix = |f: &dyn Fn(usize, usize) -> f64| {
-            (1.0 - fv) * ((1.0 - fu) * f(i, j) + fu * f(i + 1, j)) + fv * ((1.0 - fu) * f(i, j + 1) + fu * f(i + 1, j + 1))
+            (1.0 - fv) * ((1.0 - fu) * f(i, j) + fu * f(i + 1, j))
+                + fv * ((1.0 - fu) * f(i, j + 1) + fu * f(i + 1, j + 1))
         };
         let slope = 0.5 * FINE as f64;
         [

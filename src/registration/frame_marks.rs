@@ -1,9 +1,9 @@
 //! Discs printed on the frame around the sample: the slab's plane as the sample really lies.
 
+use super::Pairs;
 use super::blobs::{Blob, find_blobs};
 use super::camera_motion::softened;
 use super::drift::median;
-use super::Pairs;
 use super::fit::{Observation, ViewFit, fit_homography, fit_view};
 use super::small::solve;
 use crate::capture::{Camera, FrameMarks};
@@ -197,7 +197,13 @@ fn locate_disc(picture: &Radiance, light: &[f32], mark: Point, radius: f64, view
 }
 
 /// Gauss and Newton on the disc's centre (mm); height and a plane of light around it are linear. Also the mean square that is left.
-fn settle(pixels: &[Pixel], mark: Point, radius: f64, mm_from_px: &[[f64; 2]; 2], softness_px: f64) -> Option<(Point, f64)> {
+fn settle(
+    pixels: &[Pixel],
+    mark: Point,
+    radius: f64,
+    mm_from_px: &[[f64; 2]; 2],
+    softness_px: f64,
+) -> Option<(Point, f64)> {
     const TERMS: usize = 6;
     let mut center = mark;
     for _ in 0..15 {

@@ -23,7 +23,8 @@ const LEAST_STEPS: usize = 4;
 /// The usual step is the median of all, so that jumps in less than half of the shots do not hide each other. A movement and its return are
 /// two jumps. Not detected: jumps below six times the walk's own steps, jumps within a shot, anything in a path of fewer than five shots.
 pub fn find_jumps(path: &[Option<(Point, f64)>]) -> Vec<Jump> {
-    let known: Vec<(usize, Point, f64)> = path.iter().enumerate().filter_map(|(k, p)| p.map(|(d, sd)| (k, d, sd))).collect();
+    let known: Vec<(usize, Point, f64)> =
+        path.iter().enumerate().filter_map(|(k, p)| p.map(|(d, sd)| (k, d, sd))).collect();
     let steps: Vec<(usize, f64, f64)> = known
         .windows(2)
         .map(|w| (w[1].0, (w[1].1[0] - w[0].1[0]).hypot(w[1].1[1] - w[0].1[1]), w[0].2.hypot(w[1].2)))

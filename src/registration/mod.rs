@@ -19,12 +19,12 @@ pub use camera_motion::{CameraMotion, RimPlace, RimSegment, camera_motion, locat
 pub use dot_fit::{DotShape, FoundDot};
 pub use drift::{Drift, measure_drift};
 pub use fit::{Observation, ViewFit, fit_homography, fit_view};
-pub use lens_fit::{LensChoice, LensTrial, Pairs, fit_lens_of_views};
-pub use jumps::{Jump, find_jumps};
-pub use sample_drift::{Located, Parallax, SampleDots};
 pub use frame_marks::{FoundMark, FrameFit, marks_moved, register_frame};
 pub use gray_code::{BitPair, StripeSurface, register_projector};
+pub use jumps::{Jump, find_jumps};
+pub use lens_fit::{LensChoice, LensTrial, Pairs, fit_lens_of_views};
 pub use projector_fit::{ProjectorFit, fit_projector};
+pub use sample_drift::{Located, Parallax, SampleDots};
 
 use crate::geometry::{CameraView, Homography, Point, SlabFromProjector};
 use serde::{Deserialize, Serialize};

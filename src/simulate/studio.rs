@@ -207,9 +207,9 @@ impl Studio {
                     let q = scene.slab_from_projector.projector_from_slab(pixel.first_corner_mm());
                     let light = match code.around(q, pixel_px) {
                         Brightness::Even(lit) => pixel.mean(GAUSS_1, |p| white(p, lit)),
-                        Brightness::Edge(rule) => {
-                            pixel.mean(rule, |p| white(p, code.brightness(scene.slab_from_projector.projector_from_slab(p))))
-                        }
+                        Brightness::Edge(rule) => pixel.mean(rule, |p| {
+                            white(p, code.brightness(scene.slab_from_projector.projector_from_slab(p)))
+                        }),
                     };
                     light.map(|v| v as f32)
                 })
@@ -220,12 +220,10 @@ impl Studio {
 
     /// The board under white light; in another pose it is lit as in the slab's plane, which moves no corner.
     fn board(&self, options: &Options, pixels: &PixelGrid) -> Picture {
-        let (scene, px_mm, pixel_mm) = (&self.scene, options.pitch_mm / options.camera_px_per_sample, pixels.pixel_mm());
+        let (scene, px_mm, pixel_mm) =
+            (&self.scene, options.pitch_mm / options.camera_px_per_sample, pixels.pixel_mm());
         let lit = |p: Point| scene.white_irradiance(p).map(|e| e + options.ambient);
-        pixels.picture(
-            |p| board_rule(scene, pixel_mm, p),
-            |p| lit(p).map(|e| e * board_albedo(scene, px_mm, p)),
-        )
+        pixels.picture(|p| board_rule(scene, pixel_mm, p), |p| lit(p).map(|e| e * board_albedo(scene, px_mm, p)))
     }
 
     /// The pixels of a shot before or after the lattice shots: a camera that has moved stays where it is.
@@ -251,7 +249,9 @@ impl Studio {
             let level = |lit: f64| black + (1.0 - black) * lit;
             let arriving = |lit: f64| scene.white_irradiance(p).map(|e| e * level(lit) + options.ambient);
             match (&self.dark_field, scene.on_sample(p), scene.on_frame_or_sample(p)) {
-                (Some(field), true, _) => field.at(p).map(|v| f64::from(v) * (level(blurred(q)) + options.ambient) / dark),
+                (Some(field), true, _) => {
+                    field.at(p).map(|v| f64::from(v) * (level(blurred(q)) + options.ambient) / dark)
+                }
                 (None, true, _) => arriving(blurred(q)).map(|e| 0.5 * e),
                 (_, _, true) => arriving(sharp(q)).map(|e| e * scene.frame_albedo(p)),
                 _ => [0.0; 3],
@@ -362,7 +362,9 @@ impl Studio {
         pixels.picture_of(|pixel| {
             let p = pixel.first_corner_mm();
             match () {
-                () if scene.near_rim(p, pixel_mm) || scene.near_mark(p, 2.0 * pixel_mm) => pixel.mean(GAUSS_6, light).map(|v| v as f32),
+                () if scene.near_rim(p, pixel_mm) || scene.near_mark(p, 2.0 * pixel_mm) => {
+                    pixel.mean(GAUSS_6, light).map(|v| v as f32)
+                }
                 () if scene.on_sample(p) => mean.on_sample(scene, pixel),
                 () => pixel.mean(GAUSS_1, light).map(|v| v as f32),
             }

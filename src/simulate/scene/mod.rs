@@ -127,7 +127,11 @@ impl Scene {
     pub fn posed_view(&self, n: usize) -> CameraView {
         let (lens, m) = (self.view.lens, self.view.ideal_from_slab.matrix);
         let column = |j: usize| {
-            [(m[0][j] - lens.center_px[0] * m[2][j]) / lens.focal_px, (m[1][j] - lens.center_px[1] * m[2][j]) / lens.focal_px, m[2][j]]
+            [
+                (m[0][j] - lens.center_px[0] * m[2][j]) / lens.focal_px,
+                (m[1][j] - lens.center_px[1] * m[2][j]) / lens.focal_px,
+                m[2][j],
+            ]
         };
         let [x, y, t] = [column(0), column(1), column(2)];
         let length = |v: [f64; 3]| v.iter().map(|e| e * e).sum::<f64>().sqrt();
@@ -136,12 +140,18 @@ impl Scene {
         // From the board's (x, y) about the slab's centre to slab (x, y, z): tilted about an axis that turns from pose to pose.
         let (sin, cos) = (1.1 + 2.4 * n as f64).sin_cos();
         let (st, ct) = 25f64.to_radians().sin_cos();
-        let tilt = [[cos * cos + ct * sin * sin, cos * sin * (1.0 - ct)], [cos * sin * (1.0 - ct), sin * sin + ct * cos * cos], [-st * sin, st * cos]];
+        let tilt = [
+            [cos * cos + ct * sin * sin, cos * sin * (1.0 - ct)],
+            [cos * sin * (1.0 - ct), sin * sin + ct * cos * cos],
+            [-st * sin, st * cos],
+        ];
         let reach = 0.1 * (self.slab_size_mm[0] + 2.0 * self.frame_mm);
         let corner = [reach * if n % 2 == 0 { 1.0 } else { -1.0 }, reach * if n / 2 % 2 == 0 { 1.0 } else { -1.0 }];
         let c = self.center_mm();
         let place = [c[0] + corner[0], c[1] + corner[1], -0.35 * self.eye_mm[2]];
-        let from = |v: [f64; 3], one: f64| std::array::from_fn::<f64, 3, _>(|i| x[i] * v[0] + y[i] * v[1] + z[i] * v[2] + one * t[i]);
+        let from = |v: [f64; 3], one: f64| {
+            std::array::from_fn::<f64, 3, _>(|i| x[i] * v[0] + y[i] * v[1] + z[i] * v[2] + one * t[i])
+        };
         let [a, b] = [0, 1].map(|k| from([tilt[0][k], tilt[1][k], tilt[2][k]], 0.0));
         let d = from(place, 1.0);
         let row = |i: usize| match i {
@@ -370,10 +380,14 @@ fn board(size: Point, frame: f64, camera: &Camera) -> Board {
 /// Discs in the frame's corners and along its sides, away from the reference dots.
 fn marks(size: Point, frame: f64) -> FrameMarks {
     let out = 0.6 * frame;
-    let ([w, h], along) = (size, [0.08, 0.35, 0.5, 0.65, 0.92]);
+    let (diameter_mm, [w, h]) = (0.4 * frame, size);
+    // As many as leave a diameter between them.
+    let rows: [&[f64]; 3] = [&[0.08, 0.35, 0.5, 0.65, 0.92], &[0.08, 0.5, 0.92], &[0.5]];
+    let fits = |row: &&&[f64]| row.windows(2).all(|t| (t[1] - t[0]) * w.min(h) > 2.0 * diameter_mm);
+    let along = rows.iter().find(fits).unwrap_or(&rows[2]);
     let corners = [[-out, -out], [w + out, -out], [-out, h + out], [w + out, h + out]];
     let sides = along.iter().flat_map(|&t| [[t * w, -out], [t * w, h + out], [-out, t * h], [w + out, t * h]]);
-    FrameMarks { marks_mm: corners.into_iter().chain(sides).collect(), diameter_mm: 0.4 * frame }
+    FrameMarks { marks_mm: corners.into_iter().chain(sides).collect(), diameter_mm }
 }
 
 #[cfg(test)]
