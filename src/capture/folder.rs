@@ -154,7 +154,8 @@ fn sorted_bracket(mut heads: Vec<Head>, manifest: &Path) -> Result<Vec<Photograp
 
 /// What makes sense only for this camera and projector: a slip of the pen here would cost hours or all memory later.
 fn check_against_rig(manifest: &Manifest, rig: &Rig, path: &Path) -> Result<()> {
-    let needs: [(&str, &str, bool, fn(&Pattern) -> bool); 3] = [
+    type Need = (&'static str, &'static str, bool, fn(&Pattern) -> bool);
+    let needs: [Need; 3] = [
         ("calibration-board", "[board]", rig.board.is_some(), |p| matches!(p, Pattern::CalibrationBoard)),
         ("board", "[board]", rig.board.is_some(), |p| matches!(p, Pattern::Board)),
         ("frame", "[frame]", rig.frame.is_some(), |p| matches!(p, Pattern::Frame)),

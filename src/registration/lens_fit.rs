@@ -118,13 +118,19 @@ mod tests {
             [[5.0, -0.5, 40.0], [0.4, 5.5, 10.0], [-4e-3, 1e-3, 1.0]],
             [[5.2, 0.2, 20.0], [0.1, 4.8, 30.0], [1e-3, 5e-3, 1.0]],
         ];
-        let off = |k: usize| 0.03 * (f64::from((k * 7919 % 1000) as u32) / 500.0 - 1.0);
-        let pair = |h: Homography, k: usize| {
+        // Digits of a linear congruence: no two points alike, nothing that a lens could follow.
+        let off = |k: usize| {
+            let mixed =
+                (k as u64 + 7).wrapping_mul(6_364_136_223_846_793_005).rotate_left(29).wrapping_mul(0x9e37_79b9);
+            0.03 * ((mixed >> 33) as f64 / (1u64 << 30) as f64 - 1.0)
+        };
+        let pair = |view: usize, h: Homography, k: usize| {
             let p = [(k % 13) as f64 * 2.5, (k / 13) as f64 * 2.5];
             let q = lens.distort(h.map(p));
-            (p, [q[0] + off(k), q[1] + off(k + 501)])
+            (p, [q[0] + off(1000 * view + k), q[1] + off(1000 * view + k + 501)])
         };
-        poses.map(|matrix| (0..156).map(|k| pair(Homography { matrix }, k)).collect()).to_vec()
+        let one = |(n, matrix)| (0..156).map(|k| pair(n, Homography { matrix }, k)).collect();
+        poses.into_iter().enumerate().map(one).collect()
     }
 
     #[test]

@@ -22,15 +22,16 @@ pub struct ProjectorFit {
 const DECIDING_EDGES: usize = 6000;
 /// Neighbouring pixels along one edge share their errors: about so many are one.
 const ALIKE: f64 = 8.0;
-/// A distortion that moves no edge by this is not worth a model, projector px.
-const WORTH_PX: f64 = 0.1;
+/// A distortion that moves no edge by this is not worth a model, projector px: the homography takes up most of it, and it may be the
+/// camera's lens that is a little off.
+const WORTH_PX: f64 = 0.25;
 /// Rounds in which homography and distortion settle on each other.
 const ROUNDS: usize = 4;
 
 /// Fits homography and lens to edges (slab mm to one projector coordinate), dropping edges more than three deviations off once.
 ///
 /// The lens has at most two radial terms about `lens.center_px`, as many as lower the Bayesian information criterion, and none that moves
-/// no edge by a tenth of a pixel. `None` for fewer than nine edges or a degenerate layout.
+/// no edge by a quarter of a pixel. `None` for fewer than nine edges or a degenerate layout.
 pub fn fit_projector(mut edges: Vec<Observation>, lens: Lens) -> Option<ProjectorFit> {
     let lens = Lens { k1: 0.0, k2: 0.0, ..lens };
     let step = (edges.len() / DECIDING_EDGES).max(1);

@@ -146,7 +146,7 @@ impl Scene {
             [-st * sin, st * cos],
         ];
         let reach = 0.1 * (self.slab_size_mm[0] + 2.0 * self.frame_mm);
-        let corner = [reach * if n % 2 == 0 { 1.0 } else { -1.0 }, reach * if n / 2 % 2 == 0 { 1.0 } else { -1.0 }];
+        let corner = [n, n / 2].map(|bit| if bit.is_multiple_of(2) { reach } else { -reach });
         let c = self.center_mm();
         let place = [c[0] + corner[0], c[1] + corner[1], -0.35 * self.eye_mm[2]];
         let from = |v: [f64; 3], one: f64| {
