@@ -164,7 +164,7 @@ fn drift_without_reference_dots_is_not_pulled_by_edges_or_by_depth() {
         let found = compare(&dir.with_extension("rd.zarr"), &dir.join("truth.rd.zarr"));
         // Centroids, which the glow pulls, are off by 0.11 px here.
         assert!(found.drift_rms_px < 0.03, "{causes:?}: {found:?}");
-        assert!(report.warnings.iter().any(|w| *w == Warning::DriftFromLatticeDots));
+        assert!(report.warnings.contains(&Warning::DriftFromLatticeDots));
         let jumped = report.warnings.iter().any(|w| matches!(w, Warning::DriftJumps { .. }));
         assert_eq!(jumped, !causes.is_empty(), "{:?}", report.warnings);
     }
