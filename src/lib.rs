@@ -54,4 +54,4 @@ pub mod report;
 pub mod cli;
 
 pub use error::{Error, Result};
-pub use warning::Warning;
+pub use warning::{DriftJump, Warning};

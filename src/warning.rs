@@ -46,6 +46,36 @@ pub enum Warning {
         /// The relative sensitivity against the first photograph.
         factor: f64,
     },
+    /// The pattern has moved suddenly between shots, by more than its slow walk explains.
+    DriftJumps {
+        /// The shots before which it happened.
+        jumps: Vec<DriftJump>,
+    },
+    /// The camera (or the sample) has moved since registration, seen at the sample's rim; windows were moved with it.
+    CameraMoved {
+        /// The first such shot.
+        first: String,
+        /// How many lattice shots.
+        shots: usize,
+        /// In how many lattice shots the rim was seen well enough to tell.
+        measured: usize,
+        /// The largest movement, camera px.
+        largest_px: f64,
+    },
+    /// A later photograph of the frame shows it elsewhere: camera or frame have moved during the capture.
+    FrameMoved {
+        /// The later shot.
+        shot: String,
+        /// Median movement of its marks since the first frame shot, camera px.
+        moved_px: [f64; 2],
+        /// Its standard deviation per axis, px.
+        sd_px: f64,
+    },
+    /// The board lay elsewhere than the frame's marks: the marks' plane is used.
+    BoardElsewhere {
+        /// The largest distance between the two at the slab's corners, camera px.
+        largest_px: f64,
+    },
     /// No reference dots: drift is the median of the lattice dots' own shifts, which edges of materials bias.
     DriftFromLatticeDots,
     /// Without reference dots, shots have too few dots to measure their drift; it is taken for none.
@@ -148,6 +178,15 @@ pub enum Warning {
     },
 }
 
+/// One jump of the projected pattern.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DriftJump {
+    /// The first shot after it.
+    pub shot: String,
+    /// Its length, camera px.
+    pub length_px: f64,
+}
+
 impl std::fmt::Display for Warning {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
@@ -170,6 +209,24 @@ impl std::fmt::Display for Warning {
             Self::ApertureOrIsoChanges { file, factor } => {
                 write!(f, "{file}: aperture or ISO differ from the first photograph; radiance is scaled by {factor:.4}")
             }
+            Self::DriftJumps { jumps } => {
+                let named = jumps.iter().take(5).map(|j| format!("\"{}\" by {:.2} px", j.shot, j.length_px));
+                let more = if jumps.len() > 5 { format!(" and {} more", jumps.len() - 5) } else { String::new() };
+                let list = named.collect::<Vec<_>>().join(", ");
+                write!(f, "the pattern jumped before {list}{more}; it is taken out, but something was touched")
+            }
+            Self::CameraMoved { first, shots, measured, largest_px } => write!(
+                f,
+                "camera and sample have moved against each other by up to {largest_px:.2} px in {shots} of {measured} lattice shots (\"{first}\" first); windows were moved with the sample's rim"
+            ),
+            Self::FrameMoved { shot, moved_px: [x, y], sd_px } => write!(
+                f,
+                "the frame is seen ({x:.3}, {y:.3}) px from its first place in \"{shot}\" (standard deviation {sd_px:.3} px): camera or frame have moved during the capture"
+            ),
+            Self::BoardElsewhere { largest_px } => write!(
+                f,
+                "the board lay up to {largest_px:.2} px from where the frame's marks put the slab's corners; the marks are believed"
+            ),
             Self::DriftFromLatticeDots => {
                 write!(
                     f,

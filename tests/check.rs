@@ -84,8 +84,8 @@ fn a_good_capture_would_build_and_its_figures_are_those_of_the_bench() {
     let files = std::fs::read_dir(original().join("photos")).unwrap().count() as u64;
     assert_eq!((figures["photographs"].as_u64(), figures["lattice_shots"].as_u64()), (Some(files), Some(9)));
     assert_eq!((figures["points_lit"].as_u64(), figures["dots_looked_at"].as_u64()), (Some(36), Some(32)));
-    // A pixel that averages over its area makes a rise of 0.8 px, 0.9 when the edge is turned; bins and plateaus add a tenth.
-    assert!((0.75..1.1).contains(&figures["edge_px"].as_f64().unwrap()), "{figures}");
+    // The simulated lens does not blur; noise of some per cent at the board's edges is worth a tenth of a pixel.
+    assert!(figures["psf_px"].as_f64().unwrap() < 0.1, "{figures}");
     // The bench has three px a sample, seen at an angle.
     assert!((figures["sample_px"].as_f64().unwrap() - 3.0).abs() < 0.1, "{figures}");
     let truth: toml::Table = toml::from_str(&std::fs::read_to_string(original().join("truth.toml")).unwrap()).unwrap();
@@ -250,7 +250,7 @@ fn a_white_reference_that_is_saturated_in_all_exposures_is_named_with_its_share(
 }
 
 #[test]
-fn a_lens_out_of_focus_is_found_by_the_width_of_edges() {
+fn a_lens_out_of_focus_is_found_and_told() {
     let (_folder, sharp) = copy();
     let (_other, blurred) = common::capture(&Options {
         grid: 6,
@@ -262,11 +262,10 @@ fn a_lens_out_of_focus_is_found_by_the_width_of_edges() {
     });
     let width = |dir: &Path| {
         let object = check(dir, &[]).1;
-        (object["figures"]["edge_px"].as_f64().unwrap(), found(&object, "blurred").len())
+        (object["figures"]["psf_px"].as_f64().unwrap(), found(&object, "blurred").len())
     };
     let ((sharp, none), (wide, one)) = (width(&sharp), width(&blurred));
     assert_eq!((none, one), (0, 1), "{sharp} {wide}");
-    // Variances add: 2.563 · 1.5 px and the width of a sharp edge; the squares of 11 px cut the blur's tails by some per cent.
-    let expected = (2.563f64 * 1.5).hypot(sharp);
-    assert!((wide / expected - 1.0).abs() < 0.12, "{wide} {expected}");
+    // The squares of 11 px cut the blur's tails by some per cent.
+    assert!((wide / 1.5 - 1.0).abs() < 0.05, "{wide}");
 }

@@ -50,7 +50,9 @@ fn the_written_pictures_light_every_point_once_inside_the_projector_and_apart() 
         let white = picture.pixels().filter(|p| p.0[0] == 255).count();
         assert_eq!(white + picture.pixels().filter(|p| p.0[0] == 0).count(), width * height, "black and white only");
         match &shot.pattern {
-            Pattern::Board | Pattern::ReferenceWhite => assert_eq!(white, width * height),
+            Pattern::Board | Pattern::CalibrationBoard | Pattern::Frame | Pattern::ReferenceWhite => {
+                assert_eq!(white, width * height);
+            }
             Pattern::ReferenceBlack | Pattern::SampleBlack => assert_eq!(white, 0),
             Pattern::GrayCode { .. } => assert!(white > 0 && white < width * height),
             Pattern::Lattice { dots } => {
@@ -102,7 +104,7 @@ fn shots_are_those_of_a_simulated_capture() {
         let mut codes: Vec<_> = patterns
             .into_iter()
             .filter_map(|p| match p {
-                Pattern::GrayCode { axis, bit, inverse } => Some((axis == Axis::Y, bit, inverse)),
+                Pattern::GrayCode { axis, bit, inverse, .. } => Some((axis == Axis::Y, bit, inverse)),
                 _ => None,
             })
             .collect();

@@ -27,12 +27,12 @@ fn registration_rms(dir: &Path, report: &BuildReport) -> [f64; 2] {
     let truth: Truth = toml::from_str(&std::fs::read_to_string(dir.join("truth.toml")).unwrap()).unwrap();
     let found = &report.registration;
     let (cx, cy) = (2.0 * found.center_mm[0], 2.0 * found.center_mm[1]);
-    let projector = [&truth.slab_from_projector, &found.slab_from_projector].map(|h| h.inverse().unwrap());
+    let projector = truth.slab_from_projector.inverse().unwrap();
     let mut sums = [0.0; 2];
     for k in 0..100 {
         let p = [cx * (f64::from(k % 10) + 0.5) / 10.0, cy * (f64::from(k / 10) + 0.5) / 10.0];
         let (a, b) = (truth.camera_from_slab.camera_from_slab(p), found.view.camera_from_slab(p));
-        let (c, d) = (projector[0].map(p), projector[1].map(p));
+        let (c, d) = (projector.map(p), found.slab_from_projector.projector_from_slab(p));
         for i in 0..2 {
             sums[0] += (a[i] - b[i]).powi(2) / 200.0;
             sums[1] += (c[i] - d[i]).powi(2) / 200.0;

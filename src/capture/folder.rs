@@ -154,6 +154,18 @@ fn sorted_bracket(mut heads: Vec<Head>, manifest: &Path) -> Result<Vec<Photograp
 
 /// What makes sense only for this camera and projector: a slip of the pen here would cost hours or all memory later.
 fn check_against_rig(manifest: &Manifest, rig: &Rig, path: &Path) -> Result<()> {
+    type Need = (&'static str, &'static str, bool, fn(&Pattern) -> bool);
+    let needs: [Need; 3] = [
+        ("calibration-board", "[board]", rig.board.is_some(), |p| matches!(p, Pattern::CalibrationBoard)),
+        ("board", "[board]", rig.board.is_some(), |p| matches!(p, Pattern::Board)),
+        ("frame", "[frame]", rig.frame.is_some(), |p| matches!(p, Pattern::Frame)),
+    ];
+    for (kind, table, there, of) in needs {
+        if let Some(shot) = manifest.shots.iter().find(|s| of(&s.pattern) && !there) {
+            let field = format!("shot \"{}\": kind = \"{kind}\"", shot.name);
+            return Err(Error::field(path, field, format!("{table} in rig.toml"), "none"));
+        }
+    }
     let [width, height] = rig.projector.size_px;
     let projector = format!("the projector's {width} × {height} px (projector.size_px in rig.toml)");
     if manifest.grid.dot_projector_px > width.min(height) {
@@ -206,8 +218,12 @@ const SAMPLES_PER_PX: usize = 2;
 fn require_shots(manifest: &Manifest, path: &Path) -> Result<()> {
     let count = |of: fn(&Pattern) -> bool| manifest.shots.iter().filter(|s| of(&s.pattern)).count();
     type Kind = (&'static str, fn(&Pattern) -> bool);
-    let once: [Kind; 4] = [
-        ("board", |p| matches!(p, Pattern::Board)),
+    let board = count(|p| matches!(p, Pattern::Board));
+    if board > 1 || (board == 0 && count(|p| matches!(p, Pattern::Frame)) == 0) {
+        let expected = "exactly one, or none and a shot of kind \"frame\"";
+        return Err(Error::field(path, "shots of kind \"board\"", expected, board));
+    }
+    let once: [Kind; 3] = [
         ("reference-white", |p| matches!(p, Pattern::ReferenceWhite)),
         ("reference-black", |p| matches!(p, Pattern::ReferenceBlack)),
         ("sample-black", |p| matches!(p, Pattern::SampleBlack)),

@@ -113,13 +113,17 @@ pub struct Shot {
 pub enum Pattern {
     /// The chessboard of `rig.toml` in the slab's plane, projector white.
     Board,
+    /// The same chessboard anywhere in view, in any pose: for the lens only.
+    CalibrationBoard,
+    /// The sample in its frame, projector white: the frame's marks of `rig.toml` give the plane. A second one tells movement.
+    Frame,
     /// The white reference in the slab's plane, projector white.
     ReferenceWhite,
     /// The white reference in the slab's plane, projector black.
     ReferenceBlack,
     /// The sample in place, projector black: ambient light, the projector's black level.
     SampleBlack,
-    /// One bit of the Gray code on the white reference.
+    /// One bit of the Gray code, on the white reference or on the sample in its frame.
     GrayCode {
         /// The projector axis that it encodes.
         axis: Axis,
@@ -128,12 +132,32 @@ pub enum Pattern {
         /// Whether light and dark are exchanged.
         #[serde(default)]
         inverse: bool,
+        /// What it falls on.
+        #[serde(default, skip_serializing_if = "Surface::is_white_reference")]
+        on: Surface,
     },
     /// A lattice of dots on the sample (and the reference dots on its frame).
     Lattice {
         /// Grid indices (x, y) of the lit points.
         dots: Vec<[usize; 2]>,
     },
+}
+
+/// What a pattern is projected on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Surface {
+    /// The white reference in the slab's plane.
+    #[default]
+    WhiteReference,
+    /// The sample in its opaque frame; only the frame is used.
+    Frame,
+}
+
+impl Surface {
+    fn is_white_reference(&self) -> bool {
+        *self == Self::WhiteReference
+    }
 }
 
 /// An axis of the projector.

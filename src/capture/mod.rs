@@ -8,10 +8,12 @@ mod rig;
 mod settings;
 
 pub use folder::Capture;
-pub use manifest::{Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Window};
+pub use manifest::{
+    Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Surface, Window,
+};
 pub use photograph::{Photograph, Pixels, Rect, Samples};
 pub(crate) use photograph::{check_exr_size, check_jpeg_end};
-pub use rig::{Board, Camera, Noise, Projector, ResponseCurve, Rig, WhiteReference};
+pub use rig::{Board, Camera, FrameMarks, Noise, Projector, ResponseCurve, Rig, WhiteReference};
 pub use settings::CameraSettings;
 
 use crate::{Error, Result};

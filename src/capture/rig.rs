@@ -16,8 +16,12 @@ pub struct Rig {
     pub noise: Noise,
     /// The projector.
     pub projector: Projector,
-    /// The chessboard.
-    pub board: Board,
+    /// The chessboard; captures with a board shot need it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board: Option<Board>,
+    /// The marks on the frame; captures with a frame shot need them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<FrameMarks>,
     /// The white reference.
     pub white_reference: WhiteReference,
 }
@@ -82,6 +86,16 @@ pub struct Noise {
 pub struct Projector {
     /// Width and height, px.
     pub size_px: [usize; 2],
+    /// Where its lens's axis meets the image, px: far from the middle when the lens is shifted. `None` for the middle.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub principal_px: Option<Point>,
+}
+
+impl Projector {
+    /// Centre of the lens's distortion, px.
+    pub fn lens_center_px(&self) -> Point {
+        self.principal_px.unwrap_or(self.size_px.map(|s| 0.5 * (s as f64 - 1.0)))
+    }
 }
 
 /// A printed chessboard that lies in the slab's plane for the board shot.
@@ -104,6 +118,51 @@ impl Board {
     pub fn corner_mm(&self, corner: [usize; 2]) -> Point {
         std::array::from_fn(|a| self.origin_mm[a] + corner[a] as f64 * self.square_mm)
     }
+}
+
+impl Board {
+    fn check(&self, path: &Path) -> Result<()> {
+        let range = |name: &str, v: f64, low: f64, high: f64| Error::unless_within(path, name, v, low, high);
+        range("board.square_mm", self.square_mm, 1e-6, 1e6)?;
+        range("board.edge_blur_mm", self.edge_blur_mm, 0.0, self.square_mm)?;
+        let corners = self.inner_corners;
+        if corners[0] == corners[1] {
+            return Err(Error::field(path, "board.inner_corners", "unequal numbers", format!("{corners:?}")));
+        }
+        for a in 0..2 {
+            range("board.inner_corners", corners[a] as f64, 3.0, 1000.0)?;
+            range("board.origin_mm", self.origin_mm[a], -1e6, 1e6)?;
+        }
+        Ok(())
+    }
+}
+
+impl FrameMarks {
+    fn check(&self, path: &Path) -> Result<()> {
+        Error::unless_within(path, "frame.diameter_mm", self.diameter_mm, 1e-6, 1e6)?;
+        for v in self.marks_mm.iter().flatten() {
+            Error::unless_within(path, "frame.marks_mm", *v, -1e6, 1e6)?;
+        }
+        Error::unless_within(path, "frame.marks_mm: number of marks", self.marks_mm.len() as f64, 8.0, 10_000.0)?;
+        for (k, a) in self.marks_mm.iter().enumerate() {
+            let near = |b: &&Point| (a[0] - b[0]).hypot(a[1] - b[1]) < 1.5 * self.diameter_mm;
+            if let Some(other) = self.marks_mm[k + 1..].iter().find(near) {
+                let expected = "centres at least one and a half diameters apart";
+                return Err(Error::field(path, "frame.marks_mm", expected, format!("{a:?} and {other:?}")));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Discs printed on the opaque frame around the sample, darker or brighter than it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FrameMarks {
+    /// Their centres in slab coordinates, mm.
+    pub marks_mm: Vec<Point>,
+    /// Their diameter, mm.
+    pub diameter_mm: f64,
 }
 
 /// A diffuse white target of known reflectance.
@@ -165,19 +224,20 @@ impl Rig {
         range("noise.saturation_dn", self.noise.saturation_dn, self.noise.black_dn + 1.0, 1e9)?;
         range("noise.gain_dn_per_electron", self.noise.gain_dn_per_electron, 0.0, 1e6)?;
         range("noise.read_noise_electrons", self.noise.read_noise_electrons, 0.0, 1e6)?;
-        range("board.square_mm", self.board.square_mm, 1e-6, 1e6)?;
-        let corners = self.board.inner_corners;
-        if corners[0] == corners[1] {
-            return Err(Error::field(path, "board.inner_corners", "unequal numbers", format!("{corners:?}")));
+        if let Some(board) = &self.board {
+            board.check(path)?;
+        }
+        if let Some(frame) = &self.frame {
+            frame.check(path)?;
         }
         for a in 0..2 {
-            range("board.inner_corners", self.board.inner_corners[a] as f64, 3.0, 1000.0)?;
             range("camera.size_px", self.camera.size_px[a] as f64, 1.0, 65_536.0)?;
             range("projector.size_px", self.projector.size_px[a] as f64, 1.0, 65_536.0)?;
             range("camera.principal_px", self.camera.principal_px[a], -1e6, 1e6)?;
-            range("board.origin_mm", self.board.origin_mm[a], -1e6, 1e6)?;
+            if let Some(principal) = self.projector.principal_px {
+                range("projector.principal_px", principal[a], -1e6, 1e6)?;
+            }
         }
-        range("board.edge_blur_mm", self.board.edge_blur_mm, 0.0, self.board.square_mm)?;
         for r in self.white_reference.reflectance {
             range("white_reference.reflectance", r, 1e-6, 1.0)?;
         }

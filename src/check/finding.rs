@@ -194,13 +194,11 @@ pub enum Finding {
     },
     /// The photographs are blurred over a good part of an outgoing sample.
     Blurred {
-        /// Rise of the board's edges from a tenth to nine tenths, px.
-        edge_px: f64,
+        /// Standard deviation of the lens's blur, px.
+        psf_px: f64,
         /// Side of an outgoing sample, px.
         sample_px: f64,
     },
-    /// The board's edges are not to be measured.
-    FocusUnmeasured,
     /// The pattern moved by a good part of what can be followed.
     LargeDrift {
         /// The shot.
@@ -246,7 +244,7 @@ impl Finding {
             | Self::BrokenPhotograph { .. }
             | Self::WrongSize { .. }
             | Self::NoExposure { .. } => Severity::Error,
-            Self::NoExif { .. } | Self::Dark { .. } | Self::NotLookedAt | Self::FocusUnmeasured => Severity::Note,
+            Self::NoExif { .. } | Self::Dark { .. } | Self::NotLookedAt => Severity::Note,
             Self::OutOfOrder { lattice: false, .. } => Severity::Note,
             _ => Severity::Warning,
         }
@@ -264,7 +262,7 @@ impl Finding {
             | Self::SettingChanges { .. } => Topic::Settings,
             Self::OutOfOrder { .. } => Topic::Order,
             Self::Saturated { .. } | Self::SaturatedDots { .. } | Self::Dark { .. } => Topic::Light,
-            Self::Blurred { .. } | Self::FocusUnmeasured => Topic::Focus,
+            Self::Blurred { .. } => Topic::Focus,
             Self::LargeDrift { .. } => Topic::Drift,
             Self::DeadDots { .. } | Self::UnlitPoints { .. } | Self::NotLookedAt => Topic::Dots,
             Self::Warned { warning } => topic_of(warning),
@@ -277,8 +275,13 @@ fn topic_of(warning: &Warning) -> Topic {
         Warning::ExposureDisagrees { .. } => Topic::Exposures,
         Warning::ApertureOrIsoChanges { .. } | Warning::DamagedExif { .. } => Topic::Settings,
         Warning::SaturatedSamples { .. } | Warning::AlbedoAboveOne { .. } => Topic::Light,
-        Warning::DriftFromLatticeDots | Warning::DriftUnmeasured { .. } => Topic::Drift,
-        Warning::BoardTooSmall { .. } => Topic::Registration,
+        Warning::DriftFromLatticeDots
+        | Warning::DriftUnmeasured { .. }
+        | Warning::DriftJumps { .. }
+        | Warning::CameraMoved { .. }
+        | Warning::FrameMoved { .. } => Topic::Drift,
+        Warning::PointSpreadUnmeasured | Warning::PointSpreadVaries { .. } | Warning::StrayLight { .. } => Topic::Focus,
+        Warning::BoardTooSmall { .. } | Warning::BoardElsewhere { .. } => Topic::Registration,
         _ => Topic::Dots,
     }
 }
@@ -338,11 +341,10 @@ impl std::fmt::Display for Finding {
             Self::Dark { shot, share } => {
                 write!(f, "\"{shot}\": {} of its pixels are black even in the longest exposure", percent(*share))
             }
-            Self::Blurred { edge_px, sample_px } => write!(
+            Self::Blurred { psf_px, sample_px } => write!(
                 f,
-                "edges of the board are {edge_px:.1} px wide, an outgoing sample is {sample_px:.1} px: focus the camera, or stop it down"
+                "the lens blurs by {psf_px:.2} px, an outgoing sample is {sample_px:.1} px: focus the camera, or stop it down"
             ),
-            Self::FocusUnmeasured => write!(f, "the board's edges are too few or too near to tell the focus"),
             Self::LargeDrift { shot, drift_px, most_px } => write!(
                 f,
                 "\"{shot}\": the pattern has moved by {drift_px:.1} px since the registration, {most_px:.0} px can be followed"

@@ -7,7 +7,6 @@
 //! and all that `docs/captures.md` lists as what the program does not find.
 
 mod finding;
-mod focus;
 mod heads;
 mod pixels;
 mod text;
@@ -63,8 +62,8 @@ pub struct Figures {
     pub camera_rms_px: Option<f64>,
     /// RMS of the Gray code's edges, projector px.
     pub projector_rms_px: Option<f64>,
-    /// Rise of the board's edges from a tenth to nine tenths, camera px.
-    pub edge_px: Option<f64>,
+    /// Standard deviation of the lens's blur, camera px.
+    pub psf_px: Option<f64>,
     /// Side of an outgoing sample, camera px.
     pub sample_px: Option<f64>,
     /// Largest drift of the shots that were looked at, camera px.
@@ -96,8 +95,6 @@ pub struct CheckReport {
 const DRIFT_FOLLOWED_PX: f64 = 6.0;
 /// Blur over more than this share of an outgoing sample (as a standard deviation) spreads much of the peak into its neighbours.
 const BLUR_SHARE: f64 = 1.0 / 3.0;
-/// A Gaussian's rise from a tenth to nine tenths, in standard deviations.
-const RISE_PER_SIGMA: f64 = 2.563;
 
 /// Checks the capture in `dir`. What is wrong with it is in the report.
 ///
@@ -236,15 +233,9 @@ impl CheckReport {
         self.drift(tried);
         let sample_px = capture.manifest.window.pitch_mm * pixels::px_per_mm(tried);
         self.figures.sample_px = Some(sample_px);
-        let board = sample.shots(|p| matches!(p, Pattern::Board));
-        let picture = pictures.merged(board.first().map_or(&[][..], |&s| &sample.brackets[s]))?;
-        self.figures.edge_px = focus::edge_width_px(&picture, &capture.rig.board, &tried.registration.view);
-        match self.figures.edge_px {
-            None => self.findings.push(Finding::FocusUnmeasured),
-            Some(edge_px) if edge_px > RISE_PER_SIGMA * BLUR_SHARE * sample_px => {
-                self.findings.push(Finding::Blurred { edge_px, sample_px });
-            }
-            Some(_) => {}
+        self.figures.psf_px = tried.registration.point_spread.map(|p| p.psf_px);
+        if let Some(psf_px) = self.figures.psf_px.filter(|psf| *psf > BLUR_SHARE * sample_px) {
+            self.findings.push(Finding::Blurred { psf_px, sample_px });
         }
         stage.advance(1);
         Ok(())

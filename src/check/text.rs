@@ -64,8 +64,8 @@ fn figures(report: &CheckReport, topic: Topic) -> Option<String> {
                 100.0 * share
             )
         }),
-        Topic::Focus => f.edge_px.zip(f.sample_px).map(|(edge, sample)| {
-            format!("edges {edge:.2} px wide (0.8 is a perfect lens), an outgoing sample {sample:.1} px")
+        Topic::Focus => f.psf_px.zip(f.sample_px).map(|(psf, sample)| {
+            format!("the lens blurs by {psf:.2} px (standard deviation), an outgoing sample is {sample:.1} px")
         }),
         Topic::Registration => f.camera_rms_px.zip(f.projector_rms_px).map(|(camera, projector)| {
             format!("board RMS {camera:.3} px camera, Gray code RMS {projector:.3} px projector")

@@ -23,6 +23,11 @@ impl Lens {
         Self { center_px, focal_px, k1: 0.0, k2: 0.0 }
     }
 
+    /// Whether it distorts nothing.
+    pub fn is_ideal(&self) -> bool {
+        self.k1 == 0.0 && self.k2 == 0.0
+    }
+
     /// Where the lens really puts an ideal (pinhole) image point.
     pub fn distort(&self, ideal: Point) -> Point {
         let n = [(ideal[0] - self.center_px[0]) / self.focal_px, (ideal[1] - self.center_px[1]) / self.focal_px];
@@ -77,6 +82,25 @@ impl CameraView {
         Some(self.ideal_from_slab.inverse()?.map(self.lens.undistort(q)))
     }
 
+    /// Where the camera is, slab mm, z negative above the slab's top; `None` for a view that no camera has.
+    ///
+    /// The homography is K (r₁ r₂ t) with the lens's centre and focal length in K (Zhang 2000). As good as these: an error of 1 % in
+    /// the focal length is 1 % of the height.
+    pub fn eye_mm(&self) -> Option<[f64; 3]> {
+        let m = &self.ideal_from_slab.matrix;
+        let (c, f) = (self.lens.center_px, self.lens.focal_px);
+        let column = |j: usize| [(m[0][j] - c[0] * m[2][j]) / f, (m[1][j] - c[1] * m[2][j]) / f, m[2][j]];
+        let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let [x, y, t] = [column(0), column(1), column(2)];
+        // Both axes should come out equally long.
+        let length = 0.5 * (dot(x, x).sqrt() + dot(y, y).sqrt());
+        let sign = if t[2] >= 0.0 { 1.0 } else { -1.0 };
+        let [x, y, t] = [x, y, t].map(|v| v.map(|e| sign * e / length));
+        let z = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]];
+        let eye = [-dot(x, t), -dot(y, t), -dot(z, t)];
+        (eye.iter().all(|v| v.is_finite()) && eye[2] < 0.0).then_some(eye)
+    }
+
     /// Derivative of [`Self::camera_from_slab`] at `p`, px per mm, by central differences (relative error below 1e-6).
     pub fn jacobian(&self, p: Point) -> [[f64; 2]; 2] {
         let h = 1e-4;
@@ -93,6 +117,22 @@ fn difference(a: Point, b: Point, h: f64) -> Point {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_view_tells_where_its_camera_is() {
+        // A camera at (3, −4, −50) mm, tilted by 0.2 rad about x, with f = 1000 px and its centre at (300, 200).
+        let (s, c) = 0.2f64.sin_cos();
+        let eye = [3.0, -4.0, -50.0];
+        let r = [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]];
+        let t: [f64; 3] = std::array::from_fn(|i| -(0..3).map(|k| r[i][k] * eye[k]).sum::<f64>());
+        let k = [[1000.0, 0.0, 300.0], [0.0, 1000.0, 200.0], [0.0, 0.0, 1.0]];
+        let column = |j: usize| if j < 2 { [r[0][j], r[1][j], r[2][j]] } else { t };
+        let matrix = std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|n| k[i][n] * column(j)[n]).sum()));
+        let view = CameraView { ideal_from_slab: Homography { matrix }, lens: Lens::ideal([300.0, 200.0], 1000.0) };
+        let found = view.eye_mm().unwrap();
+        // A few products of numbers up to 5e4: some 1e-11 of rounding.
+        assert!((0..3).all(|a| (found[a] - eye[a]).abs() < 1e-8), "{found:?}");
+    }
 
     #[test]
     fn undistort_undoes_distort_for_barrel_and_pincushion() {

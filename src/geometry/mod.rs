@@ -8,9 +8,11 @@
 
 mod homography;
 mod lens;
+mod projector;
 
 pub use homography::Homography;
 pub use lens::{CameraView, Lens};
+pub use projector::SlabFromProjector;
 
 /// A point or vector of the plane, (x, y).
 pub type Point = [f64; 2];

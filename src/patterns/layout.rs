@@ -2,7 +2,7 @@
 
 use super::plan::PlannedShot;
 use super::{PatternsOptions, Plan};
-use crate::capture::{Axis, FORMAT, Grid, Pattern, ReferenceDots, Rig, Slab, Window};
+use crate::capture::{Axis, FORMAT, Grid, Pattern, ReferenceDots, Rig, Slab, Surface, Window};
 use crate::geometry::{Homography, Point};
 use crate::{Error, Result};
 
@@ -50,7 +50,7 @@ impl Layout {
             for bit in gray_bits(size, self.narrowest_stripe_px) {
                 for inverse in [false, true] {
                     let name = format!("gray-{letter}-{bit:02}{}", if inverse { "-inverse" } else { "" });
-                    add(&name, Pattern::GrayCode { axis, bit, inverse }, &self.white_secs);
+                    add(&name, Pattern::GrayCode { axis, bit, inverse, on: Surface::WhiteReference }, &self.white_secs);
                 }
             }
         }

@@ -1,7 +1,7 @@
 //! The page that lies beside the camera while the capture is shot.
 
 use super::Plan;
-use crate::capture::Pattern;
+use crate::capture::{Pattern, Surface};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -65,7 +65,10 @@ fn steps(plan: &Plan) -> Vec<Step> {
             Pattern::Board => ("The printed chessboard in the sample's plane", "white"),
             Pattern::ReferenceWhite => ("The white reference in the sample's plane, covering it", "white"),
             Pattern::ReferenceBlack => ("The white reference stays", "black"),
-            Pattern::GrayCode { .. } => ("The white reference stays", "stripes"),
+            Pattern::CalibrationBoard => ("The printed chessboard, anywhere in view, tilted", "white"),
+            Pattern::Frame => ("The sample in its frame", "white"),
+            Pattern::GrayCode { on: Surface::WhiteReference, .. } => ("The white reference stays", "stripes"),
+            Pattern::GrayCode { on: Surface::Frame, .. } => ("The sample in its frame", "stripes"),
             Pattern::SampleBlack => ("The sample in its frame", "black"),
             Pattern::Lattice { .. } => ("The sample stays", "dots"),
         };

@@ -24,9 +24,11 @@ impl Picture {
     /// The picture of a pattern of `plan` for a projector of `size_px`.
     pub fn of(plan: &Plan, pattern: &Pattern, size_px: [usize; 2]) -> Self {
         match pattern {
-            Pattern::Board | Pattern::ReferenceWhite => Self::even(size_px, 255),
+            Pattern::Board | Pattern::CalibrationBoard | Pattern::Frame | Pattern::ReferenceWhite => {
+                Self::even(size_px, 255)
+            }
             Pattern::ReferenceBlack | Pattern::SampleBlack => Self::even(size_px, 0),
-            Pattern::GrayCode { axis, bit, inverse } => {
+            Pattern::GrayCode { axis, bit, inverse, .. } => {
                 let mut picture = Self::even(size_px, 0);
                 for (k, pixel) in picture.pixels.iter_mut().enumerate() {
                     let n = match axis {

@@ -105,7 +105,8 @@ impl Probe {
     /// # Errors
     /// [`Error::Internal`]: a registration can be inverted.
     pub fn projector_from_slab(&self) -> Result<Homography> {
-        let inverse = self.registration.slab_from_projector.inverse();
+        // A projector's lens bends by less than what slab and frame leave around the dots.
+        let inverse = self.registration.slab_from_projector.homography().inverse();
         inverse.ok_or_else(|| Error::internal("the probe's registration cannot be inverted"))
     }
 

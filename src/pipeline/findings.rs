@@ -2,9 +2,11 @@
 
 use super::lattice::{Prepared, ShotResult};
 use super::{BuildReport, CrossTalk, Overview};
+use crate::capture::Pattern;
 use crate::geometry::Point;
-use crate::registration::PointSpread;
+use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps};
 use crate::transport::{MatrixHeader, ShotRecord};
+use crate::warning::DriftJump;
 use crate::{Error, Result, Warning};
 use std::path::Path;
 
@@ -24,6 +26,7 @@ impl Prepared<'_> {
     ) -> Result<BuildReport> {
         let capture = self.shots.capture;
         let mut warnings = capture.warnings.clone();
+        warnings.extend(self.registration_warnings.iter().cloned());
         let mut clipped = (0, 0);
         let mut bright: Vec<f64> = Vec::new();
         let mut saturated: Option<(String, usize, usize)> = None;
@@ -50,10 +53,18 @@ impl Prepared<'_> {
                 header.shot_of[row] = Some(number);
             }
             let drift_px = result.drift.map_or([0.0; 2], |d| d.camera_px);
-            header.shots.push(ShotRecord { name, drift_px, drift_sd_px: result.drift.map(|d| d.sd_px) });
+            // The dots are seen against a camera whose own movement has its uncertainty.
+            let camera_sd = result.camera.filter(CameraMotion::is_sure).map_or(0.0, |m| m.sd_px);
+            header.shots.push(ShotRecord {
+                name,
+                drift_px,
+                drift_sd_px: result.drift.map(|d| d.sd_px.hypot(camera_sd)),
+            });
         }
         warnings.extend(saturated.map(|(first, shots, samples)| Warning::SaturatedSamples { first, shots, samples }));
         warnings.extend(unmeasured.map(|(first, shots)| Warning::DriftUnmeasured { first, shots }));
+        warnings.extend(jumps(&results, header));
+        warnings.extend(camera_moved(&results, header));
         if clipped.0 > 0 {
             warnings.push(Warning::ClippedWindow { rows: clipped.0, samples: clipped.1 });
         }
@@ -136,7 +147,11 @@ impl Prepared<'_> {
 
     /// How far the slab reaches beyond the board's corners, mm; `None` when it does not by more than a square.
     fn outside_board(&self) -> Option<f64> {
-        let board = &self.shots.capture.rig.board;
+        // The frame's marks are all around the slab.
+        if !self.shots.capture.shots(|p| matches!(p, Pattern::Frame)).is_empty() {
+            return None;
+        }
+        let board = self.shots.capture.rig.board.as_ref()?;
         let far = board.corner_mm([board.inner_corners[0] - 1, board.inner_corners[1] - 1]);
         let size = self.shots.capture.manifest.slab.size_mm;
         let outside = (0..2).map(|a| board.origin_mm[a].max(size[a] - far[a])).fold(0.0, f64::max);
@@ -192,4 +207,22 @@ impl Prepared<'_> {
             slab_px: [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(camera),
         })
     }
+}
+
+/// Shots before which the pattern has jumped.
+fn jumps(results: &[ShotResult], header: &MatrixHeader) -> Option<Warning> {
+    let path: Vec<_> = results.iter().map(|r| r.drift.map(|d| (d.camera_px, d.sd_px))).collect();
+    let found = find_jumps(&path);
+    let named = |j: &Jump| header.shots.get(j.at).map(|s| DriftJump { shot: s.name.clone(), length_px: j.length_px });
+    (!found.is_empty()).then(|| Warning::DriftJumps { jumps: found.iter().filter_map(named).collect() })
+}
+
+/// Shots in which the camera's picture has moved; all were corrected.
+fn camera_moved(results: &[ShotResult], header: &MatrixHeader) -> Option<Warning> {
+    let length = |r: &ShotResult| r.camera.filter(CameraMotion::is_sure).map(|m| m.camera_px[0].hypot(m.camera_px[1]));
+    let moved: Vec<(usize, f64)> = results.iter().enumerate().filter_map(|(k, r)| Some((k, length(r)?))).collect();
+    let first = header.shots.get(moved.first()?.0)?.name.clone();
+    let largest_px = moved.iter().map(|m| m.1).fold(0.0, f64::max);
+    let measured = results.iter().filter(|r| r.camera.is_some()).count();
+    Some(Warning::CameraMoved { first, shots: moved.len(), measured, largest_px })
 }

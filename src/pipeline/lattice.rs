@@ -1,14 +1,15 @@
 //! The lattice shots: drift, windows, rows.
 
+use super::drift::{Movements, moved_part};
 use super::shots::Shots;
 use crate::capture::{Pattern, Rect, Window};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Bracket, Radiance, StrayLight};
-use crate::registration::{Drift, Registration, measure_drift};
+use crate::registration::{CameraMotion, Drift, Registration};
 use crate::response::{CellWeights, Irradiance, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
 use crate::transport::{MatrixWriter, Row};
-use crate::{Error, Result};
+use crate::{Error, Result, Warning};
 use rayon::prelude::*;
 
 /// Pixels around a reference dot's expected place in which it is searched; drift of up to two less is measured, more is refused.
@@ -18,6 +19,8 @@ pub(super) const DRIFT_SEARCH_PX: f64 = 8.0;
 pub(super) struct Prepared<'a> {
     pub(super) shots: Shots<'a>,
     pub(super) registration: Registration,
+    /// What was found while registering.
+    pub(super) registration_warnings: Vec<Warning>,
     pub(super) ambient: Radiance,
     pub(super) irradiance: Irradiance,
     /// The camera's halo.
@@ -30,6 +33,7 @@ pub(super) struct Prepared<'a> {
 pub(super) struct ShotResult {
     pub(super) lit: Vec<LitPoint>,
     pub(super) drift: Option<Drift>,
+    pub(super) camera: Option<CameraMotion>,
 }
 
 /// One dot of a shot, measured.
@@ -83,28 +87,29 @@ impl Prepared<'_> {
                 }
             }
         }
+        let movements = self.movements()?;
         let photographs = shots.iter().map(|&s| self.shots.capture.brackets[s].len()).sum();
         let stage = progress.stage("extract", photographs);
         shots
             .into_par_iter()
             .with_max_len(1)
             .map(|shot| {
-                let result = self.extract_shot(shot, writer)?;
+                let result = self.extract_shot(shot, &movements, writer)?;
                 stage.advance(self.shots.capture.brackets[shot].len());
                 Ok(result)
             })
             .collect()
     }
 
-    fn extract_shot(&self, shot: usize, writer: &MatrixWriter) -> Result<ShotResult> {
+    fn extract_shot(&self, shot: usize, movements: &Movements, writer: &MatrixWriter) -> Result<ShotResult> {
         let manifest = &self.shots.capture.manifest;
         let size_px = self.shots.capture.rig.camera.size_px;
         let dots = self.dots(shot);
-        let references = self.reference_mm();
+        let references = movements.references();
         let radius_px = self.dot_radius_px();
         // Rectangles: reference dots, then each window with room for its drift.
         let mut rects: Vec<Rect> = Vec::new();
-        for &p in &references {
+        for &p in references {
             let q = self.registration.view.camera_from_slab(p);
             rects.push(square(q, radius_px + DRIFT_SEARCH_PX, size_px).ok_or_else(|| self.outside_picture(shot))?);
         }
@@ -113,30 +118,36 @@ impl Prepared<'_> {
             let rect = window_rect(&grid, size_px).ok_or_else(|| self.outside_picture(shot))?;
             rects.push(grown(rect, DRIFT_SEARCH_PX as usize, size_px));
         }
+        rects.extend(movements.rim_rects());
         let mut references_seen = self.shots.decode(shot, &rects)?;
-        let windows = references_seen.split_off(references.len());
-        let drift = self.drift(shot, dots, &references, &references_seen, &windows, radius_px);
-        if drift.is_none() && !references.is_empty() {
-            return Err(self.lost(shot, &windows, references.len()));
-        }
+        let mut windows = references_seen.split_off(references.len());
+        let camera = self.camera_motion(movements, &windows.split_off(dots.len()));
+        let camera_px = camera.filter(CameraMotion::is_sure).map_or([0.0; 2], |m| m.camera_px);
+        let registration = &self.registration.moved(camera_px);
+        let drift = self.drift(shot, registration, movements, &references_seen, &windows)?;
         let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
 
-        let mut result = ShotResult { lit: vec![], drift };
+        let mut result = ShotResult { lit: vec![], drift, camera };
         let mut weights = CellWeights::new(self.cell_px, self.registration.point_spread.map_or(0.0, |p| p.psf_px));
         let centers: Vec<Point> =
             dots.iter().map(|&d| self.nominal_mm(d)).map(|p| [p[0] + moved[0], p[1] + moved[1]]).collect();
         let grids: Vec<WindowGrid> =
-            centers.iter().map(|&c| WindowGrid::new(&manifest.window, c, &self.registration.view)).collect();
+            centers.iter().map(|&c| WindowGrid::new(&manifest.window, c, &registration.view)).collect();
+        let picture_of = |part: Rect, bracket: &Bracket| {
+            let mut picture = bracket.merge(part, &self.shots.sensor);
+            picture.subtract(&moved_part(&self.ambient, part, camera_px));
+            picture
+        };
         let picture = |(grid, bracket): (&WindowGrid, &Bracket)| {
             let needed = window_rect(grid, size_px).and_then(|r| overlap(r, bracket.rect()));
-            Ok(self.picture(bracket, needed.ok_or_else(|| self.outside_picture(shot))?))
+            Ok(picture_of(needed.ok_or_else(|| self.outside_picture(shot))?, bracket))
         };
         // The halo of any dot is in all windows: without one, windows are merged one at a time.
         let mut without_stray = match self.stray.halos.is_empty() {
             true => vec![],
             false => {
                 let mut all: Vec<Radiance> = grids.iter().zip(&windows).map(picture).collect::<Result<_>>()?;
-                all.extend(references_seen.iter().map(|b| self.picture(b, b.rect())));
+                all.extend(references_seen.iter().map(|b| picture_of(b.rect(), b)));
                 self.stray.remove(&mut all, size_px);
                 all.truncate(dots.len());
                 all
@@ -157,51 +168,11 @@ impl Prepared<'_> {
         Ok(result)
     }
 
-    /// Why a shot's reference dots were not found: saturation of everything, or a pattern that is elsewhere.
-    fn lost(&self, shot: usize, windows: &[Bracket], references: usize) -> Error {
-        for (&dot, bracket) in self.dots(shot).iter().zip(windows) {
-            if let Err(saturated) =
-                self.check_peak(shot, dot, self.nominal_mm(dot), &self.picture(bracket, bracket.rect()))
-            {
-                return saturated;
-            }
-        }
-        let reach = DRIFT_SEARCH_PX - 2.0;
-        self.shots.failed(shot)(format!(
-            "less than half of its {references} reference dots were found within {reach} px of where the pattern puts them"
-        ))
-    }
-
     /// Radiance of a part of a bracket, ambient light subtracted.
-    fn picture(&self, bracket: &Bracket, part: Rect) -> Radiance {
+    pub(super) fn picture(&self, bracket: &Bracket, part: Rect) -> Radiance {
         let mut picture = bracket.merge(part, &self.shots.sensor);
         picture.subtract(&self.ambient);
         picture
-    }
-
-    /// From the reference dots, or without any from the lattice's own.
-    fn drift(
-        &self,
-        shot: usize,
-        dots: &[[usize; 2]],
-        references: &[Point],
-        references_seen: &[Bracket],
-        windows: &[Bracket],
-        radius_px: f64,
-    ) -> Option<Drift> {
-        let seen: Vec<(Point, Radiance)> = if references.is_empty() {
-            // Further than half the way to the next dot, one would be taken for the other.
-            let half_px = self.shot_spacing(shot).map_or(f64::INFINITY, |s| 0.5 * s * self.cell_px);
-            let around = |p: Point, b: &Bracket| {
-                let q = self.registration.view.camera_from_slab(p);
-                let near = square(q, radius_px + half_px.min(DRIFT_SEARCH_PX), self.shots.capture.rig.camera.size_px)?;
-                Some((p, self.picture(b, overlap(near, b.rect())?)))
-            };
-            dots.iter().zip(windows).filter_map(|(&d, b)| around(self.nominal_mm(d), b)).collect()
-        } else {
-            references.iter().zip(references_seen).map(|(&p, b)| (p, self.picture(b, b.rect()))).collect()
-        };
-        measure_drift(&seen, &self.registration, radius_px)
     }
 
     fn lit_dot(&self, shot: usize, dot: [usize; 2], center: Point, drift: Option<Drift>) -> Result<LitDot> {
@@ -220,7 +191,7 @@ impl Prepared<'_> {
     }
 
     /// A dot of whose middle no exposure measured any pixel cannot be used at all.
-    fn check_peak(&self, shot: usize, dot: [usize; 2], center: Point, picture: &Radiance) -> Result<()> {
+    pub(super) fn check_peak(&self, shot: usize, dot: [usize; 2], center: Point, picture: &Radiance) -> Result<()> {
         let q = self.registration.view.camera_from_slab(center);
         let inside = |v: f64, from: usize, len: usize| (v.round().max(from as f64) as usize).min(from + len - 1);
         let r = picture.rect;
@@ -245,7 +216,7 @@ impl Prepared<'_> {
         0.75 * grid.dot_projector_px as f64 * pixel_mm * self.px_per_mm
     }
 
-    fn outside_picture(&self, shot: usize) -> Error {
+    pub(super) fn outside_picture(&self, shot: usize) -> Error {
         self.shots.failed(shot)("a dot lies outside the photograph".into())
     }
 }
@@ -257,7 +228,7 @@ pub(super) fn albedo(row: &Row, window: &Window) -> f64 {
 }
 
 /// The square of half side `radius` around `at`, cut to the photograph; `None` when it lies outside.
-fn square(at: Point, radius: f64, size_px: [usize; 2]) -> Option<Rect> {
+pub(super) fn square(at: Point, radius: f64, size_px: [usize; 2]) -> Option<Rect> {
     let range = |a: usize| {
         let (low, high) = ((at[a] - radius).floor().max(0.0), (at[a] + radius).ceil().min(size_px[a] as f64 - 1.0));
         (low <= high).then_some((low as usize, (high - low) as usize + 1))
@@ -273,7 +244,7 @@ fn grown(r: Rect, by: usize, size_px: [usize; 2]) -> Rect {
 }
 
 /// The pixels that both have; `None` when there are none.
-fn overlap(a: Rect, b: Rect) -> Option<Rect> {
+pub(super) fn overlap(a: Rect, b: Rect) -> Option<Rect> {
     let (x, y) = (a.x.max(b.x), a.y.max(b.y));
     let (right, bottom) = ((a.x + a.width).min(b.x + b.width), (a.y + a.height).min(b.y + b.height));
     (right > x && bottom > y).then(|| Rect { x, y, width: right - x, height: bottom - y })

@@ -1,6 +1,7 @@
 //! From a capture folder to the matrix: the way of the photographs, stage by stage.
 
 mod crosstalk;
+mod drift;
 mod findings;
 mod lattice;
 mod shots;
@@ -111,8 +112,8 @@ fn measure(
     progress: &Progress,
 ) -> Result<BuildReport> {
     let shots = Shots::new(capture);
-    let registration = shots.register(progress)?;
-    let prepared = shots.prepare(registration, progress)?;
+    let (registration, found) = shots.register(progress)?;
+    let prepared = shots.prepare(registration, found, progress)?;
     let mut result = prepared.extract(writer, progress)?;
     let crosstalk = match options.keep_crosstalk {
         true => None,

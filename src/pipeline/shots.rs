@@ -1,12 +1,16 @@
 //! Decoding and merging any shot of a capture; the shots that everything else is measured against.
 
 use super::lattice::Prepared;
-use crate::capture::{Capture, Pattern, Photograph, Rect};
+use crate::capture::{Board, Capture, Pattern, Photograph, Rect, Surface};
+use crate::geometry::{CameraView, Lens, Point};
 use crate::progress::{Progress, Stage};
 use crate::radiance::{Bracket, Radiance, Sensor, StrayLight, decode_shot};
-use crate::registration::{BitPair, Registration, measure_point_spread, register_board, register_projector};
+use crate::registration::{
+    BitPair, FrameFit, LensChoice, Pairs, PointSpread, Registration, StripeSurface, ViewFit, find_board,
+    fit_lens_of_views, marks_moved, measure_point_spread, register_frame, register_projector,
+};
 use crate::response::Irradiance;
-use crate::{Error, Result};
+use crate::{Error, Result, Warning};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -54,33 +58,124 @@ impl<'a> Shots<'a> {
     }
 
     /// Camera from the board, projector from the Gray code.
-    pub(super) fn register(&self, progress: &Progress) -> Result<Registration> {
+    pub(super) fn register(&self, progress: &Progress) -> Result<(Registration, Vec<Warning>)> {
         let codes = self.capture.shots(|p| matches!(p, Pattern::GrayCode { .. }));
         let stage = progress.stage("register", 1 + codes.len());
-        let board = self.one(|p| matches!(p, Pattern::Board))?;
         // Finding the board's corners runs on one core: the other decodes stripes meanwhile.
         let (camera, pairs) = rayon::join(
             || {
-                let picture = self.merge_whole(board)?;
+                let found = self.camera_view();
                 stage.advance(1);
-                let camera = register_board(&picture, &self.capture.rig).map_err(self.failed(board))?;
-                let point_spread = measure_point_spread(&picture, &self.capture.rig, &camera.view);
-                Ok((camera, point_spread))
+                found
             },
             || self.bit_pairs(&codes, &stage),
         );
-        let ((camera, point_spread), pairs) = (camera?, pairs?);
+        let ((camera, choice, point_spread, warnings), pairs) = (camera?, pairs?);
         let first = codes[0];
+        let rig = &self.capture.rig;
+        // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
+        let lens = Lens::ideal(rig.projector.lens_center_px(), rig.projector.size_px[0] as f64);
+        let surface = self.stripe_surface(&codes)?;
         let projector =
-            register_projector(&pairs, self.capture.rig.camera.size_px, &camera.view).map_err(self.failed(first))?;
-        Registration::new(&camera, point_spread, &projector, self.capture.manifest.slab.size_mm)
+            register_projector(&pairs, rig.camera.size_px, &camera.view, surface, lens).map_err(self.failed(first))?;
+        let size_mm = self.capture.manifest.slab.size_mm;
+        Registration::new(&camera, choice, point_spread, &projector, size_mm)
+            .map(|r| (r, warnings))
             .ok_or_else(|| self.failed(first)("the projector's map cannot be inverted".into()))
+    }
+
+    /// The board gives a plane, the frame's marks the plane as the sample really lies; the lens is fitted to all of them together, and to
+    /// boards in other poses where there are any.
+    fn camera_view(&self) -> Result<(ViewFit, LensChoice, Option<PointSpread>, Vec<Warning>)> {
+        let rig = &self.capture.rig;
+        let camera = &rig.camera;
+        let mut warnings = Vec::new();
+        let (mut planes, mut has_board): (Vec<Pairs>, bool) = (Vec::new(), false);
+        let mut sharp: Option<(Radiance, &Board)> = None;
+        for calibrating in [false, true] {
+            let kind = |p: &Pattern| if calibrating { *p == Pattern::CalibrationBoard } else { *p == Pattern::Board };
+            for shot in self.capture.shots(kind) {
+                let Some(board) = &rig.board else { continue };
+                let picture = self.merge_whole(shot)?;
+                planes.push(find_board(&picture, board, camera).map_err(self.failed(shot))?);
+                sharp.get_or_insert((picture, board));
+                has_board |= !calibrating;
+            }
+        }
+        let lens_of = |planes: &[Pairs]| fit_lens_of_views(planes, camera.principal_px, camera.focal_px);
+        let mut fits = lens_of(&planes);
+        let prior = fits.as_ref().filter(|_| has_board).map(|(fits, _)| fits[0].view);
+        let mut first: Option<FrameFit> = None;
+        for shot in self.capture.shots(|p| *p == Pattern::Frame) {
+            let Some(marks) = &rig.frame else { continue };
+            let picture = self.merge_whole(shot)?;
+            let found = register_frame(&picture, marks, prior.as_ref(), camera).map_err(self.failed(shot))?;
+            let name = self.capture.manifest.shots[shot].name.clone();
+            match &first {
+                None => {
+                    planes.insert(0, found.pairs(marks));
+                    fits = lens_of(&planes);
+                    first = Some(found);
+                }
+                Some(before) => {
+                    let moved = marks_moved(before, &found);
+                    let beyond = |(m, sd): &(Point, f64)| m[0].hypot(m[1]) > (5.0 * sd).max(0.05);
+                    let told = |(moved_px, sd_px)| Warning::FrameMoved { shot: name, moved_px, sd_px };
+                    warnings.extend(moved.filter(beyond).map(told));
+                }
+            }
+        }
+        let (fits, choice) = fits.ok_or_else(|| {
+            Error::field(
+                &self.capture.rig_path,
+                "board or frame.marks_mm",
+                "points that span a plane",
+                "too few or on a line",
+            )
+        })?;
+        if first.is_some() && has_board {
+            warnings.extend(self.board_elsewhere(&fits[1].view, &fits[0]));
+        }
+        // Boards come after the frame; the first of them, in the sample's plane if there is one, tells how sharp the picture is.
+        let seen = &fits[usize::from(first.is_some() && fits.len() > 1)].view;
+        let point_spread = sharp.and_then(|(picture, board)| measure_point_spread(&picture, board, seen));
+        Ok((fits[0], choice, point_spread, warnings))
+    }
+
+    /// Whether board and frame disagree about where the slab's corners are seen.
+    fn board_elsewhere(&self, board: &CameraView, frame: &ViewFit) -> Option<Warning> {
+        let [w, h] = self.capture.manifest.slab.size_mm;
+        let off = |p: Point| {
+            let (a, b) = (board.camera_from_slab(p), frame.view.camera_from_slab(p));
+            (a[0] - b[0]).hypot(a[1] - b[1])
+        };
+        let largest_px = [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(off).into_iter().fold(0.0, f64::max);
+        (largest_px > (5.0 * frame.sd_px).max(0.2)).then_some(Warning::BoardElsewhere { largest_px })
+    }
+
+    /// What the Gray code was projected on: all of it on the same.
+    fn stripe_surface(&self, codes: &[usize]) -> Result<StripeSurface> {
+        let manifest = &self.capture.manifest;
+        let of = |s: usize| match manifest.shots[s].pattern {
+            Pattern::GrayCode { on, .. } => on,
+            _ => Surface::default(),
+        };
+        if let Some(&other) = codes.iter().find(|&&s| of(s) != of(codes[0])) {
+            let (field, first) =
+                (format!("shots \"{}\": on", manifest.shots[other].name), &manifest.shots[codes[0]].name);
+            let expected = format!("the surface of shot \"{first}\": one for the whole Gray code");
+            return Err(Error::field(self.capture.manifest_path(), field, expected, "another"));
+        }
+        Ok(match of(codes[0]) {
+            Surface::WhiteReference => StripeSurface::White,
+            Surface::Frame => StripeSurface::Frame(manifest.slab.size_mm),
+        })
     }
 
     fn bit_pairs(&self, codes: &[usize], stage: &Stage<'_>) -> Result<Vec<BitPair>> {
         let mut pairs: BTreeMap<(usize, u32), [Option<usize>; 2]> = BTreeMap::new();
         for &s in codes {
-            if let Pattern::GrayCode { axis, bit, inverse } = self.capture.manifest.shots[s].pattern {
+            if let Pattern::GrayCode { axis, bit, inverse, .. } = self.capture.manifest.shots[s].pattern {
                 let slot = &mut pairs.entry((axis as usize, bit)).or_default()[usize::from(inverse)];
                 if slot.replace(s).is_some() {
                     return Err(self.failed(s)("this bit of the Gray code was shot twice".into()));
@@ -95,8 +190,10 @@ impl<'a> Shots<'a> {
                     let shot = shots.into_iter().flatten().next().unwrap_or(codes[0]);
                     return Err(self.failed(shot)("each bit of the Gray code needs its inverse".into()));
                 };
-                let light = |s: usize| Ok::<_, Error>(self.merge_whole(s)?.luminance());
-                let pair = BitPair { axis, bit, pattern: light(pattern)?, inverse: light(inverse)? };
+                let (pattern, inverse) = (self.merge_whole(pattern)?, self.merge_whole(inverse)?);
+                let used = pattern.used.as_chunks::<3>().0.iter().zip(inverse.used.as_chunks::<3>().0);
+                let valid = used.map(|(a, b)| !a.contains(&0) && !b.contains(&0)).collect();
+                let pair = BitPair { axis, bit, pattern: pattern.luminance(), inverse: inverse.luminance(), valid };
                 stage.advance(2);
                 Ok(pair)
             })
@@ -104,7 +201,12 @@ impl<'a> Shots<'a> {
     }
 
     /// Ambient light and irradiance.
-    pub(super) fn prepare(self, registration: Registration, progress: &Progress) -> Result<Prepared<'a>> {
+    pub(super) fn prepare(
+        self,
+        registration: Registration,
+        registration_warnings: Vec<Warning>,
+        progress: &Progress,
+    ) -> Result<Prepared<'a>> {
         let stage = progress.stage("reference", 3);
         let shots = [
             self.one(|p| matches!(p, Pattern::SampleBlack))?,
@@ -124,7 +226,16 @@ impl<'a> Shots<'a> {
         let cell_px = px_per_mm * self.capture.manifest.window.pitch_mm;
         let irradiance = Irradiance::new(white, &self.capture.rig, cell_px.round().clamp(2.0, 50.0) as usize);
         let stray = StrayLight::default();
-        let mut prepared = Prepared { shots: self, registration, ambient, irradiance, stray, px_per_mm, cell_px };
+        let mut prepared = Prepared {
+            shots: self,
+            registration,
+            registration_warnings,
+            ambient,
+            irradiance,
+            stray,
+            px_per_mm,
+            cell_px,
+        };
         prepared.stray = prepared.measure_stray(progress)?;
         Ok(prepared)
     }

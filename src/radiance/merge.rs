@@ -135,7 +135,7 @@ impl Radiance {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::{Board, Camera, Noise, Projector, ResponseCurve, Rig, WhiteReference};
+    use crate::capture::{Camera, Noise, Projector, ResponseCurve, Rig, WhiteReference};
     use rand::SeedableRng;
     use rand_distr::{Distribution, Normal, Poisson};
 
@@ -151,8 +151,9 @@ mod tests {
             format: 1,
             camera,
             noise,
-            projector: Projector { size_px: [9, 9] },
-            board: Board { inner_corners: [4, 3], square_mm: 1.0, origin_mm: [0.0, 0.0], edge_blur_mm: 0.0 },
+            projector: Projector { size_px: [9, 9], principal_px: None },
+            board: None,
+            frame: None,
             white_reference: WhiteReference { reflectance: [1.0; 3] },
         })
     }

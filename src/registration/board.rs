@@ -1,41 +1,42 @@
 //! The chessboard in the slab's plane: where the camera sees the slab.
 
-use super::fit::{ViewFit, fit_view};
-use crate::capture::Rig;
+use super::Pairs;
+use super::fit::fit_view;
+use crate::capture::{Board, Camera};
 use crate::geometry::Point;
 use crate::radiance::Radiance;
 use opencv::{calib3d, core, imgproc, prelude::*};
 
-/// Registers the camera to the slab's plane from a merged photograph of the board.
+/// Finds a board in a merged photograph: its corners in slab coordinates, were it in the slab's plane, and where they are seen.
 ///
-/// Corners by OpenCV (`findChessboardCorners`, then `cornerSubPix` on the linear picture), then homography and radial
-/// distortion by our own least squares. The corner nearest the picture's top left is taken for corner (0, 0).
+/// Corners by OpenCV (`findChessboardCorners`, then `cornerSubPix` on the linear picture). The corner nearest the picture's top left is taken
+/// for corner (0, 0). The whole board must be in the picture.
 ///
 /// # Errors
-/// A text that says what was not found.
+/// A text that says what was not found; corners that fit no flat board through any lens.
 ///
-/// Not detected: a board that is not in the slab's plane, or not where `rig.toml` says.
-pub fn register_board(picture: &Radiance, rig: &Rig) -> Result<ViewFit, String> {
-    let [nx, ny] = rig.board.inner_corners;
-    let corners = find_corners(picture, rig.board.inner_corners)?;
+/// Not detected: a board that is not where `rig.toml` says.
+pub fn find_board(picture: &Radiance, board: &Board, camera: &Camera) -> Result<Pairs, String> {
+    let [nx, ny] = board.inner_corners;
+    let corners = find_corners(picture, board.inner_corners)?;
     let at = |i: usize, j: usize| corners[j * nx + i];
     // OpenCV starts at either end of the board: x must grow to the right, y downwards.
     let flip_x = at(nx - 1, 0)[0] < at(0, 0)[0];
     let flip_y = at(0, ny - 1)[1] < at(0, 0)[1];
-    let pairs: Vec<(Point, Point)> = (0..ny)
+    let pairs: Pairs = (0..ny)
         .flat_map(|j| (0..nx).map(move |i| [i, j]))
         .map(|[i, j]| {
             let seen = at(if flip_x { nx - 1 - i } else { i }, if flip_y { ny - 1 - j } else { j });
-            (rig.board.corner_mm([i, j]), seen)
+            (board.corner_mm([i, j]), seen)
         })
         .collect();
-    let fit = fit_view(&pairs, rig.camera.principal_px, rig.camera.focal_px)
-        .ok_or("the board's corners do not span a plane")?;
+    let fit =
+        fit_view(&pairs, camera.principal_px, camera.focal_px).ok_or("the board's corners do not span a plane")?;
     // A mistaken corner is off by whole squares; detection noise is far below a pixel.
     if fit.rms_px > 1.0 {
         return Err(format!("the board's corners fit no flat board: RMS {:.2} px", fit.rms_px));
     }
-    Ok(fit)
+    Ok(pairs)
 }
 
 fn find_corners(picture: &Radiance, inner: [usize; 2]) -> Result<Vec<Point>, String> {

@@ -35,7 +35,7 @@ const CENTROID_FLOOR_PX: f64 = 0.02;
 pub fn measure_drift(dots: &[(Point, Radiance)], registration: &Registration, dot_radius_px: f64) -> Option<Drift> {
     let mut moved: Vec<(Point, f64)> = Vec::new();
     for (slab, picture) in dots {
-        let Some((seen, variance)) = centroid(picture, dot_radius_px) else { continue };
+        let Some((seen, variance)) = centroid(picture, dot_radius_px, None) else { continue };
         let Some(at) = registration.view.slab_from_camera(seen) else { continue };
         moved.push(([at[0] - slab[0], at[1] - slab[1]], variance));
     }
@@ -57,7 +57,7 @@ pub fn measure_drift(dots: &[(Point, Radiance)], registration: &Registration, do
 }
 
 /// Mean of the values within three scaled median deviations of the median, and that deviation.
-fn robust_mean(mut values: Vec<f64>) -> (f64, f64) {
+pub(super) fn robust_mean(mut values: Vec<f64>) -> (f64, f64) {
     let median = median(&mut values);
     let mut deviations: Vec<f64> = values.iter().map(|v| (v - median).abs()).collect();
     // 1.4826 makes the median deviation of a normal distribution its standard deviation.
@@ -67,19 +67,23 @@ fn robust_mean(mut values: Vec<f64>) -> (f64, f64) {
     (kept.iter().sum::<f64>() / kept.len() as f64, scale)
 }
 
-fn median(values: &mut [f64]) -> f64 {
+pub(super) fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     let n = values.len();
     (values[(n - 1) / 2] + values[n / 2]) / 2.0
 }
 
-/// The centroid of the brightest spot, camera px, and its variance per axis.
-fn centroid(picture: &Radiance, radius_px: f64) -> Option<(Point, f64)> {
+/// The centroid of the brightest spot, camera px, and its variance per axis; the spot's brightest pixel lies in the circle
+/// `within` (centre, radius) when there is one.
+pub(super) fn centroid(picture: &Radiance, radius_px: f64, within: Option<(Point, f64)>) -> Option<(Point, f64)> {
     let Rect { x: x0, y: y0, width, height } = picture.rect;
     let light = picture.luminance();
     let variance: Vec<f32> = picture.variance.as_chunks::<3>().0.iter().map(|p| (p[0] + p[1] + p[2]) / 9.0).collect();
     let invalid = picture.used.as_chunks::<3>().0.iter().any(|u| u.contains(&0));
-    let brightest = (0..light.len()).max_by(|&a, &b| light[a].total_cmp(&light[b]))?;
+    let near = |k: usize| {
+        within.is_none_or(|(c, r)| ((x0 + k % width) as f64 - c[0]).hypot((y0 + k / width) as f64 - c[1]) <= r)
+    };
+    let brightest = (0..light.len()).filter(|&k| near(k)).max_by(|&a, &b| light[a].total_cmp(&light[b]))?;
     if invalid {
         return None;
     }

@@ -138,10 +138,12 @@ pub fn fit_view(pairs: &[(Point, Point)], center_px: Point, focal_px: f64) -> Op
     best.map(|(_, fit)| fit)
 }
 
-type Solved = Option<(CameraView, Vec<f64>)>;
-
 /// Steps of Gauss–Newton on the first `terms` distortion coefficients, by finite differences; four are enough from zero.
-fn gauss_newton(solve: &dyn Fn([f64; 2]) -> Solved, k: &mut [f64; 2], terms: usize) -> Solved {
+pub(super) fn gauss_newton<T, const N: usize>(
+    solve: &dyn Fn([f64; N]) -> Option<(T, Vec<f64>)>,
+    k: &mut [f64; N],
+    terms: usize,
+) -> Option<(T, Vec<f64>)> {
     let mut current = solve(*k)?;
     if terms == 0 {
         return Some(current);

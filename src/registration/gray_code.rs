@@ -1,8 +1,9 @@
-//! Gray-code stripes on the white reference: where each projector pixel lands on the slab's plane.
+//! Gray-code stripes on the white reference, or on the frame around the sample: where each projector pixel lands on the slab's plane.
 
 use super::board::percentile;
 use super::fit::{Observation, fit_homography};
-use crate::geometry::{CameraView, Homography, Point};
+use super::projector_fit::{ProjectorFit, fit_projector};
+use crate::geometry::{CameraView, Lens, Point};
 
 /// One bit of the code on one axis: the pattern and its inverse, one light value a pixel.
 #[derive(Debug, Clone)]
@@ -15,19 +16,17 @@ pub struct BitPair {
     pub pattern: Vec<f32>,
     /// Light under its inverse.
     pub inverse: Vec<f32>,
+    /// Whether both were measured: no exposure of either left the pixel saturated or without a value.
+    pub valid: Vec<bool>,
 }
 
-/// The projector registered to the slab's plane.
-#[derive(Debug, Clone, Copy)]
-pub struct ProjectorFit {
-    /// Slab mm to projector px.
-    pub projector_from_slab: Homography,
-    /// RMS of the stripes' edges against the model, projector px.
-    pub rms_px: f64,
-    /// Standard deviation per axis of a modelled point, projector px.
-    pub sd_px: f64,
-    /// Number of edges.
-    pub edges: usize,
+/// What the stripes were projected on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum StripeSurface {
+    /// A white reference all over.
+    White,
+    /// The frame around a sample of this size, mm: only what lies outside the sample is used, which blurs the stripes.
+    Frame(Point),
 }
 
 /// A pixel is lit when pattern and inverse together reach this share of the bright ones.
@@ -44,51 +43,100 @@ struct Contrast {
     value: Vec<Option<f32>>,
 }
 
-/// Fits the homography slab → projector to the places where stripes begin and end.
+/// Pixels nearer to the sample's rim than this are not on the frame alone, px.
+const RIM_PX: f64 = 4.0;
+/// On each side of the sample at least this share of the decoded pixels must lie: beyond them the map is an extrapolation.
+const LEAST_SIDE_SHARE: f64 = 0.05;
+
+/// Fits the map slab → projector to the places where stripes begin and end.
 ///
-/// First each pixel's code gives its projector coordinate to a stripe; then every edge between light and dark, located to
-/// a fraction of a pixel by the area under the contrast, gives one exact coordinate. Edges more than three deviations off
-/// are dropped once. Lens distortion of the projector is not modelled: it shows in `rms_px`.
+/// First each pixel's code gives its projector coordinate to a stripe, where every bit is clear; then every edge between light and dark,
+/// located to a fraction of a pixel by the area under the contrast, gives one exact coordinate. Edges more than three deviations off
+/// are dropped once. A pixel takes part when both photographs measured it, when it is lit, and when it is not on the sample
+/// (`surface`). `lens` has the projector's centre and unit of length: a radial distortion is fitted when the edges ask for it.
 ///
 /// # Errors
 /// A text that says what was not found.
-pub fn register_projector(pairs: &[BitPair], size_px: [usize; 2], view: &CameraView) -> Result<ProjectorFit, String> {
+///
+/// Not detected: a frame that is not in the sample's plane; distortion of the projector that is not radial.
+pub fn register_projector(
+    pairs: &[BitPair],
+    size_px: [usize; 2],
+    view: &CameraView,
+    surface: StripeSurface,
+    lens: Lens,
+) -> Result<ProjectorFit, String> {
     let [width, height] = size_px;
-    let contrasts: Vec<Contrast> = pairs.iter().map(contrast).collect();
-    let slab = |q: Point| view.slab_from_camera(q);
+    let ideal = view.ideal_from_slab.inverse().ok_or("the camera's view of the slab cannot be inverted")?;
+    let slab = |q: Point| ideal.map(view.lens.undistort(q));
+    let usable = usable_pixels(view, size_px, surface, &slab);
+    let contrasts: Vec<Contrast> = pairs.iter().map(|p| contrast(p, usable.as_deref())).collect();
     let coarse = decode_pixels(&contrasts, width, height, &slab)?;
-    let (mut projector_from_slab, _) =
+    if let StripeSurface::Frame(size_mm) = surface {
+        check_sides(&coarse, size_mm)?;
+    }
+    let (coarse_map, _) =
         fit_homography(&coarse).ok_or("the Gray code was decoded in too few pixels to span a plane")?;
 
     let mut edges = Vec::new();
     for contrast in &contrasts {
         for (q, _) in find_edges(contrast, width, height) {
-            let Some(from) = slab(q) else { continue };
-            let coarse = projector_from_slab.map(from)[contrast.axis];
+            let from = slab(q);
+            let coarse = coarse_map.map(from)[contrast.axis];
             if let Some(to) = nearest_edge(coarse, contrast.bit) {
                 edges.push(Observation { from, axis: contrast.axis, to });
             }
         }
     }
-    let mut rms_px = f64::INFINITY;
-    for _ in 0..2 {
-        let (fit, rms) = fit_homography(&edges).ok_or("too few stripe edges were found")?;
-        (projector_from_slab, rms_px) = (fit, rms);
-        edges.retain(|o| (fit.map(o.from)[o.axis] - o.to).abs() <= 3.0 * rms.max(1e-6));
+    let fit = fit_projector(edges, lens).ok_or("too few stripe edges were found")?;
+    if fit.rms_px > 1.0 {
+        return Err(format!("the stripes fit no plane: RMS {:.2} projector px", fit.rms_px));
     }
-    if rms_px > 1.0 {
-        return Err(format!("the stripes fit no plane: RMS {rms_px:.2} projector px"));
-    }
-    // Neighbouring pixels along one edge share their errors: count each stripe's edge lines, about one per stripe and 8 px.
-    let independent = (edges.len() as f64 / 8.0).max(9.0);
-    Ok(ProjectorFit { projector_from_slab, rms_px, sd_px: rms_px * (8.0 / independent).sqrt(), edges: edges.len() })
+    Ok(fit)
 }
 
-fn contrast(pair: &BitPair) -> Contrast {
+/// Which pixels may be used; `None` for all.
+fn usable_pixels(
+    view: &CameraView,
+    [width, height]: [usize; 2],
+    surface: StripeSurface,
+    slab: &dyn Fn(Point) -> Point,
+) -> Option<Vec<bool>> {
+    let StripeSurface::Frame(size) = surface else { return None };
+    let j = view.jacobian(size.map(|s| 0.5 * s));
+    let rim = RIM_PX / (j[0][0] * j[1][1] - j[0][1] * j[1][0]).abs().sqrt();
+    let outside = |k: usize| {
+        let p = slab([(k % width) as f64, (k / width) as f64]);
+        (0..2).any(|a| p[a] < -rim || p[a] > size[a] + rim)
+    };
+    Some((0..width * height).map(outside).collect())
+}
+
+/// A frame that is seen on one side only says nothing about the other.
+fn check_sides(decoded: &[Observation], size_mm: Point) -> Result<(), String> {
+    for axis in 0..2 {
+        for (far, side) in [(false, ["left", "upper"]), (true, ["right", "lower"])] {
+            let beyond = |o: &&Observation| if far { o.from[axis] > size_mm[axis] } else { o.from[axis] < 0.0 };
+            let found = decoded.iter().filter(beyond).count();
+            if (found as f64) < LEAST_SIDE_SHARE * decoded.len() as f64 {
+                let (all, side) = (decoded.len(), side[axis]);
+                return Err(format!(
+                    "the frame must show the Gray code on all sides of the sample, but only {found} of {all} decoded pixels lie on its {side} side"
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn contrast(pair: &BitPair, usable: Option<&[bool]>) -> Contrast {
+    let allowed = |k: usize| pair.valid[k] && usable.is_none_or(|u| u[k]);
     let sum: Vec<f32> = pair.pattern.iter().zip(&pair.inverse).map(|(a, b)| a + b).collect();
-    let least = LIT_SHARE * percentile(&sum, 0.9);
-    let value = pair.pattern.iter().zip(&pair.inverse).zip(&sum);
-    let value = value.map(|((a, b), &s)| (s > least && s > 0.0).then(|| (a - b) / s)).collect();
+    let seen: Vec<f32> = sum.iter().enumerate().filter(|(k, _)| allowed(*k)).map(|(_, s)| *s).collect();
+    let least = LIT_SHARE * percentile(&seen, 0.9);
+    let lit = |k: usize| allowed(k) && sum[k] > least && sum[k] > 0.0;
+    let share = |k: usize| (pair.pattern[k] - pair.inverse[k]) / sum[k];
+    let value = (0..sum.len()).map(|k| lit(k).then(|| share(k))).collect();
     Contrast { axis: pair.axis, bit: pair.bit, value }
 }
 
@@ -97,7 +145,7 @@ fn decode_pixels(
     contrasts: &[Contrast],
     width: usize,
     height: usize,
-    slab: &dyn Fn(Point) -> Option<Point>,
+    slab: &dyn Fn(Point) -> Point,
 ) -> Result<Vec<Observation>, String> {
     let step = (width * height / DECODED_PIXELS).max(1);
     let mut out = Vec::new();
@@ -118,7 +166,7 @@ fn decode_pixels(
                 code = code.zip(clear).map(|(n, v)| (n << 1) | ((n & 1) ^ u32::from(v > 0.0)));
             }
             let Some(n) = code else { continue };
-            let Some(from) = slab([(k % width) as f64, (k / width) as f64]) else { continue };
+            let from = slab([(k % width) as f64, (k / width) as f64]);
             let side = f64::from(1u32 << finest);
             out.push(Observation { from, axis, to: (f64::from(n) + 0.5) * side - 0.5 });
         }

@@ -1,18 +1,34 @@
 //! Register: slab ↔ camera ↔ projector, and the drift of every lattice shot.
 
+mod blobs;
 mod board;
+mod camera_motion;
+mod dot_fit;
 mod drift;
 mod fit;
+mod frame_marks;
 mod gray_code;
+mod jumps;
+mod lens_fit;
+mod projector_fit;
+mod sample_drift;
 mod sharpness;
+mod small;
 
-pub use board::register_board;
+pub use board::find_board;
+pub use camera_motion::{CameraMotion, RimPlace, RimSegment, camera_motion, locate_rim, rim_segments};
+pub use dot_fit::{DotShape, FoundDot};
 pub use drift::{Drift, measure_drift};
 pub use fit::{Observation, ViewFit, fit_homography, fit_view};
-pub use gray_code::{BitPair, ProjectorFit, register_projector};
+pub use frame_marks::{FoundMark, FrameFit, marks_moved, register_frame};
+pub use gray_code::{BitPair, StripeSurface, register_projector};
+pub use jumps::{Jump, find_jumps};
+pub use lens_fit::{LensChoice, LensTrial, Pairs, fit_lens_of_views};
+pub use projector_fit::{ProjectorFit, fit_projector};
+pub use sample_drift::{Located, Parallax, SampleDots};
 pub use sharpness::{PointSpread, measure_point_spread};
 
-use crate::geometry::{CameraView, Homography, Point};
+use crate::geometry::{CameraView, Homography, Point, SlabFromProjector};
 use serde::{Deserialize, Serialize};
 
 /// Slab, camera and projector related to each other.
@@ -21,30 +37,47 @@ pub struct Registration {
     /// The camera's view of the slab's plane.
     pub view: CameraView,
     /// Projector px to slab mm.
-    pub slab_from_projector: Homography,
+    pub slab_from_projector: SlabFromProjector,
     /// The slab's centre, mm.
     pub center_mm: Point,
-    /// The lens's blur, which the extraction takes out; `None` when the board does not tell.
+    /// The lens's blur, which the extraction takes out; `None` when no board tells.
     pub point_spread: Option<PointSpread>,
-    /// RMS of the board's corners against the model, camera px.
+    /// RMS of the board's corners (or the frame's marks) against the model, camera px.
     pub camera_rms_px: f64,
+    /// How the camera's lens was chosen.
+    pub lens: LensChoice,
     /// RMS of the stripes' edges against the model, projector px.
     pub projector_rms_px: f64,
+    /// The same against a projector without distortion, projector px.
+    pub projector_ideal_rms_px: f64,
     /// Standard deviation per axis of where a projected point is on the slab, relative to the camera's samples, mm (without drift).
     pub position_sd_mm: f64,
 }
 
 impl Registration {
+    /// The same with the camera's picture moved by `camera_px`.
+    pub fn moved(&self, camera_px: Point) -> Self {
+        let mut moved = self.clone();
+        moved.view.ideal_from_slab = Homography::similarity(1.0, camera_px).after(&self.view.ideal_from_slab);
+        moved.view.lens.center_px = [0, 1].map(|a| self.view.lens.center_px[a] + camera_px[a]);
+        moved
+    }
+
     /// Puts the two fits together for a slab of `size_mm`; `None` when the projector's map cannot be inverted.
     pub fn new(
         camera: &ViewFit,
+        lens: LensChoice,
         point_spread: Option<PointSpread>,
         projector: &ProjectorFit,
         size_mm: Point,
     ) -> Option<Self> {
-        let slab_from_projector = projector.projector_from_slab.inverse()?;
+        let slab_from_projector = projector.slab_from_projector;
         let center_mm = [size_mm[0] / 2.0, size_mm[1] / 2.0];
-        let projector_px_per_mm = projector.projector_from_slab.area_scale(center_mm).sqrt();
+        let middle_px = slab_from_projector.projector_from_slab(center_mm);
+        let projector_px_per_mm = (1.0 / slab_from_projector.area_scale(middle_px)).sqrt();
+        if !projector_px_per_mm.is_finite() {
+            return None;
+        }
         // The stripes are seen by the same camera: an error of its view moves stripes and samples alike, and cancels to first order.
         let position_sd_mm = projector.sd_px / projector_px_per_mm;
         Some(Self {
@@ -53,7 +86,9 @@ impl Registration {
             slab_from_projector,
             center_mm,
             camera_rms_px: camera.rms_px,
+            lens,
             projector_rms_px: projector.rms_px,
+            projector_ideal_rms_px: projector.ideal_rms_px,
             position_sd_mm,
         })
     }

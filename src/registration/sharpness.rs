@@ -1,6 +1,6 @@
 //! How much the lens blurs, from the edges of the board's squares.
 
-use crate::capture::Rig;
+use crate::capture::Board;
 use crate::geometry::{CameraView, Point};
 use crate::radiance::Radiance;
 use faer::Mat;
@@ -45,11 +45,11 @@ struct Edge {
 /// Measures the point spread from the merged photograph of the board (the slanted edge of ISO 12233, fitted instead of differentiated).
 ///
 /// Every edge between neighbouring corners is fitted with a blurred step of free levels and a free shift; the variance of the
-/// blur is common to all. `rig.board.edge_blur_mm` is the print's own. `None` when fewer than ten edges can be used.
+/// blur is common to all. `board.edge_blur_mm` is the print's own. `None` when fewer than ten edges can be used.
 ///
-/// Not detected: halos wider than a few pixels, blur that is not Gaussian, a board that is softer than the rig file says (it is taken for the lens's).
-pub fn measure_point_spread(picture: &Radiance, rig: &Rig, view: &CameraView) -> Option<PointSpread> {
-    let edges = collect_edges(picture, rig, view);
+/// Not detected: halos wider than a few pixels, blur that is not Gaussian, a board that is softer than it says (it is taken for the lens's).
+pub fn measure_point_spread(picture: &Radiance, board: &Board, view: &CameraView) -> Option<PointSpread> {
+    let edges = collect_edges(picture, board, view);
     if edges.len() < 10 {
         return None;
     }
@@ -69,9 +69,9 @@ pub fn measure_point_spread(picture: &Radiance, rig: &Rig, view: &CameraView) ->
     Some(PointSpread { psf_px, variance_sd_px2, range_px: [fold(f64::min), fold(f64::max)] })
 }
 
-fn collect_edges(picture: &Radiance, rig: &Rig, view: &CameraView) -> Vec<Edge> {
-    let [nx, ny] = rig.board.inner_corners;
-    let corner = |i: usize, j: usize| view.camera_from_slab(rig.board.corner_mm([i, j]));
+fn collect_edges(picture: &Radiance, board: &Board, view: &CameraView) -> Vec<Edge> {
+    let [nx, ny] = board.inner_corners;
+    let corner = |i: usize, j: usize| view.camera_from_slab(board.corner_mm([i, j]));
     let along_x = (0..ny).flat_map(|j| (1..nx).map(move |i| ([i - 1, j], [i, j])));
     let along_y = (1..ny).flat_map(|j| (0..nx).map(move |i| ([i, j - 1], [i, j])));
     let light = picture.luminance();
@@ -81,8 +81,8 @@ fn collect_edges(picture: &Radiance, rig: &Rig, view: &CameraView) -> Vec<Edge> 
         .filter_map(|(a, b)| {
             let part = part(a[1], ny) * PARTS + part(a[0], nx);
             let (from, to) = (corner(a[0], a[1]), corner(b[0], b[1]));
-            let px_per_mm = (to[0] - from[0]).hypot(to[1] - from[1]) / rig.board.square_mm;
-            let print_px2 = (rig.board.edge_blur_mm * px_per_mm).powi(2);
+            let px_per_mm = (to[0] - from[0]).hypot(to[1] - from[1]) / board.square_mm;
+            let print_px2 = (board.edge_blur_mm * px_per_mm).powi(2);
             edge(picture, &light, from, to, part, print_px2)
         })
         .collect()
@@ -177,24 +177,11 @@ fn normal_cdf(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::{Board, Camera, Noise, Projector, Rect, ResponseCurve, WhiteReference};
+    use crate::capture::Rect;
     use crate::geometry::{Homography, Lens};
 
-    fn rig(edge_blur_mm: f64) -> Rig {
-        Rig {
-            format: 1,
-            camera: Camera {
-                size_px: [90, 80],
-                focal_px: 500.0,
-                principal_px: [44.5, 39.5],
-                response: ResponseCurve::Linear,
-                vignetting: vec![],
-            },
-            noise: Noise { black_dn: 0.0, saturation_dn: 1e4, gain_dn_per_electron: 1.0, read_noise_electrons: 1.0 },
-            projector: Projector { size_px: [9, 9] },
-            board: Board { inner_corners: [6, 5], square_mm: 1.0, origin_mm: [0.0, 0.0], edge_blur_mm },
-            white_reference: WhiteReference { reflectance: [1.0; 3] },
-        }
+    fn board(edge_blur_mm: f64) -> Board {
+        Board { inner_corners: [6, 5], square_mm: 1.0, origin_mm: [0.0, 0.0], edge_blur_mm }
     }
 
     fn view(turn_deg: f64) -> CameraView {
@@ -240,7 +227,7 @@ mod tests {
     #[test]
     fn the_blur_of_a_board_is_found() {
         for (blur_px, turn_deg) in [(0.3, 0.8), (0.6, 3.0), (0.9, 20.0)] {
-            let found = measure_point_spread(&picture(&view(turn_deg), blur_px), &rig(0.0), &view(turn_deg)).unwrap();
+            let found = measure_point_spread(&picture(&view(turn_deg), blur_px), &board(0.0), &view(turn_deg)).unwrap();
             // The picture is made of 49 places an axis and pixel, an edge is displaced by up to half of one; a turned pixel is
             // taken for a box and a Gaussian.
             assert!((found.psf_px / blur_px - 1.0).abs() < 0.02, "{blur_px}: {found:?}");
@@ -251,10 +238,10 @@ mod tests {
     #[test]
     fn the_softness_of_the_print_is_not_the_lens_s() {
         // 0.03 mm at 12 px per mm are 0.36 px: what is left of 0.6 px is 0.48.
-        let found = measure_point_spread(&picture(&view(3.0), 0.6), &rig(0.03), &view(3.0)).unwrap();
+        let found = measure_point_spread(&picture(&view(3.0), 0.6), &board(0.03), &view(3.0)).unwrap();
         assert!((found.psf_px / 0.48 - 1.0).abs() < 0.03, "{found:?}");
         // A print that is said to be softer than the picture leaves nothing.
-        let none = measure_point_spread(&picture(&view(3.0), 0.6), &rig(0.06), &view(3.0)).unwrap();
+        let none = measure_point_spread(&picture(&view(3.0), 0.6), &board(0.06), &view(3.0)).unwrap();
         assert_eq!(none.psf_px, 0.0);
     }
 
@@ -262,8 +249,8 @@ mod tests {
     fn an_even_picture_has_no_edges() {
         let mut even = picture(&view(3.0), 0.3);
         even.value.fill(7.0);
-        assert!(measure_point_spread(&even, &rig(0.0), &view(3.0)).is_none_or(|p| p.psf_px.is_finite()));
+        assert!(measure_point_spread(&even, &board(0.0), &view(3.0)).is_none_or(|p| p.psf_px.is_finite()));
         even.used.fill(0);
-        assert!(measure_point_spread(&even, &rig(0.0), &view(3.0)).is_none());
+        assert!(measure_point_spread(&even, &board(0.0), &view(3.0)).is_none());
     }
 }

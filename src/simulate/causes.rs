@@ -30,6 +30,8 @@ pub enum Cause {
     ProjectorBlack,
     /// Blurred projector pixels.
     Blur,
+    /// Distortion of the projector's lens.
+    ProjectorDistortion,
     /// Slow walk of the projected pattern.
     Drift,
     /// Jumps of the projected pattern.
@@ -42,7 +44,7 @@ pub enum Cause {
 
 impl Cause {
     /// All of them.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         Self::Noise,
         Self::Psf,
         Self::Glare,
@@ -55,6 +57,7 @@ impl Cause {
         Self::Falloff,
         Self::ProjectorBlack,
         Self::Blur,
+        Self::ProjectorDistortion,
         Self::Drift,
         Self::Jumps,
         Self::CameraDrift,
@@ -75,6 +78,7 @@ impl Cause {
             Self::Falloff => (&mut options.falloff, 0.12),
             Self::ProjectorBlack => (&mut options.projector_black, 2e-4),
             Self::Blur => (&mut options.projector_blur_px, 0.3),
+            Self::ProjectorDistortion => (&mut options.projector_distortion, -0.01),
             Self::Drift => (&mut options.drift_px, 0.5),
             Self::Jumps => (&mut options.jump_px, 1.5),
             Self::CameraDrift => (&mut options.camera_drift_px, 0.3),

@@ -36,7 +36,7 @@ pub use slab::{Beyond, Material, Optics, SlabRecord, Volume};
 
 use crate::{
     Error, Result, Warning,
-    geometry::{CameraView, Homography, Point},
+    geometry::{CameraView, Homography, Lens, Point},
     output::ScratchFolder,
     progress::Progress,
     transport::{MatrixHeader, MatrixWriter, ShotRecord},
@@ -89,8 +89,11 @@ pub struct Truth {
     pub medium: SlabRecord,
     /// The camera's view of the slab, lens included.
     pub camera_from_slab: CameraView,
-    /// Projector px to slab mm, without drift.
+    /// Projector px to slab mm, without drift: the homography of an ideal lens.
     pub slab_from_projector: Homography,
+    /// The projector's lens; `None` for an ideal one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub projector_lens: Option<Lens>,
     /// Drift of each lattice shot.
     pub shots: Vec<ShotTruth>,
 }
@@ -193,7 +196,8 @@ fn write_truth(options: &Options, studio: &Studio, plan: &Plan, work: &Path) -> 
         options: options.clone(),
         medium: studio.record.clone(),
         camera_from_slab: studio.scene.view,
-        slab_from_projector: studio.scene.slab_from_projector,
+        slab_from_projector: studio.scene.slab_from_projector.homography(),
+        projector_lens: Some(*studio.scene.slab_from_projector.lens()).filter(|l| !l.is_ideal()),
         shots: plan.lattices.clone(),
     };
     let path = work.join(TRUTH_FILE);

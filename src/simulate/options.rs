@@ -152,6 +152,21 @@ pub struct Options {
     /// Blur of a projector pixel (standard deviation), projector pixels.
     #[arg(long, value_name = "PX", default_value_t = Options::default().projector_blur_px, help_heading = "Projector")]
     pub projector_blur_px: f64,
+    /// Distortion of its lens, Brown's k1 with the image's width for focal length. Usual: 0.01, 1 px at the corner of a picture of 300.
+    #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = Options::default().projector_distortion, help_heading = "Projector")]
+    pub projector_distortion: f64,
+    /// Photographs of the board in other poses, for the lens.
+    #[arg(long, value_name = "N", default_value_t = Options::default().calibration_boards, help_heading = "Capture")]
+    pub calibration_boards: usize,
+    /// Print dark discs on the frame, photograph them before and after the lattice shots, and tell the rig file.
+    #[arg(long, help_heading = "Capture")]
+    pub frame_marks: bool,
+    /// A lab without a board: the frame's marks alone tell where the slab is.
+    #[arg(long, requires = "frame_marks", conflicts_with = "calibration_boards", help_heading = "Capture")]
+    pub without_board: bool,
+    /// Project the Gray code on the sample in its frame instead of the white reference.
+    #[arg(long, help_heading = "Projector")]
+    pub gray_on_frame: bool,
     /// Irradiance of a black projector pixel over that of a white one. 1/5000: more would saturate the longest of
     /// five exposures all over the sample.
     #[arg(long, value_name = "RATIO", default_value_t = Options::default().projector_black, help_heading = "Projector")]
@@ -227,6 +242,11 @@ impl Default for Options {
             step_projector_px: 4,
             dot_projector_px: 3,
             projector_black: 2e-4,
+            projector_distortion: 0.0,
+            gray_on_frame: false,
+            frame_marks: false,
+            calibration_boards: 0,
+            without_board: false,
             falloff: 0.12,
             projector_blur_px: 0.3,
             ambient: 5e-5,
@@ -296,10 +316,12 @@ impl Options {
         range("--pitch-mm", self.pitch_mm, 1e-3, 1e3)?;
         range("--lit-pitch-mm", self.lit_pitch_mm(), 1e-3, 1e3)?;
         range("--spacing", self.spacing() as f64, 1.0, 1e6)?;
+        range("--calibration-boards", self.calibration_boards as f64, 0.0, 100.0)?;
         range("--exposures", self.exposures as f64, 1.0, 10.0)?;
         range("--stops", self.stops, 0.1, 4.0)?;
         range("--bits", f64::from(self.bits.unwrap_or(8)), 8.0, 16.0)?;
         range("--distortion", self.distortion, -0.5, 0.5)?;
+        range("--projector-distortion", self.projector_distortion, -0.2, 0.2)?;
         range("--vignetting", self.vignetting, 0.0, 0.9)?;
         range("--psf-px", self.psf_px, 0.0, 20.0)?;
         range("--glare", self.glare, 0.0, 0.5)?;

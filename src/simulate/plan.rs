@@ -3,13 +3,13 @@
 use super::{
     FileFormat, Options, ShotTruth, camera::photograph::ExposureTime, mix_seed, scene::drift::Motion, studio::Studio,
 };
-use crate::capture::{Axis, FORMAT, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Window};
+use crate::capture::{Axis, FORMAT, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Surface, Window};
 use crate::geometry::Point;
 
 /// Projector px of the narrowest Gray stripes: narrower ones blur together.
 const NARROWEST_STRIPE_PX: u32 = 8;
 
-/// The shots of a capture; lattice shots come last.
+/// The shots of a capture; after lattice shots comes at most one more of the frame.
 #[derive(Debug)]
 pub(super) struct Plan {
     pub manifest: Manifest,
@@ -27,14 +27,24 @@ impl Plan {
             ("reference-black".to_owned(), Pattern::ReferenceBlack),
             ("sample-black".to_owned(), Pattern::SampleBlack),
         ];
+        if options.without_board {
+            patterns.remove(0);
+        }
+        if options.frame_marks {
+            patterns.insert(0, ("frame".to_owned(), Pattern::Frame));
+        }
+        for n in 0..options.calibration_boards {
+            patterns.push((format!("calibration-board-{n:02}"), Pattern::CalibrationBoard));
+        }
         for (axis, letter, size) in
             [(Axis::X, 'x', scene.projector.size_px[0]), (Axis::Y, 'y', scene.projector.size_px[1])]
         {
             let bits = usize::BITS - (size.max(2) - 1).leading_zeros();
+            let on = if options.gray_on_frame { Surface::Frame } else { Surface::WhiteReference };
             for bit in (0..bits).rev().filter(|&bit| 2 << bit >= NARROWEST_STRIPE_PX) {
                 for inverse in [false, true] {
                     let name = format!("gray-{letter}-{bit:02}{}", if inverse { "-inverse" } else { "" });
-                    patterns.push((name, Pattern::GrayCode { axis, bit, inverse }));
+                    patterns.push((name, Pattern::GrayCode { axis, bit, inverse, on }));
                 }
             }
         }
@@ -45,8 +55,11 @@ impl Plan {
             let dots = every(phase / spacing).flat_map(|y| every(phase % spacing).map(move |x| [x, y])).collect();
             patterns.push((format!("lattice-{phase:04}"), Pattern::Lattice { dots }));
         }
-        let names = patterns[first_lattice..].iter().map(|(name, _)| name.clone());
-        let lattices = lattice_drift(options, names.collect(), |drift_px| scene.drift_mm(drift_px));
+        let names: Vec<String> = patterns[first_lattice..].iter().map(|(name, _)| name.clone()).collect();
+        if options.frame_marks {
+            patterns.push(("frame-after".to_owned(), Pattern::Frame));
+        }
+        let lattices = lattice_drift(options, names, |drift_px| scene.drift_mm(drift_px));
         let shots = patterns.into_iter().map(|(name, pattern)| shot(options, studio, name, pattern)).collect();
         let manifest = Manifest {
             format: FORMAT,

@@ -19,7 +19,7 @@ use super::{
 };
 use crate::{
     Result, Warning,
-    capture::Pattern,
+    capture::{Pattern, Surface},
     geometry::Point,
     progress::Progress,
     transport::{MatrixWriter, Row},
@@ -125,7 +125,9 @@ impl Studio {
     /// The exposure times of a shot.
     pub fn bracket(&self, options: &Options, pattern: &Pattern) -> Vec<ExposureTime> {
         match pattern {
-            Pattern::Board | Pattern::ReferenceWhite | Pattern::GrayCode { .. } => {
+            // The frame is darker than the white reference by four stops.
+            Pattern::Frame | Pattern::GrayCode { on: Surface::Frame, .. } => plan::bracket(self.white_shortest, 3, 2.0),
+            Pattern::Board | Pattern::CalibrationBoard | Pattern::ReferenceWhite | Pattern::GrayCode { .. } => {
                 plan::bracket(self.white_shortest, 2, 2.0)
             }
             _ => plan::bracket(ExposureTime::one_over(SHORTEST_PER_SEC), options.exposures, options.stops),
@@ -146,6 +148,18 @@ impl Studio {
                 let moved = &plan.lattices[shot - plan.first_lattice];
                 let keep = |dot, row| truth.put(plan.manifest.grid.row_index(dot), &row);
                 self.lattice(options, dots, moved, keep, room.picture)?
+            }
+            Pattern::Frame => self.lit_sample(options, &self.pixels_at(options, plan, shot)?, |_| 1.0, |_| 1.0),
+            Pattern::CalibrationBoard => {
+                let earlier = plan.manifest.shots[..shot].iter().filter(|s| s.pattern == Pattern::CalibrationBoard);
+                self.board(
+                    options,
+                    &PixelGrid::of_view(
+                        &self.scene.posed_view(earlier.count()),
+                        &self.scene,
+                        psf::parts(options.psf_px),
+                    )?,
+                )
             }
             pattern => self.still(options, pattern),
         };
@@ -187,33 +201,72 @@ impl Studio {
             std::array::from_fn(|c| light[c] * scene.white.reflectance[c])
         };
         match *pattern {
-            Pattern::Board => {
-                let pixel_mm = self.pixels.pixel_mm();
-                self.pixels.picture(
-                    |p| board_rule(scene, pixel_mm, p),
-                    |p| irradiance(p, 1.0).map(|e| e * board_albedo(scene, p)),
-                )
-            }
+            Pattern::Board | Pattern::CalibrationBoard => self.board(options, &self.pixels),
             Pattern::ReferenceWhite => self.pixels.picture(|_| GAUSS_1, |p| white(p, 1.0)),
             Pattern::ReferenceBlack => self.pixels.picture(|_| GAUSS_1, |p| white(p, 0.0)),
-            Pattern::GrayCode { axis, bit, inverse } => {
+            Pattern::GrayCode { axis, bit, inverse, on: Surface::Frame } => {
+                let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
+                self.lit_sample(options, &self.pixels, |p| code.brightness(p), |p| code.blurred(p, options))
+            }
+            Pattern::GrayCode { axis, bit, inverse, on: Surface::WhiteReference } => {
                 let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
                 let lit_mm = options.lit_pitch_mm() / options.step_projector_px as f64;
                 // Turn and keystone of the projector add little to a pixel's extent in projector px.
                 let pixel_px = 1.2 * self.pixels.pixel_mm() / lit_mm;
                 self.pixels.picture_of(|pixel| {
-                    let q = scene.projector_from_slab.map(pixel.first_corner_mm());
+                    let q = scene.slab_from_projector.projector_from_slab(pixel.first_corner_mm());
                     let light = match code.around(q, pixel_px) {
                         Brightness::Even(lit) => pixel.mean(GAUSS_1, |p| white(p, lit)),
-                        Brightness::Edge(rule) => {
-                            pixel.mean(rule, |p| white(p, code.brightness(scene.projector_from_slab.map(p))))
-                        }
+                        Brightness::Edge(rule) => pixel.mean(rule, |p| {
+                            white(p, code.brightness(scene.slab_from_projector.projector_from_slab(p)))
+                        }),
                     };
                     light.map(|v| v as f32)
                 })
             }
-            Pattern::SampleBlack | Pattern::Lattice { .. } => self.dark_sample.clone(),
+            Pattern::SampleBlack | Pattern::Frame | Pattern::Lattice { .. } => self.dark_sample.clone(),
         }
+    }
+
+    /// The board under white light; in another pose it is lit as in the slab's plane, which moves no corner.
+    fn board(&self, options: &Options, pixels: &PixelGrid) -> Picture {
+        let (scene, pixel_mm) = (&self.scene, pixels.pixel_mm());
+        let lit = |p: Point| scene.white_irradiance(p).map(|e| e + options.ambient);
+        pixels.picture(|p| board_rule(scene, pixel_mm, p), |p| lit(p).map(|e| e * board_albedo(scene, p)))
+    }
+
+    /// The pixels of a shot before or after the lattice shots: a camera that has moved stays where it is.
+    fn pixels_at(&self, options: &Options, plan: &Plan, shot: usize) -> Result<PixelGrid> {
+        let last = plan.lattices.last().filter(|_| shot > plan.first_lattice);
+        PixelGrid::new(&self.scene, last.map_or([0.0; 2], |l| l.camera_drift_px), psf::parts(options.psf_px))
+    }
+
+    /// Sample and frame under a pattern: `sharp` is its brightness (0 to 1) at projector px on the frame, `blurred` on the sample.
+    ///
+    /// An approximation on the sample: what it sends back under even light, times the blurred pattern.
+    fn lit_sample(
+        &self,
+        options: &Options,
+        pixels: &PixelGrid,
+        sharp: impl Fn(Point) -> f64 + Sync,
+        blurred: impl Fn(Point) -> f64 + Sync,
+    ) -> Picture {
+        let (scene, black) = (&self.scene, options.projector_black);
+        let dark = black + options.ambient;
+        let light = |p: Point| {
+            let q = scene.slab_from_projector.projector_from_slab(p);
+            let level = |lit: f64| black + (1.0 - black) * lit;
+            let arriving = |lit: f64| scene.white_irradiance(p).map(|e| e * level(lit) + options.ambient);
+            match (&self.dark_field, scene.on_sample(p), scene.on_frame_or_sample(p)) {
+                (Some(field), true, _) => {
+                    field.at(p).map(|v| f64::from(v) * (level(blurred(q)) + options.ambient) / dark)
+                }
+                (None, true, _) => arriving(blurred(q)).map(|e| 0.5 * e),
+                (_, _, true) => arriving(sharp(q)).map(|e| e * scene.frame_albedo(p)),
+                _ => [0.0; 3],
+            }
+        };
+        pixels.picture(|_| GAUSS_6, light)
     }
 
     /// A shot of dots, in the memory of `picture`; `keep` receives the truth of each.
@@ -311,14 +364,16 @@ impl Studio {
         };
         let light = |p: Point| match () {
             () if scene.on_sample(p) => field.at(p).map(f64::from),
-            () if scene.on_frame_or_sample(p) => self.dark_irradiance(options, p).map(|e| e * FRAME_ALBEDO),
+            () if scene.on_frame_or_sample(p) => self.dark_irradiance(options, p).map(|e| e * scene.frame_albedo(p)),
             () => [0.0; 3],
         };
         let mean = FieldMean::new(pixel_mm, field);
         pixels.picture_of(|pixel| {
             let p = pixel.first_corner_mm();
             match () {
-                () if scene.near_rim(p, pixel_mm) => pixel.mean(GAUSS_6, light).map(|v| v as f32),
+                () if scene.near_rim(p, pixel_mm) || scene.near_mark(p, 2.0 * pixel_mm) => {
+                    pixel.mean(GAUSS_6, light).map(|v| v as f32)
+                }
                 () if scene.on_sample(p) => mean.on_sample(scene, pixel),
                 () => pixel.mean(GAUSS_1, light).map(|v| v as f32),
             }

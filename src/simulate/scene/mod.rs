@@ -8,16 +8,18 @@ pub(crate) use drift::JUMP_REACH;
 use crate::simulate::{Beam, Options};
 use crate::{
     Error, Result,
-    capture::{Board, Camera, Grid, Projector, Rig, WhiteReference},
-    geometry::{CameraView, Homography, Lens, Point},
+    capture::{Board, Camera, FrameMarks, Grid, Projector, Rig, WhiteReference},
+    geometry::{CameraView, Homography, Lens, Point, SlabFromProjector},
 };
 
-/// Softness of the printed board's edges, camera px.
-const PRINT_BLUR_PX: f64 = 0.2;
 /// Width of the opaque frame, in outgoing pitches.
 const FRAME_PITCHES: f64 = 7.0;
 /// Albedo of the frame: its dots are about as bright as those on the sample, so that one bracket suits both.
 pub(crate) const FRAME_ALBEDO: f64 = 0.06;
+/// How much darker the frame's marks are.
+const MARK_DARKNESS: f64 = 0.8;
+/// Softness of printed edges, the board's and the marks', camera px.
+const PRINT_BLUR_PX: f64 = 0.2;
 /// What is seen around the frame, camera px.
 const IMAGE_MARGIN_PX: f64 = 10.0;
 /// Turn of the projector about its axis, degrees, and its keystone: change of scale over the lit area.
@@ -43,18 +45,22 @@ pub(crate) struct Scene {
     /// First corner and side of the area that the nominal grid covers, half a lit pitch around it included.
     pub lit_origin_mm: Point,
     pub lit_side_mm: f64,
-    pub slab_from_projector: Homography,
-    pub projector_from_slab: Homography,
+    pub slab_from_projector: SlabFromProjector,
     pub projector: Projector,
     pub view: CameraView,
     /// Where the camera is, slab mm; z is negative above the slab.
     pub eye_mm: [f64; 3],
     pub camera: Camera,
     pub board: Board,
+    pub marks: Option<FrameMarks>,
     pub reference_dots: Vec<Point>,
     pub white: WhiteReference,
     /// Irradiance lost from the projector's brightest point to the corner of the frame, of itself.
     falloff: f64,
+    /// Whether the lab has no board.
+    without_board: bool,
+    /// Width of a camera pixel on the slab, mm.
+    px_mm: f64,
     /// Blur of the projector's pixels (standard deviation), projector px; never sharper than can be rendered.
     pub projector_blur_px: f64,
 }
@@ -82,15 +88,17 @@ impl Scene {
             lit_origin_mm: low.map(|v| -v - 0.5 * lit_side_mm),
             lit_side_mm,
             slab_from_projector: raster.slab_from_projector,
-            projector_from_slab: raster.projector_from_slab,
-            projector: Projector { size_px: raster.size_px },
+            projector: Projector { size_px: raster.size_px, principal_px: None },
             view,
             eye_mm,
             board: board(slab_size_mm, frame_mm, &camera, PRINT_BLUR_PX * px_mm),
+            marks: options.frame_marks.then(|| marks(slab_size_mm, frame_mm)),
             camera,
             reference_dots: Vec::new(),
             white: WhiteReference { reflectance: [0.99; 3] },
             falloff: options.falloff,
+            without_board: options.without_board,
+            px_mm,
             projector_blur_px: options.projector_blur_px.max(FINEST_EDGE_PX * projector_px_per_camera_px(options)),
         };
         scene.reference_dots = scene.reference_dots(options);
@@ -104,7 +112,8 @@ impl Scene {
             camera: self.camera.clone(),
             noise,
             projector: self.projector.clone(),
-            board: self.board.clone(),
+            board: Some(self.board.clone()).filter(|_| !self.without_board),
+            frame: self.marks.clone(),
             white_reference: self.white.clone(),
         }
     }
@@ -112,6 +121,62 @@ impl Scene {
     /// The middle of the slab, mm.
     pub fn center_mm(&self) -> Point {
         self.slab_size_mm.map(|s| 0.5 * s)
+    }
+
+    /// The camera's view of the board in pose number `n`: a third farther away, tilted by 25 degrees, towards one corner or another.
+    pub fn posed_view(&self, n: usize) -> CameraView {
+        let (lens, m) = (self.view.lens, self.view.ideal_from_slab.matrix);
+        let column = |j: usize| {
+            [
+                (m[0][j] - lens.center_px[0] * m[2][j]) / lens.focal_px,
+                (m[1][j] - lens.center_px[1] * m[2][j]) / lens.focal_px,
+                m[2][j],
+            ]
+        };
+        let [x, y, t] = [column(0), column(1), column(2)];
+        let length = |v: [f64; 3]| v.iter().map(|e| e * e).sum::<f64>().sqrt();
+        let scale = 0.5 * (length(x) + length(y));
+        let z = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]].map(|v| v / scale);
+        // From the board's (x, y) about the slab's centre to slab (x, y, z): tilted about an axis that turns from pose to pose.
+        let (sin, cos) = (1.1 + 2.4 * n as f64).sin_cos();
+        let (st, ct) = 25f64.to_radians().sin_cos();
+        let tilt = [
+            [cos * cos + ct * sin * sin, cos * sin * (1.0 - ct)],
+            [cos * sin * (1.0 - ct), sin * sin + ct * cos * cos],
+            [-st * sin, st * cos],
+        ];
+        let reach = 0.1 * (self.slab_size_mm[0] + 2.0 * self.frame_mm);
+        let corner = [n, n / 2].map(|bit| if bit.is_multiple_of(2) { reach } else { -reach });
+        let c = self.center_mm();
+        let place = [c[0] + corner[0], c[1] + corner[1], -0.35 * self.eye_mm[2]];
+        let from = |v: [f64; 3], one: f64| {
+            std::array::from_fn::<f64, 3, _>(|i| x[i] * v[0] + y[i] * v[1] + z[i] * v[2] + one * t[i])
+        };
+        let [a, b] = [0, 1].map(|k| from([tilt[0][k], tilt[1][k], tilt[2][k]], 0.0));
+        let d = from(place, 1.0);
+        let row = |i: usize| match i {
+            2 => [a[2], b[2], d[2]],
+            _ => [a, b, d].map(|v| lens.focal_px * v[i] + lens.center_px[i] * v[2]),
+        };
+        let about_center = Homography { matrix: [row(0), row(1), row(2)] };
+        CameraView { ideal_from_slab: about_center.after(&Homography::similarity(1.0, [-c[0], -c[1]])), lens }
+    }
+
+    /// Albedo of the frame at `p` (mm): dark discs are printed on it.
+    pub fn frame_albedo(&self, p: Point) -> f64 {
+        let Some(marks) = &self.marks else { return FRAME_ALBEDO };
+        let radius = 0.5 * marks.diameter_mm;
+        let cover = |m: &Point| {
+            let inside = (radius - (p[0] - m[0]).hypot(p[1] - m[1])) / (PRINT_BLUR_PX * self.px_mm);
+            if inside < -6.0 { 0.0 } else { render::normal_cdf(inside) }
+        };
+        FRAME_ALBEDO * (1.0 - MARK_DARKNESS * marks.marks_mm.iter().map(cover).sum::<f64>())
+    }
+
+    /// Whether a mark's edge may pass within `reach_mm` of `p` (mm).
+    pub fn near_mark(&self, p: Point, reach_mm: f64) -> bool {
+        let near = |m: &Point, radius: f64| (p[0] - m[0]).hypot(p[1] - m[1]) <= radius + reach_mm;
+        self.marks.as_ref().is_some_and(|f| f.marks_mm.iter().any(|m| near(m, 0.5 * f.diameter_mm)))
     }
 
     /// Whether `p` (mm) is on the sample.
@@ -168,7 +233,7 @@ impl Scene {
         let (w, h, f) = (self.slab_size_mm[0], self.slab_size_mm[1], 0.5 * self.frame_mm);
         let along = [0.2, 0.8];
         let sides = along.iter().flat_map(|&t| [[t * w, -f], [t * w, h + f], [-f, t * h], [w + f, t * h]]);
-        sides.map(|p| self.projector_from_slab.map(p).map(|v| whole_dot(options, v))).collect()
+        sides.map(|p| self.slab_from_projector.projector_from_slab(p).map(|v| whole_dot(options, v))).collect()
     }
 }
 
@@ -176,8 +241,7 @@ impl Scene {
 struct Raster {
     size_px: [usize; 2],
     grid: Grid,
-    slab_from_projector: Homography,
-    projector_from_slab: Homography,
+    slab_from_projector: SlabFromProjector,
 }
 
 impl Raster {
@@ -201,8 +265,16 @@ impl Raster {
             dot_projector_px: options.dot_projector_px,
         };
         let slab_from_projector = slab_from_centered.after(&Homography::similarity(1.0, center.map(|c| -c)));
-        let projector_from_slab = invert(&slab_from_projector)?;
-        Ok(Self { size_px, grid, slab_from_projector, projector_from_slab })
+        // The middle of the raster stays where it is.
+        let lens = Lens {
+            center_px: size_px.map(|s: usize| 0.5 * (s as f64 - 1.0)),
+            focal_px: size_px[0] as f64,
+            k1: options.projector_distortion,
+            k2: 0.0,
+        };
+        let slab_from_projector = SlabFromProjector::new(invert(&slab_from_projector)?, lens)
+            .ok_or_else(|| Error::internal("the projector's view is singular"))?;
+        Ok(Self { size_px, grid, slab_from_projector })
     }
 }
 
@@ -305,6 +377,19 @@ fn board(size: Point, frame: f64, camera: &Camera, edge_blur_mm: f64) -> Board {
     Board { inner_corners, square_mm, origin_mm, edge_blur_mm }
 }
 
+/// Discs in the frame's corners and along its sides, away from the reference dots.
+fn marks(size: Point, frame: f64) -> FrameMarks {
+    let out = 0.6 * frame;
+    let (diameter_mm, [w, h]) = (0.4 * frame, size);
+    // As many as leave a diameter between them.
+    let rows: [&[f64]; 3] = [&[0.08, 0.35, 0.5, 0.65, 0.92], &[0.08, 0.5, 0.92], &[0.5]];
+    let fits = |row: &&&[f64]| row.windows(2).all(|t| (t[1] - t[0]) * w.min(h) > 2.0 * diameter_mm);
+    let along = rows.iter().find(fits).unwrap_or(&rows[2]);
+    let corners = [[-out, -out], [w + out, -out], [-out, h + out], [w + out, h + out]];
+    let sides = along.iter().flat_map(|&t| [[t * w, -out], [t * w, h + out], [-out, t * h], [w + out, t * h]]);
+    FrameMarks { marks_mm: corners.into_iter().chain(sides).collect(), diameter_mm }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -321,7 +406,7 @@ mod tests {
         for p in outline(scene.slab_size_mm, scene.frame_mm) {
             let q = scene.view.camera_from_slab(p);
             assert!((0..2).all(|a| q[a] > 8.0 && q[a] < scene.camera.size_px[a] as f64 - 9.0), "{q:?}");
-            let r = scene.projector_from_slab.map(p);
+            let r = scene.slab_from_projector.projector_from_slab(p);
             assert!((0..2).all(|a| r[a] > 8.0 && r[a] < scene.projector.size_px[a] as f64 - 9.0), "{r:?}");
         }
         assert_eq!(scene.reference_dots.len(), 8);

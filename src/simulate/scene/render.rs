@@ -1,8 +1,13 @@
 //! What the camera receives: the light of a scene averaged over the area of each pixel.
 
 use super::Scene;
+use crate::simulate::Options;
 use crate::simulate::light::field::{Field, Nodes};
-use crate::{Error, Result, capture::Axis, geometry::Point};
+use crate::{
+    Error, Result,
+    capture::Axis,
+    geometry::{CameraView, Homography, Point},
+};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -75,17 +80,25 @@ pub(crate) struct PixelGrid {
 impl PixelGrid {
     /// Projects all corners of pixels cut into `parts` along each axis back onto the slab, for a picture that has moved by `shift_px`.
     pub fn new(scene: &Scene, shift_px: Point, parts: usize) -> Result<Self> {
+        let mut view = scene.view;
+        view.ideal_from_slab = Homography::similarity(1.0, shift_px).after(&view.ideal_from_slab);
+        view.lens.center_px = [0, 1].map(|a| view.lens.center_px[a] + shift_px[a]);
+        Ok(Self { shift_px, ..Self::of_view(&view, scene, parts)? })
+    }
+
+    /// The same for any view.
+    pub fn of_view(view: &CameraView, scene: &Scene, parts: usize) -> Result<Self> {
         let size_px = scene.camera.size_px.map(|s| s * parts);
         let slab_from_ideal =
-            scene.view.ideal_from_slab.inverse().ok_or_else(|| Error::internal("camera view is singular"))?;
+            view.ideal_from_slab.inverse().ok_or_else(|| Error::internal("camera view is singular"))?;
         let across = size_px[0] + 1;
         let corner = |i: usize| {
             let part = [i % across, i / across];
-            let q: Point = std::array::from_fn(|a| part[a] as f64 / parts as f64 - 0.5 - shift_px[a]);
-            slab_from_ideal.map(scene.view.lens.undistort(q))
+            let q: Point = std::array::from_fn(|a| part[a] as f64 / parts as f64 - 0.5);
+            slab_from_ideal.map(view.lens.undistort(q))
         };
         let corners_mm = (0..across * (size_px[1] + 1)).into_par_iter().map(corner).collect();
-        Ok(Self { size_px, parts, corners_mm, shift_px })
+        Ok(Self { size_px, parts, corners_mm, shift_px: [0.0; 2] })
     }
 
     /// A whole picture of `f`, averaged over each pixel by `rule(p)`, p the pixel's first corner: edges need more
@@ -158,7 +171,7 @@ impl PixelGrid {
         let low: Point = std::array::from_fn(|a| corners.iter().map(|p| p[a]).fold(f64::MAX, f64::min));
         let high: Point = std::array::from_fn(|a| corners.iter().map(|p| p[a]).fold(f64::MIN, f64::max));
         let light = |p: Point| {
-            let q = scene.projector_from_slab.map([p[0] - drift_mm[0], p[1] - drift_mm[1]]);
+            let q = scene.slab_from_projector.projector_from_slab([p[0] - drift_mm[0], p[1] - drift_mm[1]]);
             let blur = scene.projector_blur_px;
             let lit = soft_box(q[0] - dot_px[0], half, blur) * soft_box(q[1] - dot_px[1], half, blur);
             scene.white_irradiance(p).map(|e| albedo_lit * lit * e)
@@ -272,6 +285,21 @@ impl GrayCode {
         let (distance, rises) = self.nearest_edge(q);
         let after = blurred_step(distance, self.blur_px);
         if rises { after } else { 1.0 - after }
+    }
+
+    /// Brightness at `q` as a translucent sample shows it: the mean of the stripes over a Gaussian of two outgoing pitches.
+    pub fn blurred(&self, q: Point, options: &Options) -> f64 {
+        const POINTS: i32 = 9;
+        let px_per_mm = options.step_projector_px as f64 / options.lit_pitch_mm();
+        let sd = 2.0 * options.pitch_mm * px_per_mm;
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for k in -POINTS..=POINTS {
+            let t = 3.0 * f64::from(k) / f64::from(POINTS);
+            let weight = (-0.5 * t * t).exp();
+            sum += weight * self.brightness([q[0] + t * sd, q[1] + t * sd]);
+            weights += weight;
+        }
+        sum / weights
     }
 
     /// What pixels see that begin at `q` and reach `pixel_px` far.

@@ -221,7 +221,7 @@ fn projector_black_ambient_light_falloff_and_blur_reach_the_photographs() {
     assert!((still(&[Cause::Ambient], &black).0 - 0.99 * 5e-5).abs() < 1e-8);
     assert!(still(&[Cause::Falloff], &Pattern::ReferenceWhite).1 < 0.9);
     // Blurred stripes: more pixels between dark and light.
-    let stripes = Pattern::GrayCode { axis: crate::capture::Axis::X, bit: 2, inverse: false };
+    let stripes = Pattern::GrayCode { axis: crate::capture::Axis::X, bit: 2, inverse: false, on: Default::default() };
     let between = |causes: &[Cause]| still(causes, &stripes).2.iter().filter(|p| p[0] > 0.01 && p[0] < 0.98).count();
     assert!(between(&[Cause::Blur]) > between(&[]));
 }

@@ -1,0 +1,245 @@
+//! The sharp core of a projected dot, found on a translucent sample whose glow is not symmetric.
+
+use super::small::solve;
+use crate::geometry::Point;
+use crate::radiance::Radiance;
+
+/// Points of the template across a camera pixel.
+const FINE: usize = 8;
+/// Blur of lens and projector that is tried, standard deviation, camera px.
+const BLURS_PX: [f64; 6] = [0.2, 0.35, 0.5, 0.7, 1.0, 1.4];
+/// Pixels around the dot in which glow and core are told apart.
+const AROUND_PX: f64 = 3.0;
+/// Steps of Gauss and Newton; they settle in five.
+const STEPS: usize = 12;
+/// Unknowns: core, its place, and the glow: level, slopes, curvature.
+const UNKNOWNS: usize = 7;
+
+/// The footprint of a dot as pixels see it, for several blurs.
+#[derive(Debug, Clone)]
+pub struct DotShape {
+    templates: Vec<Vec<f64>>,
+    across: usize,
+    radius_px: f64,
+}
+
+/// Where the core of a dot was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FoundDot {
+    /// Its centre, camera px.
+    pub at: Point,
+    /// Variance of the centre per axis from the noise of the pixels, px².
+    pub variance: f64,
+    /// Light of the core above the glow over its standard deviation.
+    pub contrast: f64,
+    /// What the model leaves of the light around the dot, RMS over the core's height.
+    pub misfit: f64,
+}
+
+impl DotShape {
+    /// The footprint of a square of `side_px` projector pixels under `camera_from_projector`, the local derivative (px per px).
+    pub fn new(camera_from_projector: [[f64; 2]; 2], side_px: f64) -> Option<Self> {
+        let [[a, b], [c, d]] = camera_from_projector;
+        let det = a * d - b * c;
+        let half = 0.5 * side_px * (a.abs() + b.abs()).max(c.abs() + d.abs());
+        if !(det.abs() > 1e-12) || !(half < 100.0) {
+            return None;
+        }
+        let radius_px = half + AROUND_PX;
+        let blur_reach = 4.0 * BLURS_PX[BLURS_PX.len() - 1] + 1.0;
+        let side = 2 * ((radius_px + blur_reach) * FINE as f64).ceil() as usize + 1;
+        let middle = (side / 2) as f64;
+        let inside = |x: f64, y: f64| {
+            let (u, v) = ((d * x - b * y) / det, (a * y - c * x) / det);
+            u.abs() <= 0.5 * side_px && v.abs() <= 0.5 * side_px
+        };
+        // Four by four points a cell: the footprint's edge is placed to a thirtieth of a pixel.
+        let cell = |k: usize| {
+            let (x, y) = ((k % side) as f64 - middle, (k / side) as f64 - middle);
+            let sub = |n: usize| (n as f64 - 1.5) / 4.0;
+            let lit =
+                (0..16).filter(|n| inside((x + sub(n % 4)) / FINE as f64, (y + sub(n / 4)) / FINE as f64)).count();
+            lit as f64 / 16.0
+        };
+        let sharp: Vec<f64> = (0..side * side).map(cell).collect();
+        let templates = BLURS_PX.iter().map(|&blur| blurred(&sharp, side, blur)).collect();
+        Some(Self { templates, across: side, radius_px })
+    }
+
+    /// How far from the dot's centre pixels are looked at, px.
+    pub fn radius_px(&self) -> f64 {
+        self.radius_px
+    }
+
+    /// The core of the dot whose centre is near `start` (camera px, to a pixel or two).
+    ///
+    /// The light around is taken for the footprint times a height, plus a glow that changes smoothly (level, slopes, isotropic
+    /// curvature): slopes of a glow that is brighter on one side move no core. The blur is that of [`BLURS_PX`] that leaves least.
+    /// `None` when pixels are invalid or outside, or the fit wanders off.
+    ///
+    /// Not detected: an edge between materials within the footprint itself, which moves the core's own light.
+    pub fn find(&self, picture: &Radiance, start: Point) -> Option<FoundDot> {
+        let window = Window::new(picture);
+        let mut best: Option<FoundDot> = None;
+        for template in &self.templates {
+            let from = best.map_or(start, |b| b.at);
+            if let Some(found) = self.fit(template, &window, from) {
+                if best.is_none_or(|b| found.misfit < b.misfit) {
+                    best = Some(found);
+                } else if best.is_some() {
+                    break;
+                }
+            }
+        }
+        best
+    }
+
+    fn fit(&self, template: &[f64], window: &Window, start: Point) -> Option<FoundDot> {
+        let mut at = start;
+        let mut last = None;
+        for _ in 0..STEPS {
+            let (matrix, right, sums) = self.equations(template, window, at)?;
+            let solved = solve(matrix, right)?;
+            let [core, sx, sy, ..] = solved.0;
+            if !(core > 0.0) {
+                return None;
+            }
+            let step = [sx / core, sy / core];
+            let length = step[0].hypot(step[1]);
+            let limit = if length > 1.0 { 1.0 / length } else { 1.0 };
+            at = [at[0] + limit * step[0], at[1] + limit * step[1]];
+            if (at[0] - start[0]).hypot(at[1] - start[1]) > 3.0 {
+                return None;
+            }
+            let left = (sums.square - solved.0.iter().zip(right).map(|(a, b)| a * b).sum::<f64>()).max(0.0);
+            // Errors of the pixels are about equal over so small a window: the mean stands for all.
+            let noise = sums.noise / sums.weight;
+            let variance = noise * 0.5 * (solved.1[1] + solved.1[2]) / (core * core);
+            let contrast = core / (noise * solved.1[0]).sqrt().max(f64::MIN_POSITIVE);
+            last = Some(FoundDot { at, variance, contrast, misfit: (left / sums.weight).sqrt() / core });
+            if length < 1e-4 {
+                return last;
+            }
+        }
+        last
+    }
+
+    /// Normal equations about `at`, weighted by a taper that moves with it.
+    fn equations(
+        &self,
+        template: &[f64],
+        w: &Window,
+        at: Point,
+    ) -> Option<([[f64; UNKNOWNS]; UNKNOWNS], [f64; UNKNOWNS], Sums)> {
+        let r = self.radius_px;
+        let (x0, x1) = ((at[0] - r).ceil(), (at[0] + r).floor());
+        let (y0, y1) = ((at[1] - r).ceil(), (at[1] + r).floor());
+        let rect = w.rect;
+        let inside =
+            |low: f64, high: f64, from: usize, len: usize| low >= from as f64 && high <= (from + len - 1) as f64;
+        if !inside(x0, x1, rect.x, rect.width) || !inside(y0, y1, rect.y, rect.height) {
+            return None;
+        }
+        let mut matrix = [[0.0; UNKNOWNS]; UNKNOWNS];
+        let mut right = [0.0; UNKNOWNS];
+        let mut sums = Sums { square: 0.0, weight: 0.0, noise: 0.0 };
+        for y in y0 as usize..=y1 as usize {
+            for x in x0 as usize..=x1 as usize {
+                let (dx, dy) = (x as f64 - at[0], y as f64 - at[1]);
+                let far = (dx * dx + dy * dy) / (r * r);
+                if far >= 1.0 {
+                    continue;
+                }
+                let k = (y - rect.y) * rect.width + x - rect.x;
+                let (light, noise) = w.light[k]?;
+                let weight = (1.0 - far).powi(2);
+                let [t, tx, ty] = self.template_at(template, dx, dy);
+                // The centre moves against the argument of the template.
+                let row = [t, -tx, -ty, 1.0, dx / r, dy / r, far];
+                for i in 0..UNKNOWNS {
+                    for j in 0..=i {
+                        matrix[i][j] += weight * row[i] * row[j];
+                    }
+                    right[i] += weight * row[i] * light;
+                }
+                sums.square += weight * light * light;
+                sums.weight += weight;
+                sums.noise += weight * noise;
+            }
+        }
+        Some((matrix, right, sums))
+    }
+
+    /// The template and its derivatives at an offset from the dot's centre, px.
+    fn template_at(&self, template: &[f64], dx: f64, dy: f64) -> [f64; 3] {
+        let middle = (self.across / 2) as f64;
+        let (u, v) = (dx * FINE as f64 + middle, dy * FINE as f64 + middle);
+        let (i, j) = (u as usize, v as usize);
+        let (fu, fv) = (u - i as f64, v - j as f64);
+        let at = |i: usize, j: usize| template[j * self.across + i];
+        let mix = |f: &dyn Fn(usize, usize) -> f64| {
+            (1.0 - fv) * ((1.0 - fu) * f(i, j) + fu * f(i + 1, j))
+                + fv * ((1.0 - fu) * f(i, j + 1) + fu * f(i + 1, j + 1))
+        };
+        let slope = 0.5 * FINE as f64;
+        [
+            mix(&|i, j| at(i, j)),
+            slope * mix(&|i, j| at(i + 1, j) - at(i - 1, j)),
+            slope * mix(&|i, j| at(i, j + 1) - at(i, j - 1)),
+        ]
+    }
+}
+
+struct Sums {
+    square: f64,
+    weight: f64,
+    noise: f64,
+}
+
+/// Light and variance of a picture's pixels, `None` where no exposure measured them.
+struct Window {
+    rect: crate::capture::Rect,
+    light: Vec<Option<(f64, f64)>>,
+}
+
+impl Window {
+    fn new(picture: &Radiance) -> Self {
+        let variance = picture.variance.as_chunks::<3>().0.iter().map(|p| f64::from(p[0] + p[1] + p[2]) / 9.0);
+        let used = picture.used.as_chunks::<3>().0.iter().map(|u| !u.contains(&0));
+        let light = picture.luminance().into_iter().zip(variance).zip(used);
+        let light = light.map(|((l, v), used)| used.then_some((f64::from(l), v))).collect();
+        Self { rect: picture.rect, light }
+    }
+}
+
+/// A picture of cells averaged over a pixel and blurred by a normal distribution, both along x and y.
+fn blurred(sharp: &[f64], side: usize, blur_px: f64) -> Vec<f64> {
+    let sd = blur_px * FINE as f64;
+    let reach = (4.0 * sd).ceil() as isize + FINE as isize / 2;
+    // The mean over a pixel of FINE cells: half of each outermost cell counts.
+    let pixel = |k: isize| match (2 * k.unsigned_abs()).cmp(&FINE) {
+        std::cmp::Ordering::Less => 1.0,
+        std::cmp::Ordering::Equal => 0.5,
+        std::cmp::Ordering::Greater => 0.0,
+    };
+    let half = FINE as isize / 2;
+    let kernel: Vec<f64> = (-reach..=reach)
+        .map(|k| (-half..=half).map(|m| pixel(m) * (-0.5 * ((k - m) as f64 / sd).powi(2)).exp()).sum::<f64>())
+        .collect();
+    let sum: f64 = kernel.iter().sum();
+    let pass = |from: &[f64], step: usize, other: usize| -> Vec<f64> {
+        let mut to = vec![0.0; from.len()];
+        for line in 0..side {
+            for k in 0..side {
+                let first = (k as isize - reach).max(0);
+                let last = (k as isize + reach).min(side as isize - 1);
+                let value: f64 = (first..=last)
+                    .map(|m| kernel[(m - k as isize + reach) as usize] * from[line * other + m as usize * step])
+                    .sum();
+                to[line * other + k * step] = value / sum;
+            }
+        }
+        to
+    };
+    pass(&pass(sharp, 1, side), side, 1)
+}

@@ -1,0 +1,291 @@
+//! Discs printed on the frame around the sample: the slab's plane as the sample really lies.
+
+use super::Pairs;
+use super::blobs::{Blob, find_blobs};
+use super::camera_motion::softened;
+use super::drift::median;
+use super::fit::{Observation, ViewFit, fit_homography, fit_view};
+use super::small::solve;
+use crate::capture::{Camera, FrameMarks};
+use crate::geometry::{CameraView, Lens, Point};
+use crate::radiance::Radiance;
+
+/// Softness of printed edges that is tried besides the pixel's own width, scale of a logistic distribution, px.
+const SOFTNESS_PX: [f64; 4] = [0.05, 0.15, 0.3, 0.5];
+/// Pixels around a disc that are looked at, in its radius.
+const AROUND: f64 = 1.4;
+/// A disc counts when it differs from the frame by so many standard deviations.
+const DISC_SIGMA: f64 = 10.0;
+/// Fewer marks leave nothing to check a plane's eight numbers with.
+const LEAST_MARKS: usize = 8;
+
+/// A mark as it was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FoundMark {
+    /// Its index in `[frame]` of the rig.
+    pub index: usize,
+    /// The image of the disc's centre, camera px: not the centre of its image, which perspective displaces.
+    pub camera_px: Point,
+}
+
+/// The plane through the marks.
+#[derive(Debug, Clone)]
+pub struct FrameFit {
+    /// The camera's view of it.
+    pub fit: ViewFit,
+    /// The marks that it goes through.
+    pub marks: Vec<FoundMark>,
+}
+
+/// Registers the camera to the plane of the frame's marks, from a merged photograph under white light.
+///
+/// With a `prior` view (the board's) its lens is kept and marks are looked for where it expects them, and all over the picture when they are
+/// not there. Without one, discs are found in the picture and told apart by their layout. Each disc is then fitted as what it is, a disc in
+/// the plane, so that perspective biases no centre. Marks more than four deviations off are dropped.
+///
+/// # Errors
+/// A text that says what was not found.
+///
+/// Not detected: marks that are not where the rig file says, all alike (another scale, another origin); a frame above or below the sample.
+pub fn register_frame(
+    picture: &Radiance,
+    frame: &FrameMarks,
+    prior: Option<&CameraView>,
+    camera: &Camera,
+) -> Result<FrameFit, String> {
+    let near = prior.map(|view| locate(picture, frame, view)).filter(|m| 2 * m.len() > frame.marks_mm.len());
+    let mut pairs = match near {
+        Some(pairs) => pairs,
+        None => {
+            let blobs = find_blobs(picture);
+            let view = match_layout(&blobs, frame, camera)?;
+            locate(picture, frame, &view)
+        }
+    };
+    let mut found = None;
+    for _ in 0..3 {
+        let fit = fit_marks(&mut pairs, frame, prior, camera)?;
+        found = Some((fit, pairs.clone()));
+        pairs = locate(picture, frame, &fit.view);
+    }
+    let (fit, pairs) = found.ok_or("no marks were fitted")?;
+    if fit.rms_px > 0.5 {
+        return Err(format!("the frame's marks fit no plane: RMS {:.2} px", fit.rms_px));
+    }
+    Ok(FrameFit { fit, marks: pairs })
+}
+
+impl FrameFit {
+    /// The marks in slab coordinates and where they are seen.
+    pub fn pairs(&self, frame: &FrameMarks) -> Pairs {
+        self.marks.iter().map(|m| (frame.marks_mm[m.index], m.camera_px)).collect()
+    }
+}
+
+/// Median displacement of the marks from one photograph to another and its standard deviation per axis, camera px; `None` with fewer than
+/// four marks in both.
+pub fn marks_moved(before: &FrameFit, after: &FrameFit) -> Option<(Point, f64)> {
+    let both = before.marks.iter().filter_map(|a| Some((a, after.marks.iter().find(|b| b.index == a.index)?)));
+    let moved: Vec<Point> = both.map(|(a, b)| [0, 1].map(|k| b.camera_px[k] - a.camera_px[k])).collect();
+    if moved.len() < 4 {
+        return None;
+    }
+    let middle = [0, 1].map(|k| median(&mut moved.iter().map(|m| m[k]).collect::<Vec<_>>()));
+    let mut left: Vec<f64> = moved.iter().flat_map(|m| [0, 1].map(|k| (m[k] - middle[k]).abs())).collect();
+    // The median of n values is 1.25 times less certain than their mean.
+    Some((middle, (1.25 * 1.4826 * median(&mut left) / (moved.len() as f64).sqrt()).max(1e-3)))
+}
+
+fn fit_marks(
+    pairs: &mut Vec<FoundMark>,
+    frame: &FrameMarks,
+    prior: Option<&CameraView>,
+    camera: &Camera,
+) -> Result<ViewFit, String> {
+    for round in 0..2 {
+        let all = frame.marks_mm.len();
+        if pairs.len() < LEAST_MARKS || 2 * pairs.len() < all {
+            return Err(format!("only {} of the frame's {all} marks were found", pairs.len()));
+        }
+        let points: Vec<(Point, Point)> = pairs.iter().map(|m| (frame.marks_mm[m.index], m.camera_px)).collect();
+        let fit = match prior {
+            Some(view) => fit_plane(&points, view.lens),
+            None => fit_view(&points, camera.principal_px, camera.focal_px),
+        };
+        let fit = fit.ok_or("the frame's marks do not span a plane")?;
+        if round == 1 {
+            return Ok(fit);
+        }
+        let off = |m: &FoundMark| {
+            let q = fit.view.camera_from_slab(frame.marks_mm[m.index]);
+            (q[0] - m.camera_px[0]).hypot(q[1] - m.camera_px[1])
+        };
+        let mut distances: Vec<f64> = pairs.iter().map(off).collect();
+        let usual = median(&mut distances).max(0.01);
+        pairs.retain(|m| off(m) <= 4.0 * usual);
+    }
+    Err("the frame's marks do not span a plane".into())
+}
+
+/// The plane alone, through a lens that is known.
+fn fit_plane(points: &[(Point, Point)], lens: Lens) -> Option<ViewFit> {
+    let observations: Vec<Observation> = points
+        .iter()
+        .map(|&(from, to)| (from, lens.undistort(to)))
+        .flat_map(|(from, to)| [0, 1].map(|axis| Observation { from, axis, to: to[axis] }))
+        .collect();
+    let (ideal_from_slab, _) = fit_homography(&observations)?;
+    let view = CameraView { ideal_from_slab, lens };
+    let square = |&(from, to): &(Point, Point)| {
+        let q = view.camera_from_slab(from);
+        (q[0] - to[0]).powi(2) + (q[1] - to[1]).powi(2)
+    };
+    let n = 2.0 * points.len() as f64;
+    let rms_px = (points.iter().map(square).sum::<f64>() / n).sqrt();
+    Some(ViewFit { view, rms_px, sd_px: rms_px * (8.0 / n).sqrt() })
+}
+
+/// All marks that are found near where `view` expects them.
+fn locate(picture: &Radiance, frame: &FrameMarks, view: &CameraView) -> Vec<FoundMark> {
+    let light = picture.luminance();
+    let one = |(index, &mark): (usize, &Point)| {
+        let camera_px = locate_disc(picture, &light, mark, 0.5 * frame.diameter_mm, view)?;
+        Some(FoundMark { index, camera_px })
+    };
+    frame.marks_mm.iter().enumerate().filter_map(one).collect()
+}
+
+/// A pixel: its place on the slab, light, variance.
+type Pixel = (Point, f64, f64);
+
+/// Where the centre of a disc of the slab at `mark` with `radius` (mm) really is, camera px.
+fn locate_disc(picture: &Radiance, light: &[f32], mark: Point, radius: f64, view: &CameraView) -> Option<Point> {
+    let at = view.camera_from_slab(mark);
+    let j = view.jacobian(mark);
+    let det = j[0][0] * j[1][1] - j[0][1] * j[1][0];
+    if !(det.abs() > 1e-12) {
+        return None;
+    }
+    let inverse = [[j[1][1] / det, -j[0][1] / det], [-j[1][0] / det, j[0][0] / det]];
+    let slab_from_ideal = view.ideal_from_slab.inverse()?;
+    let reach = [0, 1].map(|a| AROUND * radius * j[a][0].hypot(j[a][1]));
+    let r = picture.rect;
+    let (low, high) = ([0, 1].map(|a| (at[a] - reach[a]).floor()), [0, 1].map(|a| (at[a] + reach[a]).ceil()));
+    let first = [r.x, r.y].map(|v| v as f64);
+    let last = [r.x + r.width - 1, r.y + r.height - 1].map(|v| v as f64);
+    if !(0..2).all(|a| low[a] >= first[a] && high[a] <= last[a]) {
+        return None;
+    }
+    let mut pixels: Vec<Pixel> = Vec::new();
+    for y in low[1] as usize..=high[1] as usize {
+        for x in low[0] as usize..=high[0] as usize {
+            let p = slab_from_ideal.map(view.lens.undistort([x as f64, y as f64]));
+            let k = (y - r.y) * r.width + x - r.x;
+            if (p[0] - mark[0]).hypot(p[1] - mark[1]) > AROUND * radius {
+                continue;
+            }
+            if picture.used[3 * k..3 * k + 3].contains(&0) {
+                return None;
+            }
+            let variance = picture.variance[3 * k..3 * k + 3].iter().map(|v| f64::from(*v)).sum::<f64>() / 9.0;
+            pixels.push((p, f64::from(light[k]), variance));
+        }
+    }
+    let settled = SOFTNESS_PX.iter().filter_map(|&soft| settle(&pixels, mark, radius, &inverse, soft));
+    let (center, _) = settled.min_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some(view.camera_from_slab(center))
+}
+
+/// Gauss and Newton on the disc's centre (mm); height and a plane of light around it are linear. Also the mean square that is left.
+fn settle(
+    pixels: &[Pixel],
+    mark: Point,
+    radius: f64,
+    mm_from_px: &[[f64; 2]; 2],
+    softness_px: f64,
+) -> Option<(Point, f64)> {
+    const TERMS: usize = 6;
+    let mut center = mark;
+    for _ in 0..15 {
+        let (mut matrix, mut right) = ([[0.0; TERMS]; TERMS], [0.0; TERMS]);
+        let (mut square, mut noise) = (0.0, 0.0);
+        for (p, light, variance) in pixels {
+            let d = [p[0] - center[0], p[1] - center[1]];
+            let far = d[0].hypot(d[1]).max(1e-9);
+            let u = d.map(|v| v / far);
+            // Millimetres that the distance changes by for a pixel along its gradient.
+            let mm = [0, 1].map(|a| u[0] * mm_from_px[0][a] + u[1] * mm_from_px[1][a]);
+            let mm_per_px = mm[0].hypot(mm[1]);
+            let inside_px = (radius - far) / mm_per_px;
+            let [(a, la), (b, lb)] = [inside_px + 0.5, inside_px - 0.5].map(|x| softened(x / softness_px));
+            let (cover, slope) = (softness_px * (a - b), (la - lb) / mm_per_px);
+            let row = [cover, slope * u[0], slope * u[1], 1.0, d[0], d[1]];
+            for i in 0..TERMS {
+                (0..=i).for_each(|j| matrix[i][j] += row[i] * row[j]);
+                right[i] += row[i] * light;
+            }
+            square += light * light;
+            noise += variance;
+        }
+        let (x, inverse) = solve(matrix, right)?;
+        let count = pixels.len() as f64;
+        let left = (square - x.iter().zip(&right).map(|(a, b)| a * b).sum::<f64>()).max(0.0) / count;
+        let variance = (noise / count).max(left);
+        if !(x[0].abs() > DISC_SIGMA * (variance * inverse[0]).sqrt()) {
+            return None;
+        }
+        let step = [x[1] / x[0], x[2] / x[0]];
+        let length = step[0].hypot(step[1]);
+        let limit = if length > 0.5 * radius { 0.5 * radius / length } else { 1.0 };
+        center = [center[0] + limit * step[0], center[1] + limit * step[1]];
+        if (center[0] - mark[0]).hypot(center[1] - mark[1]) > 1.2 * radius {
+            return None;
+        }
+        if length < 1e-4 * radius {
+            return Some((center, left));
+        }
+    }
+    None
+}
+
+/// A first view from discs that nobody has numbered: their layout upright in the picture, as slab coordinates are defined.
+fn match_layout(blobs: &[Blob], frame: &FrameMarks, camera: &Camera) -> Result<CameraView, String> {
+    let all = frame.marks_mm.len();
+    let few = || format!("{} discs of one size were found in the picture, but the frame has {all} marks", blobs.len());
+    if blobs.len() < LEAST_MARKS || 2 * blobs.len() < all {
+        return Err(few());
+    }
+    let extent = |points: &mut dyn Iterator<Item = Point>| {
+        points.fold([[f64::MAX; 2], [f64::MIN; 2]], |[l, h], p| {
+            [[l[0].min(p[0]), l[1].min(p[1])], [h[0].max(p[0]), h[1].max(p[1])]]
+        })
+    };
+    let [low, high] = extent(&mut frame.marks_mm.iter().copied());
+    let [first, last] = extent(&mut blobs.iter().map(|b| b.center_px));
+    let scale = [0, 1].map(|a| (last[a] - first[a]) / (high[a] - low[a]));
+    if !scale.iter().all(|s| s.is_finite() && *s > 0.0) {
+        return Err("the frame's marks lie on a line".into());
+    }
+    let mut view = None;
+    for _ in 0..6 {
+        let expected = |mark: Point| match view {
+            None => [0, 1].map(|a| first[a] + scale[a] * (mark[a] - low[a])),
+            Some(CameraView { ideal_from_slab, .. }) => ideal_from_slab.map(mark),
+        };
+        let observations: Vec<Observation> = frame
+            .marks_mm
+            .iter()
+            .filter_map(|&mark| {
+                let q = expected(mark);
+                let far = |b: &Blob| (b.center_px[0] - q[0]).hypot(b.center_px[1] - q[1]);
+                let nearest = blobs.iter().min_by(|a, b| far(a).total_cmp(&far(b)))?;
+                // Half the way to another mark at the least: discs are farther apart than they are wide.
+                (far(nearest) < frame.diameter_mm * scale[0].max(scale[1])).then_some((mark, nearest.center_px))
+            })
+            .flat_map(|(from, to)| [0, 1].map(|axis| Observation { from, axis, to: to[axis] }))
+            .collect();
+        let (ideal_from_slab, _) = fit_homography(&observations).ok_or_else(few)?;
+        view = Some(CameraView { ideal_from_slab, lens: Lens::ideal(camera.principal_px, camera.focal_px) });
+    }
+    view.ok_or_else(few)
+}
