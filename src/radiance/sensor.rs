@@ -38,7 +38,7 @@ impl Sensor {
         }
     }
 
-    /// Linear code values above black of `samples[first..]`, as many as `out` holds; saturated ones as +∞.
+    /// Linear code values above black of `samples[first..]`, as many as `out` holds; saturated ones as +∞, what is no measurement as NaN.
     pub(super) fn linearize(&self, samples: &Samples, first: usize, out: &mut [f32]) {
         fn each<T: Copy>(from: &[T], first: usize, out: &mut [f32], f: impl Fn(T) -> f32) {
             out.iter_mut().zip(&from[first..]).for_each(|(o, &v)| *o = f(v));
@@ -51,9 +51,7 @@ impl Sensor {
             (Samples::U8(v), None) => each(v, first, out, |c| mark(f32::from(c))),
             (Samples::U16(v), None) => each(v, first, out, |c| mark(f32::from(c))),
             // NaN, infinities and negative numbers beyond all noise in a float file were measured by nothing.
-            (Samples::F32(v), _) => {
-                each(v, first, out, |c| if c >= -self.saturation { mark(c) } else { f32::INFINITY })
-            }
+            (Samples::F32(v), _) => each(v, first, out, |c| if c >= -self.saturation { mark(c) } else { f32::NAN }),
         }
     }
 
