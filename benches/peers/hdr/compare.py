@@ -4,6 +4,8 @@ python compare.py STACK, where STACK is what `ACQUIRE_STACK=STACK cargo bench --
 Peers that do not keep an absolute scale are given the best one: the median ratio to the truth over all levels.
 """
 
+import contextlib
+import io
 import json
 import logging
 import os
@@ -13,7 +15,6 @@ import warnings
 
 import cv2
 import numpy as np
-import tifffile
 
 warnings.filterwarnings("ignore")
 logging.disable(logging.WARNING)
@@ -24,7 +25,7 @@ gain, black, full = about["gain_dn_per_electron"], about["black_dn"], about["max
 saturation = about["saturation_dn"]
 codes = [cv2.imread(os.path.join(stack, f"exposure-{k}.png"), cv2.IMREAD_UNCHANGED) for k in range(len(times))]
 truth = np.array(about["electrons_per_sec"]) * gain
-bound = np.array(about["bound_variance"]) * gain**2
+bound = np.array(about["bound_variance"], float) * gain**2  # NaN where no code says anything
 levels, width = len(truth), about["width"]
 rows = about["rows"]
 
@@ -106,16 +107,20 @@ def opencv(create, curved):
 
 
 def hdrutils():
-    """A Bayer mosaic in 16-bit TIFF is what it takes without raw files; each place keeps the value of its own colour."""
+    """Without raw files it takes a Bayer mosaic; each place keeps the value of its own colour.
+
+    Version 1.2 reads no TIFF (its reader forgets to) and PNG by a plugin that is downloaded: PGM goes through.
+    """
     import HDRutils
 
-    with tempfile.TemporaryDirectory() as folder:
+    with contextlib.redirect_stderr(io.StringIO()), tempfile.TemporaryDirectory() as folder:
         files = []
         for k, c in enumerate(codes):
-            files.append(os.path.join(folder, f"{k}.tif"))
-            tifffile.imwrite(files[-1], c)
+            files.append(os.path.join(folder, f"{k}.pgm"))
+            cv2.imwrite(files[-1], np.pad(c, 2, mode="symmetric"))  # its demosaicing errs at the rim
         value, _ = HDRutils.merge(files, demosaic_first=False, color_space="raw", exp=list(times), gain=[1] * len(times),
                                   aperture=[1] * len(times), black_level=black, bits=14, demosaic="bilinear")
+    value = value[2:-2, 2:-2]
     own = np.empty(codes[0].shape)
     own[0::2, 0::2], own[1::2, 1::2] = value[0::2, 0::2, 0], value[1::2, 1::2, 2]
     own[0::2, 1::2], own[1::2, 0::2] = value[0::2, 1::2, 1], value[1::2, 0::2, 1]
@@ -141,7 +146,12 @@ def report(name, value, variance=None, rescale=False):
 
     root = per_decade(lambda i: 100 * np.sqrt(np.nanmean(square[i] / truth[i] ** 2)), "{:.3g}")
     ratio = per_decade(lambda i: np.nanmean(square[i] / bound[i]), "{:.3g}")
-    bias = per_decade(lambda i: 100 * (mean[i] / truth[i])[np.nanargmax(np.abs(mean[i] / truth[i]))], "{:+.2g}")
+
+    def largest(i):
+        relative = 100 * mean[i] / truth[i]
+        return np.nan if np.isnan(relative).all() else relative[np.nanargmax(np.abs(relative))]
+
+    bias = per_decade(largest, "{:+.2g}")
     share = 100 * lost[lit].max()
     white = value[-2] / truth[-2]
     white = "masked" if variance is not None and np.isnan(white).all() else (
