@@ -4,7 +4,7 @@ use super::shots::Shots;
 use crate::capture::{Pattern, Rect};
 use crate::geometry::Point;
 use crate::progress::Progress;
-use crate::radiance::{Bracket, Radiance};
+use crate::radiance::{Bracket, HotPixel, Radiance, mend};
 use crate::registration::{Drift, Registration, measure_drift};
 use crate::response::{CellWeights, Irradiance, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
 use crate::transport::MatrixWriter;
@@ -19,6 +19,7 @@ pub(super) struct Prepared<'a> {
     pub(super) shots: Shots<'a>,
     pub(super) registration: Registration,
     pub(super) ambient: Radiance,
+    pub(super) hot: Vec<HotPixel>,
     pub(super) irradiance: Irradiance,
     pub(super) px_per_mm: f64,
     pub(super) cell_px: f64,
@@ -150,10 +151,11 @@ impl Prepared<'_> {
         ))
     }
 
-    /// Radiance of a part of a bracket, ambient light subtracted.
+    /// Radiance of a part of a bracket, ambient light subtracted, hot photosites mended.
     fn picture(&self, bracket: &Bracket, part: Rect) -> Radiance {
         let mut picture = bracket.merge(part, &self.shots.sensor);
         picture.subtract(&self.ambient);
+        mend(&mut picture, &self.hot);
         picture
     }
 

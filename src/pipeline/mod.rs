@@ -2,6 +2,7 @@
 
 mod findings;
 mod lattice;
+mod noise;
 mod shots;
 
 use crate::capture::Capture;
@@ -77,7 +78,7 @@ pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &P
         capture
     };
     let mut writer = MatrixWriter::create(out, empty_header(&capture))?;
-    let shots = Shots::new(&capture);
+    let shots = Shots::new(&capture, noise::find(&capture)?);
     let registration = shots.register(progress)?;
     let prepared = shots.prepare(registration, progress)?;
     let result = prepared.extract(&writer, progress)?;

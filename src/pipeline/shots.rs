@@ -1,9 +1,10 @@
 //! Decoding and merging any shot of a capture; the shots that everything else is measured against.
 
 use super::lattice::Prepared;
+use super::noise::FoundNoise;
 use crate::capture::{Capture, Pattern, Photograph, Rect};
 use crate::progress::{Progress, Stage};
-use crate::radiance::{Bracket, Radiance, Sensor, decode_shot};
+use crate::radiance::{Bracket, Radiance, Sensor, decode_shot, find_hot_pixels, mend};
 use crate::registration::{BitPair, Registration, register_board, register_projector};
 use crate::response::Irradiance;
 use crate::{Error, Result};
@@ -16,15 +17,16 @@ use std::sync::Mutex;
 pub(super) struct Shots<'a> {
     pub(super) capture: &'a Capture,
     pub(super) sensor: Sensor,
+    pub(super) noise: FoundNoise,
     whole: Rect,
     pub(super) hashes: Mutex<BTreeMap<PathBuf, blake3::Hash>>,
 }
 
 impl<'a> Shots<'a> {
-    pub(super) fn new(capture: &'a Capture) -> Self {
+    pub(super) fn new(capture: &'a Capture, noise: FoundNoise) -> Self {
         let [width, height] = capture.rig.camera.size_px;
         let whole = Rect { x: 0, y: 0, width, height };
-        Self { capture, sensor: Sensor::new(&capture.rig), whole, hashes: Mutex::default() }
+        Self { capture, sensor: Sensor::new(&capture.rig, &noise.noise), noise, whole, hashes: Mutex::default() }
     }
 
     /// Decodes a shot and keeps the pixels of `rects`.
@@ -115,12 +117,14 @@ impl<'a> Shots<'a> {
             return Err(Error::internal("three shots merged to fewer"));
         };
         white.subtract(&black);
+        let hot = find_hot_pixels(&ambient);
+        mend(&mut white, &hot);
         let px_per_mm = {
             let j = registration.view.jacobian(registration.center_mm);
             (j[0][0] * j[1][1] - j[0][1] * j[1][0]).abs().sqrt()
         };
         let cell_px = px_per_mm * self.capture.manifest.window.pitch_mm;
         let irradiance = Irradiance::new(white, &self.capture.rig, cell_px.round().clamp(2.0, 50.0) as usize);
-        Ok(Prepared { shots: self, registration, ambient, irradiance, px_per_mm, cell_px })
+        Ok(Prepared { shots: self, registration, ambient, hot, irradiance, px_per_mm, cell_px })
     }
 }

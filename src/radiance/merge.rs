@@ -159,14 +159,15 @@ mod tests {
         let camera = Camera { size_px: [9, 9], focal_px: 9.0, principal_px: [4.0, 4.0], response, vignetting: vec![] };
         let noise =
             Noise { black_dn: BLACK, saturation_dn: 16_000.0, gain_dn_per_electron: GAIN, read_noise_electrons: READ };
-        Sensor::new(&Rig {
+        let rig = Rig {
             format: 1,
             camera,
-            noise,
+            noise: None,
             projector: Projector { size_px: [9, 9] },
             board: Board { inner_corners: [4, 3], square_mm: 1.0, origin_mm: [0.0, 0.0] },
             white_reference: WhiteReference { reflectance: [1.0; 3] },
-        })
+        };
+        Sensor::new(&rig, &noise)
     }
 
     fn photograph(electrons_per_sec: f64, secs: f64, n: usize, rng: &mut impl rand::Rng) -> Exposure {

@@ -1,6 +1,6 @@
 //! From code values to light: response curve, black level, noise.
 
-use crate::capture::{ResponseCurve, Rig, Samples};
+use crate::capture::{Noise, ResponseCurve, Rig, Samples};
 
 /// The sensor as the merge needs it, in linear code values above black.
 #[derive(Debug, Clone)]
@@ -19,9 +19,8 @@ pub struct Sensor {
 const ROUNDING_VARIANCE: f64 = 1.0 / 12.0;
 
 impl Sensor {
-    /// The sensor that a rig file describes.
-    pub fn new(rig: &Rig) -> Self {
-        let noise = &rig.noise;
+    /// The sensor with a rig's response and this noise: the rig's own, or an estimated one.
+    pub fn new(rig: &Rig, noise: &Noise) -> Self {
         let read = noise.gain_dn_per_electron * noise.read_noise_electrons;
         let table = match rig.camera.response {
             ResponseCurve::Linear => None,

@@ -66,27 +66,30 @@ impl Bracketing {
         1.0 / self.times().iter().map(|t| t * t * self.sensor.information(electrons_per_sec * t)).sum::<f64>()
     }
 
-    pub fn rig(&self) -> Rig {
+    pub fn merger(&self) -> Sensor {
         let s = &self.sensor;
-        Rig {
+        let noise = Noise {
+            black_dn: s.black_dn,
+            saturation_dn: s.saturation_dn,
+            gain_dn_per_electron: s.gain_dn_per_electron,
+            read_noise_electrons: s.read_noise_electrons,
+        };
+        let camera = Camera {
+            size_px: [9, 9],
+            focal_px: 9.0,
+            principal_px: [4.0, 4.0],
+            response: ResponseCurve::Linear,
+            vignetting: vec![],
+        };
+        let rig = Rig {
             format: 1,
-            camera: Camera {
-                size_px: [9, 9],
-                focal_px: 9.0,
-                principal_px: [4.0, 4.0],
-                response: ResponseCurve::Linear,
-                vignetting: vec![],
-            },
-            noise: Noise {
-                black_dn: s.black_dn,
-                saturation_dn: s.saturation_dn,
-                gain_dn_per_electron: s.gain_dn_per_electron,
-                read_noise_electrons: s.read_noise_electrons,
-            },
+            camera,
+            noise: None,
             projector: Projector { size_px: [9, 9] },
             board: Board { inner_corners: [4, 3], square_mm: 1.0, origin_mm: [0.0, 0.0] },
             white_reference: WhiteReference { reflectance: [1.0; 3] },
-        }
+        };
+        Sensor::new(&rig, &noise)
     }
 }
 
@@ -105,7 +108,7 @@ pub fn take(bracketing: &Bracketing, electrons_per_sec: f64, samples: usize, see
     let exposure = |(codes, &secs): (&Vec<u16>, &f64)| Exposure { samples: Samples::U16(codes.clone()), secs };
     let bracket: Vec<Exposure> = codes.iter().zip(&times).map(exposure).collect();
     let rect = Rect { x: 0, y: 0, width: samples / 3, height: 1 };
-    let merged = merge(&bracket, rect, &Sensor::new(&bracketing.rig()));
+    let merged = merge(&bracket, rect, &bracketing.merger());
     Taken { codes, merged }
 }
 
