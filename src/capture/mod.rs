@@ -4,11 +4,13 @@ mod exif;
 mod folder;
 mod manifest;
 mod photograph;
+#[cfg(feature = "raw")]
+mod raw;
 mod rig;
 
 pub use folder::Capture;
 pub use manifest::{Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Window};
-pub use photograph::{Photograph, Pixels, Rect, Samples};
+pub use photograph::{Photograph, Pixels, Rect, Samples, Sampling};
 pub(crate) use photograph::{check_exr_size, check_jpeg_end};
 pub use rig::{Board, Camera, Noise, Projector, ResponseCurve, Rig, WhiteReference};
 

@@ -161,7 +161,7 @@ impl Rig {
         range("camera.focal_px", self.camera.focal_px, 1.0, 1e7)?;
         if let Some(noise) = &self.noise {
             range("noise.black_dn", noise.black_dn, 0.0, 65_535.0)?;
-            range("noise.saturation_dn", noise.saturation_dn, noise.black_dn + 1.0, 1e9)?;
+            range("noise.saturation_dn", noise.saturation_dn, noise.black_dn + 1e-6, 1e9)?;
             range("noise.gain_dn_per_electron", noise.gain_dn_per_electron, 0.0, 1e6)?;
             range("noise.read_noise_electrons", noise.read_noise_electrons, 0.0, 1e6)?;
         }

@@ -11,7 +11,7 @@ pub struct HotPixel {
     pub excess: Option<f32>,
 }
 
-/// A photosite is hot that stands so many standard deviations, its neighbours' scatter included, above all of them but one.
+/// A photosite is hot that stands so many standard deviations, or times its neighbours' scatter, above the brightest of them.
 const SIGNIFICANCE: f32 = 6.0;
 /// Dark currents are relied upon to this share from shot to shot: they double every 6 to 8 K.
 const DARK_CURRENT_ERROR: f32 = 0.1;
@@ -20,7 +20,8 @@ const NEIGHBOURS: [[isize; 2]; 8] = [[-1, 0], [1, 0], [0, -1], [0, 1], [-1, -1],
 
 /// Finds the hot photosites of a merged black shot, in order of row, column, channel.
 ///
-/// One whose eight neighbours are not all in the picture is left out, and so is every second one of a cluster of more than two.
+/// One whose eight neighbours are not all in the picture is left out, and so is the weaker one of two neighbours: the tip of a bright
+/// corner looks the same. Its dark current goes out with the ambient light all the same.
 ///
 /// Not detected: dead photosites, those whose noise is large but whose mean is not.
 pub fn find_hot_pixels(dark: &Radiance) -> Vec<HotPixel> {
@@ -45,7 +46,7 @@ pub fn find_hot_pixels(dark: &Radiance) -> Vec<HotPixel> {
                     0 => Some(None),
                     _ => {
                         let scatter = (around[5] - around[2]).max(dark.variance[k].sqrt());
-                        let stands_out = dark.value[k] - around[6] > SIGNIFICANCE * scatter;
+                        let stands_out = dark.value[k] - around[7] > SIGNIFICANCE * scatter;
                         stands_out.then(|| Some(dark.value[k] - 0.5 * (around[3] + around[4])))
                     }
                 };

@@ -94,10 +94,10 @@ fn weigh(
 ) {
     let mut bottom = [0.0f32; BLOCK];
     for (y, exposure) in linear.iter().zip(bracket) {
-        let t = exposure.secs as f32;
+        let (t, floor) = (exposure.secs as f32, sensor.floor(&exposure.samples));
         let sums = value.iter_mut().zip(&mut bottom).zip(&pooled.estimate).zip(y);
         for (((top, bottom), &estimate), &y) in sums {
-            let mut variance = sensor.gain * estimate * t + sensor.floor;
+            let mut variance = sensor.gain * estimate * t + floor;
             if sensor.is_curved() {
                 variance += sensor.rounding(estimate * t);
             }
@@ -108,7 +108,8 @@ fn weigh(
         }
     }
     // Of an exposure that is just saturated, in units of the square of its radiance.
-    let at_saturation = (sensor.gain * sensor.range() + sensor.floor) / (sensor.range() * sensor.range());
+    let floor = bracket.first().map_or(0.0, |e| sensor.floor(&e.samples));
+    let at_saturation = (sensor.gain * sensor.range() + floor) / (sensor.range() * sensor.range());
     for (((value, variance), &bottom), &least) in value.iter_mut().zip(variance).zip(&bottom).zip(&pooled.least) {
         let measured = bottom > 0.0;
         let (mean, of_mean) = (*value / bottom, 1.0 / bottom);

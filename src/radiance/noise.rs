@@ -16,8 +16,6 @@ const LEAST_BLOCKS: usize = 30;
 const SHUTTER_ERROR: f64 = 0.02;
 /// Mean levels are not relied upon beyond this, DN: converters are not that even.
 const LEVEL_ERROR_DN: f64 = 0.02;
-/// Variance of rounding, DN².
-const ROUNDING: f64 = 1.0 / 12.0;
 /// Where a sensor that clips at its largest code is taken for linear up to, of that code.
 const LINEAR_UP_TO: f64 = 0.98;
 
@@ -52,9 +50,18 @@ pub struct Block {
 /// The variance is half that of the difference, a plane over the block taken out. Blocks in which the two photographs show different
 /// light (stripes, their blur) have far too large ones; [`fit`] leaves them out. `None` stands for a block that saturates, holds
 /// code 0, or whose two levels differ by a tenth and more, so that neighbours can be told: blocks are row by row, three channels each.
+/// `variance_share` is that of [`crate::capture::Sampling`].
 ///
 /// Not detected: photographs whose noise was smoothed or is correlated between pixels (demosaiced, compressed): too small a variance.
-pub fn blocks(first: &Samples, second: &Samples, width: usize, black_dn: f64, saturation_dn: f64) -> Grid {
+pub fn blocks(
+    [first, second]: [&Samples; 2],
+    width: usize,
+    black_dn: f64,
+    saturation_dn: f64,
+    variance_share: [f32; 3],
+) -> Grid {
+    // Whole numbers stop at 0, and with them the noise; floating point does not.
+    let least = if matches!(first, Samples::F32(_)) { f64::NEG_INFINITY } else { 0.0 };
     let code = |s: &Samples, k: usize| match s {
         Samples::U8(v) => f64::from(v[k]),
         Samples::U16(v) => f64::from(v[k]),
@@ -72,7 +79,10 @@ pub fn blocks(first: &Samples, second: &Samples, width: usize, black_dn: f64, sa
         for bx in 0..size[0] {
             for c in 0..3 {
                 let at = |i: usize| 3 * ((by * BLOCK_PX + i / BLOCK_PX) * width + bx * BLOCK_PX + i % BLOCK_PX) + c;
-                found.push(block(|i| [code(first, at(i)), code(second, at(i))], black_dn, saturation_dn));
+                found.push(
+                    block(|i| [code(first, at(i)), code(second, at(i))], black_dn, least..saturation_dn)
+                        .map(|b| Block { variance: b.variance / f64::from(variance_share[c]), ..b }),
+                );
             }
         }
     }
@@ -87,7 +97,7 @@ pub struct Grid {
 }
 
 /// `pixel` gives both code values of pixel i, row by row.
-fn block(pixel: impl Fn(usize) -> [f64; 2], black_dn: f64, saturation_dn: f64) -> Option<Block> {
+fn block(pixel: impl Fn(usize) -> [f64; 2], black_dn: f64, range: std::ops::Range<f64>) -> Option<Block> {
     let n = BLOCK_PX * BLOCK_PX;
     // Sums of the difference against 1, x and y, which are orthogonal over a centred block.
     let (mut sum, mut moments, mut square) = (0.0, [0.0; 3], 0.0);
@@ -95,7 +105,7 @@ fn block(pixel: impl Fn(usize) -> [f64; 2], black_dn: f64, saturation_dn: f64) -
     for i in 0..n {
         let [a, b] = pixel(i);
         // NaN fails too.
-        if !(a > 0.0 && b > 0.0 && a < saturation_dn && b < saturation_dn) {
+        if !(a > range.start && b > range.start && a < range.end && b < range.end) {
             return None;
         }
         let d = a - b;
@@ -172,11 +182,12 @@ pub fn saturation(histograms: &[Vec<u32>; 3]) -> (f64, bool) {
 
 /// Fits the line of variance over mean to the blocks of pairs of photographs.
 ///
-/// `black` is (DN, its standard deviation), `saturation` (DN, whether it was seen).
+/// `black` is (DN, its standard deviation), `saturation` (DN, whether it was seen), `rounding` the variance of rounding: 1/12 DN² for
+/// whole code values, 0 for floating point, whose rounding counts as read noise.
 ///
 /// # Errors
 /// What is missing, in words: too few blocks in light or near black.
-pub fn fit(grids: &[Grid], black: (f64, f64), saturation: (f64, bool)) -> Result<NoiseEstimate, String> {
+pub fn fit(grids: &[Grid], black: (f64, f64), saturation: (f64, bool), rounding: f64) -> Result<NoiseEstimate, String> {
     let seen: Vec<Block> = grids.iter().flat_map(|g| g.blocks.iter().flatten().copied()).collect();
     let brightest = seen.iter().map(|b| b.mean - black.0).fold(0.0, f64::max);
     let median = |range: std::ops::Range<f64>| {
@@ -199,7 +210,7 @@ pub fn fit(grids: &[Grid], black: (f64, f64), saturation: (f64, bool)) -> Result
     }
     let noise_of = |line: &Line| {
         let gain = line.slope.max(0.0);
-        let read = (line.at_black - ROUNDING).max(0.0).sqrt();
+        let read = (line.at_black - rounding).max(0.0).sqrt();
         (gain, if gain > 0.0 { read / gain } else { 0.0 })
     };
     let (gain, read) = noise_of(&line);
@@ -314,9 +325,9 @@ mod tests {
         for electrons in [4e3, 16e3] {
             let a = stripes(electrons, 64, 0, &pattern, &mut rng);
             let b = stripes(electrons, 48, 1, &pattern, &mut rng);
-            grids.push(blocks(&a, &b, SIDE, BLACK, 16_000.0));
+            grids.push(blocks([&a, &b], SIDE, BLACK, 16_000.0, [1.0; 3]));
         }
-        let found = fit(&grids, (BLACK, 0.05), (16_000.0, true)).unwrap();
+        let found = fit(&grids, (BLACK, 0.05), (16_000.0, true), 1.0 / 12.0).unwrap();
         let noise = &found.noise;
         // The fit's own standard deviations are a half and one per cent; three of each.
         assert!((noise.gain_dn_per_electron / GAIN - 1.0).abs() < 0.015, "{found:?}");
@@ -328,11 +339,11 @@ mod tests {
     #[test]
     fn photographs_that_share_no_dark_or_no_light_are_refused_in_words() {
         let even = Samples::U16(vec![1000; 3 * SIDE * SIDE]);
-        let grid = blocks(&even, &even, SIDE, BLACK, 16_000.0);
-        assert!(fit(&[grid], (BLACK, 0.1), (16_000.0, true)).unwrap_err().contains("blocks"));
+        let grid = blocks([&even, &even], SIDE, BLACK, 16_000.0, [1.0; 3]);
+        assert!(fit(&[grid], (BLACK, 0.1), (16_000.0, true), 1.0 / 12.0).unwrap_err().contains("blocks"));
         let full = Samples::U16(vec![16_383; 3 * SIDE * SIDE]);
-        let grid = blocks(&full, &full, SIDE, BLACK, 16_000.0);
-        assert!(fit(&[grid], (BLACK, 0.1), (16_000.0, true)).is_err());
+        let grid = blocks([&full, &full], SIDE, BLACK, 16_000.0, [1.0; 3]);
+        assert!(fit(&[grid], (BLACK, 0.1), (16_000.0, true), 1.0 / 12.0).is_err());
     }
 
     #[test]

@@ -9,8 +9,8 @@ pub struct Sensor {
     saturation: f32,
     /// Variance per linear code value: Poisson.
     pub(super) gain: f32,
-    /// Variance of no light: read-out and rounding, DN².
-    pub(super) floor: f32,
+    /// Variance of reading out, DN².
+    read: f32,
     /// Linear value of each 8-bit code, when the response is not linear.
     table: Option<Vec<f32>>,
 }
@@ -32,7 +32,7 @@ impl Sensor {
             black: noise.black_dn as f32,
             saturation: noise.saturation_dn as f32,
             gain: noise.gain_dn_per_electron as f32,
-            floor: (read * read + ROUNDING_VARIANCE) as f32,
+            read: (read * read) as f32,
             table,
         }
     }
@@ -52,6 +52,12 @@ impl Sensor {
             // NaN, infinities and negative numbers beyond all noise in a float file were measured by nothing.
             (Samples::F32(v), _) => each(v, first, out, |c| if c >= -self.saturation { mark(c) } else { f32::NAN }),
         }
+    }
+
+    /// Variance of no light, DN²: read-out, and rounding of whole code values. Floating-point files were not rounded to DN.
+    pub(super) fn floor(&self, samples: &Samples) -> f32 {
+        let rounded = !matches!(samples, Samples::F32(_));
+        self.read + if rounded { ROUNDING_VARIANCE as f32 } else { 0.0 }
     }
 
     /// Largest linear value that counts.

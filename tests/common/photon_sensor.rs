@@ -1,4 +1,5 @@
 //! A sensor as physics has it, written apart from both the estimator and the simulator, and what can be known from its codes.
+#![allow(dead_code)]
 
 use rand::Rng;
 use rand_distr::{Distribution, Normal, Poisson};
