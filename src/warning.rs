@@ -122,6 +122,45 @@ pub enum Warning {
         /// The largest albedo found.
         largest: f64,
     },
+    /// The rig has no `[noise]`: it was estimated from the photographs.
+    NoiseEstimated {
+        /// DN per electron.
+        gain_dn_per_electron: f64,
+        /// Its standard deviation.
+        gain_sd: f64,
+        /// Electrons.
+        read_noise_electrons: f64,
+        /// Its standard deviation.
+        read_noise_sd: f64,
+        /// DN.
+        black_dn: f64,
+        /// Its standard deviation.
+        black_sd: f64,
+        /// DN.
+        saturation_dn: f64,
+        /// Whether photosites were seen that clip.
+        saturation_seen: bool,
+    },
+    /// Photosites that show light in the dark; their neighbours stand in for them as far as they are better.
+    HotPixels {
+        /// How many, each channel by itself.
+        photosites: usize,
+        /// How many of them saturate every exposure.
+        stuck: usize,
+        /// The strongest dark current of the others, DN/s.
+        strongest_dn_per_sec: f64,
+    },
+    /// A figure of the rig's `[noise]` that the photographs contradict; the rig's is used.
+    NoiseDisagrees {
+        /// Its name in `[noise]`.
+        field: String,
+        /// The rig's, in the field's unit.
+        given: f64,
+        /// The photographs'.
+        found: f64,
+        /// Standard deviation of the latter.
+        sd: f64,
+    },
     /// An odd EXIF block that could only be read in part.
     DamagedExif {
         /// The photograph.
@@ -270,6 +309,28 @@ impl std::fmt::Display for Warning {
                     "{rows} rows send back more light than arrives (albedo up to {largest:.3}): check the white reference"
                 )
             }
+            Self::NoiseEstimated {
+                gain_dn_per_electron,
+                gain_sd,
+                read_noise_electrons,
+                read_noise_sd,
+                black_dn,
+                black_sd,
+                saturation_dn,
+                saturation_seen,
+            } => write!(
+                f,
+                "noise estimated from the photographs: gain {gain_dn_per_electron:.4} ± {gain_sd:.4} DN per electron, read noise {read_noise_electrons:.2} ± {read_noise_sd:.2} electrons, black {black_dn:.2} ± {black_sd:.2} DN, saturation {saturation_dn:.0} DN{}",
+                if *saturation_seen { "" } else { " (nothing clips; the largest code value)" }
+            ),
+            Self::HotPixels { photosites, stuck, strongest_dn_per_sec } => write!(
+                f,
+                "{photosites} photosites are hot (up to {strongest_dn_per_sec:.0} DN/s; {stuck} saturate every black exposure): their neighbours stand in for them"
+            ),
+            Self::NoiseDisagrees { field, given, found, sd } => write!(
+                f,
+                "noise.{field} of the rig is {given:.4}, the photographs say {found:.4} ± {sd:.4}: the reported variance may be wrong"
+            ),
             Self::DamagedExif { file, reason } => write!(f, "{file}: EXIF is damaged and was read in part: {reason}"),
             Self::EmptyRows { rows } => write!(f, "{rows} rows have no positive peak; they are kept as zeros"),
             Self::ShiftLimited { rows, limit } => {

@@ -4,6 +4,8 @@ mod exif;
 mod folder;
 mod manifest;
 mod photograph;
+#[cfg(feature = "raw")]
+mod raw;
 mod rig;
 mod settings;
 
@@ -11,7 +13,7 @@ pub use folder::Capture;
 pub use manifest::{
     Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Surface, Window,
 };
-pub use photograph::{Photograph, Pixels, Rect, Samples};
+pub use photograph::{Photograph, Pixels, Rect, Samples, Sampling};
 pub(crate) use photograph::{check_exr_size, check_jpeg_end};
 pub use rig::{Board, Camera, FrameMarks, Noise, Projector, ResponseCurve, Rig, WhiteReference};
 pub use settings::CameraSettings;

@@ -1,5 +1,7 @@
 //! One photograph: its file, exposure, size, and its pixels when asked.
 
+#[cfg(feature = "raw")]
+use super::raw;
 use crate::{Error, Result};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -26,8 +28,28 @@ pub struct Pixels {
     pub height: usize,
     /// 3 · width · height code values.
     pub samples: Samples,
+    /// Where in its pixel each channel was measured.
+    pub sampling: Sampling,
     /// BLAKE3 of the file.
     pub hash: blake3::Hash,
+}
+
+/// Where in its pixel, and over how much of it, each channel (R, G, B) was measured.
+///
+/// All of it, unless the photograph is a mosaic that was read at half size: then R and B were measured by one photosite of four.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sampling {
+    /// Centre of the light that was measured, from the pixel's centre, px (x right, y down).
+    pub offset_px: [[f64; 2]; 3],
+    /// Side of the square over which it was averaged, px. The two G of a block, corner to corner, count as the whole of it.
+    pub aperture_px: [f64; 3],
+    /// Variance over that of one photosite with the same code value: ½ for a mean of two.
+    pub variance_share: [f32; 3],
+}
+
+impl Sampling {
+    /// Every channel over the whole pixel.
+    pub const WHOLE: Self = Self { offset_px: [[0.0; 2]; 3], aperture_px: [1.0; 3], variance_share: [1.0; 3] };
 }
 
 /// Code values in the file's own type.
@@ -71,13 +93,19 @@ impl Photograph {
         let hash = blake3::hash(&bytes);
         let broken =
             |reason: String| Error::BrokenPhotograph { path: self.path.clone(), shot: self.shot.clone(), reason };
+        let mut sampling = Sampling::WHOLE;
         let (width, height, samples) = match Format::of(&self.path) {
             Some(Format::Tiff) => decode_tiff(&bytes).map_err(broken)?,
             Some(Format::Exr) => decode_exr(&bytes).map_err(broken)?,
             Some(Format::Common) => decode_common(&bytes).map_err(broken)?,
-            None => return Err(broken("the file name ends in none of .png .jpg .jpeg .tif .tiff .exr".into())),
+            Some(Format::Raw) => {
+                let (width, height, samples, of_mosaic) = raw::decode(&bytes).map_err(broken)?;
+                sampling = of_mosaic;
+                (width, height, samples)
+            }
+            None => return Err(broken(UNKNOWN_ENDING.into())),
         };
-        Ok(Pixels { width, height, samples, hash })
+        Ok(Pixels { width, height, samples, sampling, hash })
     }
 
     /// Width and height from the file's head, without decoding it.
@@ -106,7 +134,11 @@ impl Photograph {
                 let (w, h) = reader.into_dimensions().map_err(|e| broken(e.to_string()))?;
                 Ok([w as usize, h as usize])
             }
-            None => Err(broken("the file name ends in none of .png .jpg .jpeg .tif .tiff .exr".into())),
+            Some(Format::Raw) => {
+                let bytes = std::fs::read(&self.path).map_err(|e| self.unreadable(e))?;
+                raw::size_px(&bytes).map_err(broken)
+            }
+            None => Err(broken(UNKNOWN_ENDING.into())),
         }
     }
 
@@ -120,7 +152,26 @@ impl Photograph {
     }
 }
 
+const UNKNOWN_ENDING: &str = "the file name ends in none of .png .jpg .jpeg .tif .tiff .exr .dng .cr2 .nef .arw";
+
+/// What stands in for the raw reader in a program that was built without it.
+#[cfg(not(feature = "raw"))]
+mod raw {
+    use super::{Samples, Sampling};
+
+    const REFUSAL: &str = "raw files need a program that was built with `cargo build --release --features raw`";
+
+    pub fn decode(_: &[u8]) -> Result<(usize, usize, Samples, Sampling), String> {
+        Err(REFUSAL.into())
+    }
+
+    pub fn size_px(_: &[u8]) -> Result<[usize; 2], String> {
+        Err(REFUSAL.into())
+    }
+}
+
 enum Format {
+    Raw,
     Tiff,
     Exr,
     Common,
@@ -131,6 +182,7 @@ impl Format {
         match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
             "tif" | "tiff" => Some(Self::Tiff),
             "exr" => Some(Self::Exr),
+            "dng" | "cr2" | "nef" | "arw" => Some(Self::Raw),
             "png" | "jpg" | "jpeg" => Some(Self::Common),
             _ => None,
         }

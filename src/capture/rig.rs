@@ -12,8 +12,9 @@ pub struct Rig {
     pub format: u32,
     /// The camera.
     pub camera: Camera,
-    /// The sensor's noise.
-    pub noise: Noise,
+    /// The sensor's noise; without it, it is estimated from the photographs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise: Option<Noise>,
     /// The projector.
     pub projector: Projector,
     /// The chessboard; captures with a board shot need it.
@@ -220,10 +221,12 @@ impl Rig {
             return Err(Error::field(path, "format", super::FORMAT.to_string(), self.format));
         }
         range("camera.focal_px", self.camera.focal_px, 1.0, 1e7)?;
-        range("noise.black_dn", self.noise.black_dn, 0.0, 65_535.0)?;
-        range("noise.saturation_dn", self.noise.saturation_dn, self.noise.black_dn + 1.0, 1e9)?;
-        range("noise.gain_dn_per_electron", self.noise.gain_dn_per_electron, 0.0, 1e6)?;
-        range("noise.read_noise_electrons", self.noise.read_noise_electrons, 0.0, 1e6)?;
+        if let Some(noise) = &self.noise {
+            range("noise.black_dn", noise.black_dn, 0.0, 65_535.0)?;
+            range("noise.saturation_dn", noise.saturation_dn, noise.black_dn + 1e-6, 1e9)?;
+            range("noise.gain_dn_per_electron", noise.gain_dn_per_electron, 0.0, 1e6)?;
+            range("noise.read_noise_electrons", noise.read_noise_electrons, 0.0, 1e6)?;
+        }
         if let Some(board) = &self.board {
             board.check(path)?;
         }

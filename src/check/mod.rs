@@ -17,6 +17,7 @@ pub use text::table;
 use crate::capture::{Capture, Manifest, Pattern, Rig};
 use crate::pipeline::{BuildOptions, BuildReport, try_build};
 use crate::progress::Progress;
+use crate::radiance::Sensor;
 use crate::{Error, Result, Warning};
 use pixels::Pictures;
 use serde::Serialize;
@@ -218,7 +219,10 @@ impl CheckReport {
         progress: &Progress,
     ) -> Result<()> {
         let stage = progress.stage("light", 3);
-        let pictures = Pictures::new(sample);
+        // What code values mean may itself have to be found by the build.
+        let sensor = tried.map(|t| t.sensor.clone()).or_else(|| Sensor::of_rig(&sample.rig));
+        let Some(sensor) = sensor else { return Ok(()) };
+        let pictures = Pictures::new(sample, sensor);
         self.findings.extend(pictures.stills(tried)?);
         stage.advance(1);
         let Some(tried) = tried else { return Ok(()) };

@@ -37,9 +37,9 @@ pub(super) struct Dots {
 }
 
 impl<'a> Pictures<'a> {
-    pub fn new(capture: &'a Capture) -> Self {
+    pub fn new(capture: &'a Capture, sensor: Sensor) -> Self {
         let [width, height] = capture.rig.camera.size_px;
-        Self { capture, sensor: Sensor::new(&capture.rig), whole: Rect { x: 0, y: 0, width, height } }
+        Self { capture, sensor, whole: Rect { x: 0, y: 0, width, height } }
     }
 
     /// The merged picture of some exposures of one shot.

@@ -86,7 +86,7 @@ impl Probe {
                 ([k % header.points[0], k / header.points[0]], f64::from(peak))
             })
             .collect();
-        let noise = &capture.rig.noise;
+        let noise = &report.noise;
         let read = noise.gain_dn_per_electron * noise.read_noise_electrons;
         let white = capture.shots(|p| matches!(p, Pattern::ReferenceWhite));
         Ok(Self {

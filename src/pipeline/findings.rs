@@ -27,6 +27,12 @@ impl Prepared<'_> {
         let capture = self.shots.capture;
         let mut warnings = capture.warnings.clone();
         warnings.extend(self.registration_warnings.iter().cloned());
+        warnings.extend(self.shots.noise.warnings.clone());
+        if !self.hot.is_empty() {
+            let stuck = self.hot.iter().filter(|h| h.excess.is_none()).count();
+            let strongest = self.hot.iter().filter_map(|h| h.excess).map(f64::from).fold(0.0, f64::max);
+            warnings.push(Warning::HotPixels { photosites: self.hot.len(), stuck, strongest_dn_per_sec: strongest });
+        }
         let mut clipped = (0, 0);
         let mut bright: Vec<f64> = Vec::new();
         let mut saturated: Option<(String, usize, usize)> = None;
@@ -80,6 +86,8 @@ impl Prepared<'_> {
         header.warnings = warnings.clone();
         Ok(BuildReport {
             registration: self.registration.clone(),
+            noise: self.shots.noise.noise.clone(),
+            sensor: self.shots.sensor.clone(),
             shots: header.shots.clone(),
             crosstalk,
             warnings,
@@ -166,6 +174,12 @@ impl Prepared<'_> {
         for hash in self.shots.hashes.lock().map_err(Error::internal)?.values() {
             all.update(hash.as_bytes());
         }
+        let found = &self.shots.noise;
+        let noise = serde_json::json!({
+            "used": found.noise,
+            "source": if found.from_rig { "rig.toml" } else { "photographs" },
+            "estimate": found.estimate,
+        });
         let registration = serde_json::to_value(&self.registration).map_err(Error::internal)?;
         Ok(serde_json::json!({
             "program": format!("acquire {}", env!("CARGO_PKG_VERSION")),
@@ -174,6 +188,7 @@ impl Prepared<'_> {
             "capture_toml_blake3": hash_file(&capture.manifest_path())?,
             "rig_toml_blake3": hash_file(&capture.rig_path)?,
             "photographs_blake3": all.finalize().to_string(),
+            "noise": noise,
             "registration": registration,
             "stray_light": serde_json::to_value(&self.stray).map_err(Error::internal)?,
             "crosstalk": serde_json::to_value(crosstalk).map_err(Error::internal)?,

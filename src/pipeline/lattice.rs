@@ -5,7 +5,7 @@ use super::shots::Shots;
 use crate::capture::{Pattern, Rect, Window};
 use crate::geometry::Point;
 use crate::progress::Progress;
-use crate::radiance::{Bracket, Radiance, StrayLight};
+use crate::radiance::{Bracket, HotPixel, Radiance, StrayLight, mend};
 use crate::registration::{CameraMotion, Drift, Registration};
 use crate::response::{CellWeights, Irradiance, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
 use crate::transport::{MatrixWriter, Row};
@@ -22,6 +22,7 @@ pub(super) struct Prepared<'a> {
     /// What was found while registering.
     pub(super) registration_warnings: Vec<Warning>,
     pub(super) ambient: Radiance,
+    pub(super) hot: Vec<HotPixel>,
     pub(super) irradiance: Irradiance,
     /// The camera's halo.
     pub(super) stray: StrayLight,
@@ -136,6 +137,7 @@ impl Prepared<'_> {
         let picture_of = |part: Rect, bracket: &Bracket| {
             let mut picture = bracket.merge(part, &self.shots.sensor);
             picture.subtract(&moved_part(&self.ambient, part, camera_px));
+            mend(&mut picture, &self.hot);
             picture
         };
         let picture = |(grid, bracket): (&WindowGrid, &Bracket)| {
@@ -168,10 +170,11 @@ impl Prepared<'_> {
         Ok(result)
     }
 
-    /// Radiance of a part of a bracket, ambient light subtracted.
+    /// Radiance of a part of a bracket, ambient light subtracted, hot photosites mended.
     pub(super) fn picture(&self, bracket: &Bracket, part: Rect) -> Radiance {
         let mut picture = bracket.merge(part, &self.shots.sensor);
         picture.subtract(&self.ambient);
+        mend(&mut picture, &self.hot);
         picture
     }
 

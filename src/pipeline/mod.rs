@@ -4,13 +4,14 @@ mod crosstalk;
 mod drift;
 mod findings;
 mod lattice;
+mod noise;
 mod shots;
 mod stray;
 
-use crate::capture::Capture;
+use crate::capture::{Capture, Noise};
 use crate::geometry::Point;
 use crate::progress::Progress;
-use crate::radiance::Radiance;
+use crate::radiance::{Radiance, Sensor};
 use crate::registration::Registration;
 use crate::transport::{MatrixHeader, MatrixWriter, ShotRecord};
 use crate::{Result, Warning};
@@ -34,6 +35,10 @@ pub struct BuildOptions {
 pub struct BuildReport {
     /// Where everything was.
     pub registration: Registration,
+    /// The sensor's noise, as it was used.
+    pub noise: Noise,
+    /// What turned code values to light.
+    pub sensor: Sensor,
     /// Lattice shots with their drift.
     pub shots: Vec<ShotRecord>,
     /// What was done about the dots of one shot lighting each other's windows; `None` when none can.
@@ -111,7 +116,7 @@ fn measure(
     writer: &mut MatrixWriter,
     progress: &Progress,
 ) -> Result<BuildReport> {
-    let shots = Shots::new(capture);
+    let shots = Shots::new(capture, noise::find(capture)?);
     let (registration, found) = shots.register(progress)?;
     let prepared = shots.prepare(registration, found, progress)?;
     let mut result = prepared.extract(writer, progress)?;

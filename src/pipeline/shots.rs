@@ -1,10 +1,11 @@
 //! Decoding and merging any shot of a capture; the shots that everything else is measured against.
 
 use super::lattice::Prepared;
+use super::noise::FoundNoise;
 use crate::capture::{Board, Capture, Pattern, Photograph, Rect, Surface};
 use crate::geometry::{CameraView, Lens, Point};
 use crate::progress::{Progress, Stage};
-use crate::radiance::{Bracket, Radiance, Sensor, StrayLight, decode_shot};
+use crate::radiance::{Bracket, Radiance, Sensor, StrayLight, decode_shot, find_hot_pixels, mend};
 use crate::registration::{
     BitPair, FrameFit, LensChoice, Pairs, PointSpread, Registration, StripeSurface, ViewFit, find_board,
     fit_lens_of_views, marks_moved, measure_point_spread, register_frame, register_projector,
@@ -20,15 +21,16 @@ use std::sync::Mutex;
 pub(super) struct Shots<'a> {
     pub(super) capture: &'a Capture,
     pub(super) sensor: Sensor,
+    pub(super) noise: FoundNoise,
     whole: Rect,
     pub(super) hashes: Mutex<BTreeMap<PathBuf, blake3::Hash>>,
 }
 
 impl<'a> Shots<'a> {
-    pub(super) fn new(capture: &'a Capture) -> Self {
+    pub(super) fn new(capture: &'a Capture, noise: FoundNoise) -> Self {
         let [width, height] = capture.rig.camera.size_px;
         let whole = Rect { x: 0, y: 0, width, height };
-        Self { capture, sensor: Sensor::new(&capture.rig), whole, hashes: Mutex::default() }
+        Self { capture, sensor: Sensor::new(&capture.rig, &noise.noise), noise, whole, hashes: Mutex::default() }
     }
 
     /// Decodes a shot and keeps the pixels of `rects`.
@@ -219,6 +221,8 @@ impl<'a> Shots<'a> {
             return Err(Error::internal("three shots merged to fewer"));
         };
         white.subtract(&black);
+        let hot = find_hot_pixels(&ambient);
+        mend(&mut white, &hot);
         let px_per_mm = {
             let j = registration.view.jacobian(registration.center_mm);
             (j[0][0] * j[1][1] - j[0][1] * j[1][0]).abs().sqrt()
@@ -231,6 +235,7 @@ impl<'a> Shots<'a> {
             registration,
             registration_warnings,
             ambient,
+            hot,
             irradiance,
             stray,
             px_per_mm,

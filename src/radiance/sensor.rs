@@ -1,6 +1,6 @@
 //! From code values to light: response curve, black level, noise.
 
-use crate::capture::{ResponseCurve, Rig, Samples};
+use crate::capture::{Noise, ResponseCurve, Rig, Samples};
 
 /// The sensor as the merge needs it, in linear code values above black.
 #[derive(Debug, Clone)]
@@ -9,8 +9,8 @@ pub struct Sensor {
     saturation: f32,
     /// Variance per linear code value: Poisson.
     pub(super) gain: f32,
-    /// Variance of no light: read-out and rounding, DN².
-    pub(super) floor: f32,
+    /// Variance of reading out, DN².
+    read: f32,
     /// Linear value of each 8-bit code, when the response is not linear.
     table: Option<Vec<f32>>,
 }
@@ -19,9 +19,13 @@ pub struct Sensor {
 const ROUNDING_VARIANCE: f64 = 1.0 / 12.0;
 
 impl Sensor {
-    /// The sensor that a rig file describes.
-    pub fn new(rig: &Rig) -> Self {
-        let noise = &rig.noise;
+    /// The sensor that a rig file describes by itself; `None` when its noise has to be measured.
+    pub fn of_rig(rig: &Rig) -> Option<Self> {
+        rig.noise.as_ref().map(|noise| Self::new(rig, noise))
+    }
+
+    /// The sensor with a rig's response and this noise: the rig's own, or an estimated one.
+    pub fn new(rig: &Rig, noise: &Noise) -> Self {
         let read = noise.gain_dn_per_electron * noise.read_noise_electrons;
         let table = match rig.camera.response {
             ResponseCurve::Linear => None,
@@ -33,12 +37,12 @@ impl Sensor {
             black: noise.black_dn as f32,
             saturation: noise.saturation_dn as f32,
             gain: noise.gain_dn_per_electron as f32,
-            floor: (read * read + ROUNDING_VARIANCE) as f32,
+            read: (read * read) as f32,
             table,
         }
     }
 
-    /// Linear code values above black of `samples[first..]`, as many as `out` holds; saturated ones as +∞.
+    /// Linear code values above black of `samples[first..]`, as many as `out` holds; saturated ones as +∞, what is no measurement as NaN.
     pub(super) fn linearize(&self, samples: &Samples, first: usize, out: &mut [f32]) {
         fn each<T: Copy>(from: &[T], first: usize, out: &mut [f32], f: impl Fn(T) -> f32) {
             out.iter_mut().zip(&from[first..]).for_each(|(o, &v)| *o = f(v));
@@ -51,10 +55,14 @@ impl Sensor {
             (Samples::U8(v), None) => each(v, first, out, |c| mark(f32::from(c))),
             (Samples::U16(v), None) => each(v, first, out, |c| mark(f32::from(c))),
             // NaN, infinities and negative numbers beyond all noise in a float file were measured by nothing.
-            (Samples::F32(v), _) => {
-                each(v, first, out, |c| if c >= -self.saturation { mark(c) } else { f32::INFINITY })
-            }
+            (Samples::F32(v), _) => each(v, first, out, |c| if c >= -self.saturation { mark(c) } else { f32::NAN }),
         }
+    }
+
+    /// Variance of no light, DN²: read-out, and rounding of whole code values. Floating-point files were not rounded to DN.
+    pub(super) fn floor(&self, samples: &Samples) -> f32 {
+        let rounded = !matches!(samples, Samples::F32(_));
+        self.read + if rounded { ROUNDING_VARIANCE as f32 } else { 0.0 }
     }
 
     /// Largest linear value that counts.

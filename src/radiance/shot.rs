@@ -2,23 +2,36 @@
 
 use super::{Exposure, Radiance, Sensor, merge};
 use crate::Result;
-use crate::capture::{Photograph, Rect};
+use crate::capture::{Photograph, Rect, Sampling};
 
 /// A rectangle of a shot, decoded in all its exposures and not yet merged.
 #[derive(Debug, Clone)]
 pub struct Bracket {
     rect: Rect,
     exposures: Vec<Exposure>,
+    sampling: Sampling,
 }
 
 impl Bracket {
     /// Merges the pixels of `part`, which must lie inside the bracket's rectangle.
     pub fn merge(&self, part: Rect, sensor: &Sensor) -> Radiance {
-        if part == self.rect {
-            return merge(&self.exposures, part, sensor);
+        let mut merged = if part == self.rect {
+            merge(&self.exposures, part, sensor)
+        } else {
+            let crop = |e: &Exposure| Exposure { samples: e.samples.crop(self.rect, part), secs: e.secs };
+            merge(&self.exposures.iter().map(crop).collect::<Vec<_>>(), part, sensor)
+        };
+        // The same share in every exposure leaves the weights as they are.
+        if self.sampling.variance_share != [1.0; 3] {
+            let share = self.sampling.variance_share.into_iter().cycle();
+            merged.variance.iter_mut().zip(share).for_each(|(v, s)| *v *= s);
         }
-        let crop = |e: &Exposure| Exposure { samples: e.samples.crop(self.rect, part), secs: e.secs };
-        merge(&self.exposures.iter().map(crop).collect::<Vec<_>>(), part, sensor)
+        merged
+    }
+
+    /// Where in its pixel each channel was measured.
+    pub fn sampling(&self) -> Sampling {
+        self.sampling
     }
 
     /// The rectangle.
@@ -39,7 +52,8 @@ pub fn decode_shot(
     size_px: [usize; 2],
     decoded: &(dyn Fn(&Photograph, blake3::Hash) + Sync),
 ) -> Result<Vec<Bracket>> {
-    let mut brackets: Vec<Bracket> = rects.iter().map(|&rect| Bracket { rect, exposures: vec![] }).collect();
+    let mut brackets: Vec<Bracket> =
+        rects.iter().map(|&rect| Bracket { rect, exposures: vec![], sampling: Sampling::WHOLE }).collect();
     for photograph in photographs {
         let pixels = photograph.decode()?;
         decoded(photograph, pixels.hash);
@@ -53,6 +67,7 @@ pub fn decode_shot(
         let whole = pixels.rect();
         for bracket in &mut brackets {
             let samples = pixels.samples.crop(whole, bracket.rect);
+            bracket.sampling = pixels.sampling;
             bracket.exposures.push(Exposure { samples, secs: photograph.effective_secs });
         }
     }

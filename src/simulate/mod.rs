@@ -133,7 +133,8 @@ pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Su
     let plan = Plan::new(options, &studio);
 
     plan.manifest.write(&work)?;
-    studio.scene.rig(studio.sensor.noise()).write(&work.join("calibration"))?;
+    let noise = (!options.rig_without_noise).then(|| studio.sensor.noise());
+    studio.scene.rig(noise).write(&work.join("calibration"))?;
     let matrix = MatrixWriter::create(&work.join(TRUTH_MATRIX), header(options, &studio, &plan)?)?;
 
     let bytes = AtomicU64::new(0);

@@ -125,6 +125,9 @@ pub struct Options {
     /// Response curve; the rig file takes `film` for sRGB [default: linear for PNG, srgb for JPEG]
     #[arg(long, value_enum, help_heading = "Camera")]
     pub response: Option<Response>,
+    /// Leave [noise] out of the rig file: it is to be estimated from the photographs.
+    #[arg(long, help_heading = "Camera")]
+    pub rig_without_noise: bool,
     /// Camera pixels across an outgoing cell. 3: enough for sub-cell registration.
     #[arg(long, value_name = "PX", default_value_t = Options::default().camera_px_per_sample, help_heading = "Camera")]
     pub camera_px_per_sample: f64,
@@ -225,6 +228,7 @@ impl Default for Options {
             sensor: SensorKind::SonyA7r3,
             bits: None,
             response: None,
+            rig_without_noise: false,
             distortion: -0.05,
             vignetting: 0.15,
             psf_px: 0.0,

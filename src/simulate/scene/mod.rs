@@ -106,7 +106,7 @@ impl Scene {
     }
 
     /// The rig file: what a lab would know. The lens is not in it.
-    pub fn rig(&self, noise: crate::capture::Noise) -> Rig {
+    pub fn rig(&self, noise: Option<crate::capture::Noise>) -> Rig {
         Rig {
             format: crate::capture::FORMAT,
             camera: self.camera.clone(),

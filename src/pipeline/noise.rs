@@ -1,0 +1,255 @@
+//! The sensor's noise: the rig's, checked against the photographs, or theirs when the rig has none.
+
+use crate::capture::{Capture, Noise, Pattern, Photograph, Pixels, ResponseCurve, Samples};
+use crate::radiance::{DarkLevels, NoiseEstimate, black_level, blocks, fit, saturation};
+use crate::{Error, Result, Warning};
+use rayon::prelude::*;
+
+/// The noise that the merge uses, and where it comes from.
+#[derive(Debug)]
+pub(super) struct FoundNoise {
+    pub(super) noise: Noise,
+    /// What the photographs say; `None` when the rig says it and they cannot be asked.
+    pub(super) estimate: Option<NoiseEstimate>,
+    pub(super) from_rig: bool,
+    pub(super) warnings: Vec<Warning>,
+}
+
+/// Gray-code shots whose stripes are widest that are taken, of the patterns and of the inverses: two pairs of each.
+const SHOTS: usize = 4;
+/// Lattice shots whose longest exposure is searched for clipped photosites.
+const BRIGHT_SHOTS: usize = 6;
+/// A rig's figure is doubted when it is off by so many standard deviations …
+const DOUBT_SD: f64 = 5.0;
+/// … and by so much: gain and read noise, of the estimate; black, of the read noise in DN.
+const DOUBT_GAIN: f64 = 0.1;
+const DOUBT_READ: f64 = 0.25;
+const DOUBT_BLACK: f64 = 0.25;
+/// Code values that carry noise of less than this are as good as without, DN.
+const LEAST_DN: f64 = 0.25;
+
+/// The noise of a capture's sensor.
+///
+/// # Errors
+/// Those of decoding; [`Error::Field`] naming `noise` in the rig file when it is not there and the photographs do not tell it.
+pub(super) fn find(capture: &Capture) -> Result<FoundNoise> {
+    let linear = capture.rig.camera.response == ResponseCurve::Linear;
+    match &capture.rig.noise {
+        Some(noise) if !linear => {
+            Ok(FoundNoise { noise: noise.clone(), estimate: None, from_rig: true, warnings: vec![] })
+        }
+        Some(noise) => {
+            let estimate = estimate(capture, Some(noise.saturation_dn))?.ok();
+            let warnings = estimate.as_ref().map_or(vec![], |e| disagreements(noise, e));
+            Ok(FoundNoise { noise: noise.clone(), estimate, from_rig: true, warnings })
+        }
+        None => {
+            let expected = "gain, read noise, black level and saturation: the photographs do not tell them";
+            let missing = |found: String| Error::field(&capture.rig_path, "noise", expected, found);
+            if !linear {
+                return Err(missing("no [noise], and camera.response is not linear".into()));
+            }
+            let estimate = estimate(capture, None)?.map_err(|reason| missing(format!("no [noise], and {reason}")))?;
+            let warnings = vec![Warning::NoiseEstimated {
+                gain_dn_per_electron: estimate.noise.gain_dn_per_electron,
+                gain_sd: estimate.gain_sd,
+                read_noise_electrons: estimate.noise.read_noise_electrons,
+                read_noise_sd: estimate.read_noise_sd,
+                black_dn: estimate.noise.black_dn,
+                black_sd: estimate.black_sd,
+                saturation_dn: estimate.noise.saturation_dn,
+                saturation_seen: estimate.saturation_seen,
+            }];
+            Ok(FoundNoise { noise: estimate.noise.clone(), estimate: Some(estimate), from_rig: false, warnings })
+        }
+    }
+}
+
+/// Floating-point photographs are brought to this range: code values may be anything there, 0 to 1 above all.
+const FLOAT_RANGE: f64 = 16_384.0;
+
+/// Photon transfer over the capture's own photographs; the inner error is what they lack. `saturation_dn` as far as it is known.
+fn estimate(capture: &Capture, saturation_dn: Option<f64>) -> Result<std::result::Result<NoiseEstimate, String>> {
+    let mut reader = Reader { capture, unit_dn: None };
+    let largest = reader.largest_of_floats()?;
+    let saturation_dn = saturation_dn.map(|dn| (dn, true));
+    if let Some(largest) = largest {
+        reader.unit_dn = Some(saturation_dn.map_or(largest, |s| s.0).max(f64::MIN_POSITIVE) / FLOAT_RANGE);
+    }
+    let unit_dn = reader.unit_dn.unwrap_or(1.0);
+    let saturation = match saturation_dn {
+        Some((dn, seen)) => (dn / unit_dn, seen),
+        None => saturation(&reader.histograms()?),
+    };
+    let darks = reader.dark_levels(saturation.0)?;
+    let Some(black) = black_level(&darks) else {
+        return Ok(Err("neither reference-black nor sample-black has two unsaturated exposures".into()));
+    };
+    let width = capture.rig.camera.size_px[0];
+    let grid = |(a, b): &(&Photograph, &Photograph)| {
+        let (a, b) = (reader.decode(a)?, reader.decode(b)?);
+        let share = a.sampling.variance_share;
+        Ok::<_, Error>(blocks([&a.samples, &b.samples], width, black.0, saturation.0, share))
+    };
+    let grids = pairs(capture).par_iter().map(grid).collect::<Result<Vec<_>>>()?;
+    let rounding = if reader.unit_dn.is_some() { 0.0 } else { 1.0 / 12.0 };
+    Ok(fit(&grids, black, saturation, rounding).map(|mut found| {
+        found.noise.black_dn *= unit_dn;
+        found.noise.saturation_dn *= unit_dn;
+        found.noise.gain_dn_per_electron *= unit_dn;
+        (found.gain_sd, found.black_sd) = (found.gain_sd * unit_dn, found.black_sd * unit_dn);
+        found
+    }))
+}
+
+/// Decodes photographs of a capture.
+struct Reader<'a> {
+    capture: &'a Capture,
+    /// Of floating-point photographs, DN: they are divided by it.
+    unit_dn: Option<f64>,
+}
+
+impl Reader<'_> {
+    /// A photograph of the size that the rig says.
+    fn decode(&self, photograph: &Photograph) -> Result<Pixels> {
+        let mut pixels = photograph.decode()?;
+        let size_px = self.capture.rig.camera.size_px;
+        if [pixels.width, pixels.height] != size_px {
+            return Err(Error::BrokenPhotograph {
+                path: photograph.path.clone(),
+                shot: photograph.shot.clone(),
+                reason: format!("{} × {} px were decoded, its head says {size_px:?}", pixels.width, pixels.height),
+            });
+        }
+        if let (Samples::F32(v), Some(unit_dn)) = (&mut pixels.samples, self.unit_dn) {
+            v.iter_mut().for_each(|v| *v = (f64::from(*v) / unit_dn) as f32);
+        }
+        Ok(pixels)
+    }
+
+    /// The longest exposures of the board, of the white reference and of some lattice shots.
+    fn brightest(&self) -> Vec<&Photograph> {
+        let mut shots = self.capture.shots(|p| matches!(p, Pattern::Board | Pattern::ReferenceWhite));
+        let lattice = self.capture.shots(|p| matches!(p, Pattern::Lattice { .. }));
+        shots.extend(lattice.iter().step_by(lattice.len().div_ceil(BRIGHT_SHOTS).max(1)));
+        shots.iter().filter_map(|&s| self.capture.brackets[s].last()).collect()
+    }
+
+    /// The largest code value of floating-point photographs; `None` when they are of whole numbers.
+    fn largest_of_floats(&self) -> Result<Option<f64>> {
+        let mut largest = None;
+        for photograph in self.brightest() {
+            let Samples::F32(v) = self.decode(photograph)?.samples else { return Ok(None) };
+            let finite = v.iter().copied().filter(|v| v.is_finite()).fold(0.0, f32::max);
+            largest = largest.max(Some(f64::from(finite).to_bits()));
+        }
+        // Bits of positive numbers are in the order of the numbers.
+        Ok(largest.map(f64::from_bits))
+    }
+
+    /// Mean code values of the black shots' exposures, those without saturated photosites.
+    fn dark_levels(&self, saturation_dn: f64) -> Result<Vec<DarkLevels>> {
+        let shots = self.capture.shots(|p| matches!(p, Pattern::ReferenceBlack | Pattern::SampleBlack));
+        let level = |p: &Photograph| {
+            let (sum, n, high) = sums(&self.decode(p)?.samples, saturation_dn);
+            // A few hot photosites may saturate: they are left out, and weigh nothing.
+            Ok::<_, Error>((n > 0.0 && high <= 1e-3 * n).then(|| (p.effective_secs, sum / n)))
+        };
+        let bracket = |s: usize| {
+            let levels = self.capture.brackets[s].par_iter().map(level).collect::<Result<Vec<_>>>()?;
+            Ok(levels.into_iter().flatten().collect())
+        };
+        shots.into_iter().map(bracket).collect()
+    }
+
+    /// How often each code value occurs in each channel of the brightest photographs. What is marked as saturated already is not counted.
+    fn histograms(&self) -> Result<[Vec<u32>; 3]> {
+        let mut counts = [0, 1, 2].map(|_| vec![0u32; 1 << 16]);
+        for photograph in self.brightest() {
+            let mut count = |k: usize, code: f64| {
+                if code.is_finite() {
+                    counts[k % 3][(code.round().max(0.0) as usize).min((1 << 16) - 1)] += 1;
+                }
+            };
+            match self.decode(photograph)?.samples {
+                Samples::U8(v) => v.iter().enumerate().for_each(|(k, &c)| count(k, f64::from(c))),
+                Samples::U16(v) => v.iter().enumerate().for_each(|(k, &c)| count(k, f64::from(c))),
+                Samples::F32(v) => v.iter().enumerate().for_each(|(k, &c)| count(k, f64::from(c))),
+            }
+        }
+        Ok(counts)
+    }
+}
+
+/// Photographs of one exposure of two Gray-code shots, both patterns or both inverses, of different bits or axes.
+fn pairs(capture: &Capture) -> Vec<(&Photograph, &Photograph)> {
+    let mut pairs = Vec::new();
+    for inverses in [false, true] {
+        let mut shots: Vec<(u32, usize, usize)> = Vec::new();
+        for (s, shot) in capture.manifest.shots.iter().enumerate() {
+            if let Pattern::GrayCode { axis, bit, inverse, .. } = shot.pattern
+                && inverse == inverses
+            {
+                shots.push((bit, axis as usize, s));
+            }
+        }
+        // The widest stripes first, the two axes in turn.
+        shots.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
+        shots.truncate(SHOTS);
+        for two in shots.as_chunks::<2>().0 {
+            let [first, second] = two.map(|(.., s)| &capture.brackets[s]);
+            for a in first {
+                let same = |b: &&Photograph| (b.effective_secs / a.effective_secs - 1.0).abs() < 0.01;
+                pairs.extend(second.iter().find(same).map(|b| (a, b)));
+            }
+        }
+    }
+    pairs
+}
+
+/// Sum and number of the code values below `saturation_dn`, and how many are not.
+fn sums(samples: &Samples, saturation_dn: f64) -> (f64, f64, f64) {
+    fn over<T: Copy>(v: &[T], f: impl Fn(T) -> f64, saturation_dn: f64) -> (f64, f64, f64) {
+        let (mut sum, mut n) = (0.0, 0.0);
+        for code in v.iter().map(|&c| f(c)).filter(|&c| c < saturation_dn) {
+            (sum, n) = (sum + code, n + 1.0);
+        }
+        (sum, n, v.len() as f64 - n)
+    }
+    match samples {
+        Samples::U8(v) => over(v, f64::from, saturation_dn),
+        Samples::U16(v) => over(v, f64::from, saturation_dn),
+        Samples::F32(v) => over(v, f64::from, saturation_dn),
+    }
+}
+
+/// Where a rig's figures and the photographs' cannot both be right.
+fn disagreements(given: &Noise, found: &NoiseEstimate) -> Vec<Warning> {
+    let measured = &found.noise;
+    let range = given.saturation_dn - given.black_dn;
+    // Of floating point a code value may be all there is.
+    let least_dn = if range < 100.0 { LEAST_DN * range / FLOAT_RANGE } else { LEAST_DN };
+    let read_dn = measured.gain_dn_per_electron * measured.read_noise_electrons;
+    let figures = [
+        (
+            "gain_dn_per_electron",
+            given.gain_dn_per_electron,
+            measured.gain_dn_per_electron,
+            found.gain_sd,
+            (DOUBT_GAIN * measured.gain_dn_per_electron).max(least_dn * least_dn / range),
+        ),
+        (
+            "read_noise_electrons",
+            given.read_noise_electrons,
+            measured.read_noise_electrons,
+            found.read_noise_sd,
+            DOUBT_READ * measured.read_noise_electrons + least_dn / measured.gain_dn_per_electron.max(1e-12),
+        ),
+        ("black_dn", given.black_dn, measured.black_dn, found.black_sd, DOUBT_BLACK * read_dn.max(4.0 * least_dn)),
+    ];
+    let doubted =
+        figures.into_iter().filter(|(_, given, found, sd, least)| (given - found).abs() > (DOUBT_SD * sd).max(*least));
+    doubted
+        .map(|(field, given, found, sd, _)| Warning::NoiseDisagrees { field: field.to_owned(), given, found, sd })
+        .collect()
+}
