@@ -2,11 +2,14 @@
 
 mod exif;
 mod folder;
+mod jpeg;
 mod manifest;
 mod photograph;
 mod rig;
 
+pub use exif::ExposureFrom;
 pub use folder::Capture;
+pub use jpeg::compression_variance;
 pub use manifest::{Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Window};
 pub use photograph::{Photograph, Pixels, Rect, Samples};
 pub(crate) use photograph::{check_exr_size, check_jpeg_end};
@@ -15,7 +18,7 @@ pub use rig::{Board, Camera, Noise, Projector, ResponseCurve, Rig, WhiteReferenc
 use crate::{Error, Result};
 use std::path::Path;
 
-fn parse_toml<T: serde::de::DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
+pub(crate) fn parse_toml<T: serde::de::DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
     toml::from_str(text).map_err(|e| {
         let line = e.span().map_or(0, |s| text[..s.start].matches('\n').count() + 1);
         Error::field(path, format!("line {line}"), "a field as docs/captures.md describes it", e.message().trim())

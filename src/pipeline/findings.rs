@@ -12,6 +12,7 @@ impl Prepared<'_> {
     pub(super) fn finish(&self, results: Vec<ShotResult>, header: &mut MatrixHeader) -> Result<BuildReport> {
         let capture = self.shots.capture;
         let mut warnings = capture.warnings.clone();
+        warnings.extend(self.shots.radiometry.warnings.clone());
         let mut clipped = (0, 0);
         let mut bright: Vec<f64> = Vec::new();
         let mut saturated: Option<(String, usize, usize)> = None;
@@ -141,6 +142,7 @@ impl Prepared<'_> {
             "capture_toml_blake3": hash_file(&capture.manifest_path())?,
             "rig_toml_blake3": hash_file(&capture.rig_path)?,
             "photographs_blake3": all.finalize().to_string(),
+            "radiometry": self.shots.radiometry.record,
             "registration": registration,
         }))
     }

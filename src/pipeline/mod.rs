@@ -2,9 +2,10 @@
 
 mod findings;
 mod lattice;
+mod radiometry;
 mod shots;
 
-use crate::capture::Capture;
+use crate::capture::{Capture, ExposureFrom};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::Radiance;
@@ -20,6 +21,10 @@ pub struct BuildOptions {
     /// Folder of rig.toml [default: calibration/ in the capture, else beside it].
     #[arg(long, value_name = "DIR")]
     pub calibration: Option<PathBuf>,
+    /// Where exposure times come from. capture.toml comes before all; `estimate` measures the actual times behind EXIF's from the
+    /// photographs.
+    #[arg(long, value_enum, default_value = "exif", value_name = "SOURCE")]
+    pub exposure_from: ExposureFrom,
 }
 
 /// What [`build_matrix`] found besides the matrix.
@@ -70,14 +75,15 @@ pub struct Overview {
 /// Those of [`Capture::open`], of decoding and registration; [`crate::Error::DotOutsideSlab`], [`crate::Error::DotSaturated`]; [`crate::Error::Io`] for `out`.
 /// Nothing appears at `out` then.
 pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &Progress) -> Result<BuildReport> {
-    let capture = {
+    let mut capture = {
         let stage = progress.stage("read", 1);
-        let capture = Capture::open(dir, options.calibration.as_deref())?;
+        let capture = Capture::open_with(dir, options.calibration.as_deref(), options.exposure_from)?;
         stage.advance(1);
         capture
     };
     let mut writer = MatrixWriter::create(out, empty_header(&capture))?;
-    let shots = Shots::new(&capture);
+    let radiometry = radiometry::calibrate(&mut capture, options, progress)?;
+    let shots = Shots::new(&capture, radiometry);
     let registration = shots.register(progress)?;
     let prepared = shots.prepare(registration, progress)?;
     let result = prepared.extract(&writer, progress)?;

@@ -1,6 +1,7 @@
 //! Decoding and merging any shot of a capture; the shots that everything else is measured against.
 
 use super::lattice::Prepared;
+use super::radiometry::Radiometry;
 use crate::capture::{Capture, Pattern, Photograph, Rect};
 use crate::progress::{Progress, Stage};
 use crate::radiance::{Bracket, Radiance, Sensor, decode_shot};
@@ -16,15 +17,16 @@ use std::sync::Mutex;
 pub(super) struct Shots<'a> {
     pub(super) capture: &'a Capture,
     pub(super) sensor: Sensor,
+    pub(super) radiometry: Radiometry,
     whole: Rect,
     pub(super) hashes: Mutex<BTreeMap<PathBuf, blake3::Hash>>,
 }
 
 impl<'a> Shots<'a> {
-    pub(super) fn new(capture: &'a Capture) -> Self {
+    pub(super) fn new(capture: &'a Capture, radiometry: Radiometry) -> Self {
         let [width, height] = capture.rig.camera.size_px;
         let whole = Rect { x: 0, y: 0, width, height };
-        Self { capture, sensor: Sensor::new(&capture.rig), whole, hashes: Mutex::default() }
+        Self { capture, sensor: radiometry.sensor.clone(), radiometry, whole, hashes: Mutex::default() }
     }
 
     /// Decodes a shot and keeps the pixels of `rects`.

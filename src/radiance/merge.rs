@@ -52,8 +52,8 @@ pub fn merge(bracket: &[Exposure], rect: Rect, sensor: &Sensor) -> Radiance {
     out
 }
 
-/// Samples that are merged together: all their exposures stay in the nearest cache.
-const BLOCK: usize = 512;
+/// Samples that are merged together, whole pixels: all their exposures stay in the nearest cache.
+pub(super) const BLOCK: usize = 510;
 
 /// Σy/Σt over each sample's usable exposures; the others are marked as +∞ in `linear`. Counts the usable ones.
 ///
@@ -88,11 +88,11 @@ fn weigh(
     let mut bottom = [0.0f32; BLOCK];
     for (y, exposure) in linear.iter().zip(bracket) {
         let t = exposure.secs as f32;
-        let sums = value.iter_mut().zip(&mut bottom).zip(estimate).zip(y);
-        for (((top, bottom), &estimate), &y) in sums {
+        let sums = value.iter_mut().zip(&mut bottom).zip(estimate).zip(y).enumerate();
+        for (k, (((top, bottom), &estimate), &y)) in sums {
             let mut variance = sensor.gain * estimate * t + sensor.floor;
             if sensor.is_curved() {
-                variance += sensor.rounding(estimate * t);
+                variance += sensor.rounding(estimate * t, k % 3);
             }
             let usable = y.is_finite();
             let w = if usable { t / variance } else { 0.0 };
