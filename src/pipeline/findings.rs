@@ -52,8 +52,10 @@ impl Prepared<'_> {
         if capture.manifest.reference_dots.is_none() {
             warnings.push(Warning::DriftFromLatticeDots);
         }
+        let remaining = results.iter().map(|r| r.flicker_variance).sum::<f64>() / results.len().max(1) as f64;
+        warnings.extend(self.flicker.as_ref().map(|f| f.warning(remaining)));
         self.complete_header(header, &mut warnings);
-        header.provenance = self.provenance()?;
+        header.provenance = self.provenance(remaining)?;
         header.warnings = warnings.clone();
         Ok(BuildReport {
             registration: self.registration.clone(),
@@ -126,7 +128,7 @@ impl Prepared<'_> {
         (outside > board.square_mm).then_some(outside)
     }
 
-    fn provenance(&self) -> Result<serde_json::Value> {
+    fn provenance(&self, flicker_variance: f64) -> Result<serde_json::Value> {
         let capture = self.shots.capture;
         let hash_file =
             |p: &Path| Ok::<_, Error>(blake3::hash(&std::fs::read(p).map_err(Error::io("read", p))?).to_string());
@@ -143,6 +145,7 @@ impl Prepared<'_> {
             "rig_toml_blake3": hash_file(&capture.rig_path)?,
             "photographs_blake3": all.finalize().to_string(),
             "radiometry": self.shots.radiometry.record,
+            "flicker": self.flicker.as_ref().map(|f| f.record(flicker_variance)),
             "registration": registration,
         }))
     }

@@ -1,10 +1,11 @@
 //! The lattice shots: drift, windows, rows.
 
+use super::flicker::Flicker;
 use super::shots::Shots;
 use crate::capture::{Pattern, Rect};
 use crate::geometry::Point;
 use crate::progress::Progress;
-use crate::radiance::{Bracket, Radiance};
+use crate::radiance::{Bracket, Curve, Radiance};
 use crate::registration::{Drift, Registration, measure_drift};
 use crate::response::{CellWeights, Irradiance, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
 use crate::transport::MatrixWriter;
@@ -20,6 +21,9 @@ pub(super) struct Prepared<'a> {
     pub(super) registration: Registration,
     pub(super) ambient: Radiance,
     pub(super) irradiance: Irradiance,
+    /// Relative variance of the white reference's light that flicker leaves, when it was measured.
+    pub(super) white_variance: Option<f64>,
+    pub(super) flicker: Option<Flicker>,
     pub(super) px_per_mm: f64,
     pub(super) cell_px: f64,
 }
@@ -31,6 +35,8 @@ pub(super) struct ShotResult {
     pub(super) drift: Option<Drift>,
     pub(super) findings: Vec<([usize; 2], RowFindings)>,
     pub(super) albedo_above_one: Vec<f64>,
+    /// Relative variance that flicker leaves in each row.
+    pub(super) flicker_variance: f64,
 }
 
 impl Prepared<'_> {
@@ -94,31 +100,32 @@ impl Prepared<'_> {
         let references = self.reference_mm();
         let radius_px = self.dot_radius_px();
         // Rectangles: reference dots, then each window with room for its drift.
-        let mut rects: Vec<Rect> = Vec::new();
-        for &p in &references {
-            let q = self.registration.view.camera_from_slab(p);
-            rects.push(square(q, radius_px + DRIFT_SEARCH_PX, size_px).ok_or_else(|| self.outside_picture(shot))?);
-        }
+        let mut rects = self.reference_rects(shot)?;
         for &dot in dots {
             let grid = WindowGrid::new(&manifest.window, self.nominal_mm(dot), &self.registration.view);
             let rect = window_rect(&grid, size_px).ok_or_else(|| self.outside_picture(shot))?;
             rects.push(grown(rect, DRIFT_SEARCH_PX as usize, size_px));
         }
         let mut references_seen = self.shots.decode(shot, &rects)?;
-        let windows = references_seen.split_off(references.len());
+        let mut windows = references_seen.split_off(references.len());
+        let flicker_variance =
+            self.flicker.as_ref().map_or(0.0, |f| f.steady(self, &mut references_seen, &mut windows));
         let drift = self.drift(shot, dots, &references, &references_seen, &windows, radius_px);
         if drift.is_none() && !references.is_empty() {
             return Err(self.lost(shot, &windows, references.len()));
         }
         let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
 
-        let mut result = ShotResult { lit: vec![], drift, findings: vec![], albedo_above_one: vec![] };
+        let mut result = ShotResult { lit: vec![], drift, findings: vec![], albedo_above_one: vec![], flicker_variance };
+        // What all samples of a row have in common: the lamp, and the response curve's own error.
+        let common_variance = flicker_variance + self.shots.sensor.curve().map_or(0.0, Curve::relative_variance);
         let mut weights = CellWeights::new(self.cell_px);
         for (&dot, bracket) in dots.iter().zip(&windows) {
             let nominal = self.nominal_mm(dot);
             let center = [nominal[0] + moved[0], nominal[1] + moved[1]];
             let grid = WindowGrid::new(&manifest.window, center, &self.registration.view);
-            let lit = self.lit_dot(shot, dot, center, drift)?;
+            let mut lit = self.lit_dot(shot, dot, center, drift)?;
+            lit.flux.relative_variance = lit.flux.relative_variance.map(|v| v + common_variance);
             let needed = window_rect(&grid, size_px).and_then(|r| overlap(r, bracket.rect()));
             let picture = self.picture(bracket, needed.ok_or_else(|| self.outside_picture(shot))?);
             let (row, findings) =
@@ -151,7 +158,7 @@ impl Prepared<'_> {
     }
 
     /// Radiance of a part of a bracket, ambient light subtracted.
-    fn picture(&self, bracket: &Bracket, part: Rect) -> Radiance {
+    pub(super) fn picture(&self, bracket: &Bracket, part: Rect) -> Radiance {
         let mut picture = bracket.merge(part, &self.shots.sensor);
         picture.subtract(&self.ambient);
         picture
@@ -180,6 +187,21 @@ impl Prepared<'_> {
             references.iter().zip(references_seen).map(|(&p, b)| (p, self.picture(b, b.rect()))).collect()
         };
         measure_drift(&seen, &self.registration, radius_px)
+    }
+
+    /// The drift of dots that are seen at their expected places.
+    pub(super) fn measure(&self, seen: &[(Point, Radiance)]) -> Option<Drift> {
+        measure_drift(seen, &self.registration, self.dot_radius_px())
+    }
+
+    /// Where the reference dots are looked for.
+    pub(super) fn reference_rects(&self, shot: usize) -> Result<Vec<Rect>> {
+        let reach_px = self.dot_radius_px() + DRIFT_SEARCH_PX;
+        let around = |p: Point| {
+            let at = self.registration.view.camera_from_slab(p);
+            square(at, reach_px, self.shots.capture.rig.camera.size_px).ok_or_else(|| self.outside_picture(shot))
+        };
+        self.reference_mm().into_iter().map(around).collect()
     }
 
     fn lit_dot(&self, shot: usize, dot: [usize; 2], center: Point, drift: Option<Drift>) -> Result<LitDot> {
@@ -215,7 +237,7 @@ impl Prepared<'_> {
         }
     }
 
-    fn dot_radius_px(&self) -> f64 {
+    pub(super) fn dot_radius_px(&self) -> f64 {
         let grid = &self.shots.capture.manifest.grid;
         let middle = self.nominal_mm([grid.points[0] / 2, grid.points[1] / 2]);
         let pixel_mm = self.registration.slab_from_projector.area_scale(grid.dot_projector_px([0, 0])).sqrt();

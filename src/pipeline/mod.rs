@@ -1,6 +1,7 @@
 //! From a capture folder to the matrix: the way of the photographs, stage by stage.
 
 mod findings;
+mod flicker;
 mod lattice;
 mod radiometry;
 mod shots;
@@ -85,7 +86,8 @@ pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &P
     let radiometry = radiometry::calibrate(&mut capture, options, progress)?;
     let shots = Shots::new(&capture, radiometry);
     let registration = shots.register(progress)?;
-    let prepared = shots.prepare(registration, progress)?;
+    let mut prepared = shots.prepare(registration, progress)?;
+    prepared.flicker = flicker::Flicker::measure(&prepared)?;
     let result = prepared.extract(&writer, progress)?;
 
     let stage = progress.stage("write", 1);

@@ -29,7 +29,7 @@ pub(super) struct Radiometry {
 const LATTICE_SHOTS_PER_LOOK: usize = 16;
 const LOOKS: [usize; 2] = [4, 12];
 /// Gray-code bits of each axis whose light sums are looked at, finest first: their stripes have most edges.
-const BITS_PER_AXIS: usize = 3;
+const BITS_PER_AXIS: usize = 6;
 /// Pixels of a light sum, half of them on edges.
 const SUM_PIXELS: usize = 6000;
 /// A measured time is worth a word when it differs by more than this and by more than three standard deviations.
@@ -78,7 +78,7 @@ pub(super) fn calibrate(capture: &mut Capture, options: &BuildOptions, progress:
         estimate = Some(found);
     }
     let scales: Vec<_> =
-        stacks.par_iter().filter_map(|s| stack_scales(&s.exposures, &sensor, 1).map(|scales| (s, scales))).collect();
+        stacks.par_iter().filter_map(|s| stack_scales(&[&s.exposures], &sensor, 1).map(|scales| (s, scales))).collect();
     let fit = fit_exposures(&scales, settings.secs.len());
     warnings.extend(judge(&fit, &settings, options));
     if options.exposure_from == ExposureFrom::Estimate {

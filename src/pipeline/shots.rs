@@ -11,7 +11,7 @@ use crate::{Error, Result};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::Mutex;
+use std::sync::{Mutex, OnceLock};
 
 /// What decoding any shot needs.
 pub(super) struct Shots<'a> {
@@ -20,13 +20,20 @@ pub(super) struct Shots<'a> {
     pub(super) radiometry: Radiometry,
     whole: Rect,
     pub(super) hashes: Mutex<BTreeMap<PathBuf, blake3::Hash>>,
+    /// Light of each Gray-code pattern and its inverse together, every [`SUM_STEP`]th pixel: white, but for the lamp.
+    sums: OnceLock<Vec<Vec<f32>>>,
 }
+
+/// A few thousand pixels tell the lamp's change to a hundredth of a per cent.
+const SUM_STEP: usize = 13;
+/// Pixels this bright, of the brightest, are lit.
+const LIT_SHARE: f32 = 0.3;
 
 impl<'a> Shots<'a> {
     pub(super) fn new(capture: &'a Capture, radiometry: Radiometry) -> Self {
         let [width, height] = capture.rig.camera.size_px;
         let whole = Rect { x: 0, y: 0, width, height };
-        Self { capture, sensor: radiometry.sensor.clone(), radiometry, whole, hashes: Mutex::default() }
+        Self { capture, sensor: radiometry.sensor.clone(), radiometry, whole, hashes: Mutex::default(), sums: OnceLock::new() }
     }
 
     /// Decodes a shot and keeps the pixels of `rects`.
@@ -70,6 +77,8 @@ impl<'a> Shots<'a> {
             || self.bit_pairs(&codes, &stage),
         );
         let (camera, pairs) = (camera?, pairs?);
+        let sum = |p: &BitPair| p.pattern.iter().zip(&p.inverse).step_by(SUM_STEP).map(|(a, b)| a + b).collect();
+        self.sums.get_or_init(|| pairs.iter().map(sum).collect());
         let first = codes[0];
         let projector =
             register_projector(&pairs, self.capture.rig.camera.size_px, &camera.view).map_err(self.failed(first))?;
@@ -116,6 +125,7 @@ impl<'a> Shots<'a> {
         let (Some(black), Some(mut white), Some(ambient)) = (merged.pop(), merged.pop(), merged.pop()) else {
             return Err(Error::internal("three shots merged to fewer"));
         };
+        let white_variance = self.radiometry.flicker_sd.and_then(|_| self.steady_white(&mut white, &black));
         white.subtract(&black);
         let px_per_mm = {
             let j = registration.view.jacobian(registration.center_mm);
@@ -123,6 +133,45 @@ impl<'a> Shots<'a> {
         };
         let cell_px = px_per_mm * self.capture.manifest.window.pitch_mm;
         let irradiance = Irradiance::new(white, &self.capture.rig, cell_px.round().clamp(2.0, 50.0) as usize);
-        Ok(Prepared { shots: self, registration, ambient, irradiance, px_per_mm, cell_px })
+        Ok(Prepared {
+            shots: self,
+            registration,
+            ambient,
+            irradiance,
+            white_variance,
+            flicker: None,
+            px_per_mm,
+            cell_px,
+        })
+    }
+
+    /// Scales the white reference to the lamp's mean over the Gray-code shots: each with its inverse adds up to white and black. Returns the
+    /// relative variance that remains; `None`, and nothing done, with fewer than three such sums.
+    ///
+    /// The median over pixels, so that those that some exposure did not measure do not matter.
+    fn steady_white(&self, white: &mut Radiance, black: &Radiance) -> Option<f64> {
+        let (light, dark) = (white.luminance(), black.luminance());
+        let brightest = light.iter().copied().fold(0.0, f32::max);
+        let lit: Vec<usize> =
+            (0..light.len()).step_by(SUM_STEP).filter(|&p| light[p] > LIT_SHARE * brightest).collect();
+        let ratio = |sum: &Vec<f32>| {
+            let mut all: Vec<f32> = lit.iter().map(|&p| (sum[p / SUM_STEP] - dark[p]) / light[p]).collect();
+            let middle = all.len() / 2;
+            (!all.is_empty()).then(|| f64::from(*all.select_nth_unstable_by(middle, f32::total_cmp).1))
+        };
+        let ratios: Vec<f64> = self.sums.get()?.iter().map(ratio).collect::<Option<_>>()?;
+        let n = ratios.len() as f64;
+        if ratios.len() < 3 {
+            return None;
+        }
+        let mean = ratios.iter().sum::<f64>() / n;
+        let variance = ratios.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / (n - 1.0) / n;
+        // A tenth is no flicker: something else differs.
+        if !((mean - 1.0).abs() < 0.1) {
+            return None;
+        }
+        white.value.iter_mut().for_each(|v| *v *= mean as f32);
+        white.variance.iter_mut().for_each(|v| *v *= (mean * mean) as f32);
+        Some(variance)
     }
 }

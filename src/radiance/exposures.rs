@@ -41,14 +41,22 @@ struct Sums {
     freedom: f64,
 }
 
+impl Sums {
+    fn new(n: usize) -> Self {
+        Self { score: vec![0.0; n], information: vec![0.0; n * n], chi2: 0.0, freedom: 0.0 }
+    }
+}
+
 /// Log scales of a stack's photographs by weighted least squares: at each pixel y_j = L t_j exp(δ_j), with L eliminated.
 ///
 /// Weights are signal² / variance at the pooled light, so that a residual and its weight are uncorrelated. Only values that the other
-/// exposures predict to be unsaturated and above noise count. `stride` leaves out all but every so many blocks of pixels.
+/// exposures predict to be unsaturated and above noise count. `parts` are rectangles of one shot, the
+/// same photographs in each. `stride` leaves out all but every so many blocks of pixels.
 /// `None` with fewer than two exposures or nothing that two of them measured.
 ///
 /// Not detected: light that changes within the picture, a wrong response curve (it looks like wrong times).
-pub fn stack_scales(exposures: &[Exposure], sensor: &Sensor, stride: usize) -> Option<StackScales> {
+pub fn stack_scales(parts: &[&[Exposure]], sensor: &Sensor, stride: usize) -> Option<StackScales> {
+    let exposures = *parts.first()?;
     let n = exposures.len();
     if n < 2 {
         return None;
@@ -57,7 +65,8 @@ pub fn stack_scales(exposures: &[Exposure], sensor: &Sensor, stride: usize) -> O
     let mut information = vec![0.0; n * n];
     for round in 0..ITERATIONS {
         let secs: Vec<f32> = exposures.iter().zip(&log_scale).map(|(e, s)| (e.secs * f64::exp(*s)) as f32).collect();
-        let sums = accumulate(exposures, &secs, sensor, stride, round < 2);
+        let mut sums = Sums::new(n);
+        parts.iter().for_each(|part| accumulate(part, &secs, sensor, stride, round < 2, &mut sums));
         if sums.freedom < 1.0 {
             return None;
         }
@@ -76,9 +85,15 @@ pub fn stack_scales(exposures: &[Exposure], sensor: &Sensor, stride: usize) -> O
     Some(StackScales { log_scale, information })
 }
 
-fn accumulate(exposures: &[Exposure], secs: &[f32], sensor: &Sensor, stride: usize, loose: bool) -> Sums {
+fn accumulate(
+    exposures: &[Exposure],
+    secs: &[f32],
+    sensor: &Sensor,
+    stride: usize,
+    loose: bool,
+    sums: &mut Sums,
+) {
     let n = exposures.len();
-    let mut sums = Sums { score: vec![0.0; n], information: vec![0.0; n * n], chi2: 0.0, freedom: 0.0 };
     let samples = exposures.iter().map(|e| e.samples.len()).min().unwrap_or(0);
     let mut linear = vec![[0.0f32; BLOCK]; n];
     let mut here = Here::new(n);
@@ -89,11 +104,10 @@ fn accumulate(exposures: &[Exposure], secs: &[f32], sensor: &Sensor, stride: usi
         }
         for k in 0..len {
             if here.look(&linear, k, secs, sensor, loose) {
-                here.add_to(&mut sums);
+                here.add_to(sums);
             }
         }
     }
-    sums
 }
 
 /// One pixel and channel in all exposures: weights (0 where unusable) and relative residuals.

@@ -7,7 +7,7 @@ mod sensor;
 mod shot;
 
 pub use curve::{Curve, CurveEstimate, CurveOptions, LightSum, estimate_curve};
-pub(crate) use exposures::{evenly, take};
+pub(crate) use exposures::{evenly, solve, take};
 pub use exposures::{ExposureFit, Stack, StackScales, fit_exposures, pick_pixels, stack_scales};
 pub use merge::{Exposure, Radiance, merge};
 pub use sensor::{FileNoise, Sensor};

@@ -25,6 +25,13 @@ pub struct FileNoise {
     pub compression: [f64; 3],
 }
 
+impl FileNoise {
+    /// Whether compression adds anything.
+    pub fn is_compressed(&self) -> bool {
+        self.compression != [0.0; 3]
+    }
+}
+
 /// A response curve, tabulated for speed. Tables hold R G B after each other for each entry.
 #[derive(Debug, Clone)]
 struct Encoding {

@@ -48,9 +48,13 @@ const LEAST_CODE: f64 = 4.0;
 const BEND_SD: f64 = 0.3;
 /// Prior standard deviation of a lamp's change from one photograph to another.
 const LAMP_SD: f64 = 0.02;
+/// And of what compression does to all edges of a pattern alike, where dark parts cannot tell the lamp's change.
+const COMPRESSED_LAMP_SD: f64 = 0.004;
 /// A light sum tells about the curve where both parts have at least this share of it.
 const LEAST_SHARE: f64 = 0.1;
 const ITERATIONS: usize = 15;
+/// Compression errs for a block of pixels together: so many are one observation when curves are compared.
+const BLOCK_PIXELS: f64 = 64.0;
 
 /// Estimates ln g(z), g being the light of code value z, as a monotone curve; one for all channels, or one each when the Bayesian
 /// information criterion says that they differ.
@@ -73,7 +77,8 @@ pub fn estimate_curve(
     let common = problem.fit(1, None)?;
     let own = problem.fit(3, Some(&common));
     // Each channel of its own costs twice the coefficients.
-    let noise_scale = own.as_ref().map_or(1.0, |o| (o.chi2 / o.freedom).max(1.0));
+    let blocks = if options.file.is_compressed() { BLOCK_PIXELS } else { 1.0 };
+    let noise_scale = own.as_ref().map_or(1.0, |o| blocks * (o.chi2 / o.freedom).max(0.1));
     let penalty = (2 * COEFFICIENTS) as f64 * common.freedom.max(2.0).ln();
     let better = own.filter(|o| (common.chi2 - o.chi2) / noise_scale > penalty);
     better.unwrap_or(common).into_estimate()
@@ -137,7 +142,7 @@ impl Problem<'_> {
     fn fit(&self, curves: usize, from: Option<&Fit>) -> Option<Fit> {
         let lamps = 2 * self.sums.len();
         let mut fit = Fit {
-            coefficients: from.map_or_else(|| starting(&dbg_start()), |f| f.coefficients.clone()).repeat(curves),
+            coefficients: from.map_or_else(|| starting(&Curve::srgb()), |f| f.coefficients.clone()).repeat(curves),
             curves,
             times: from.map_or_else(|| vec![0.0; self.settings], |f| f.times.clone()),
             lamps: from.map_or_else(|| vec![0.0; lamps], |f| f.lamps.clone()),
@@ -152,8 +157,7 @@ impl Problem<'_> {
             let step = solve(system.matrix.clone(), system.right.clone())?;
             let largest = step.iter().fold(0.0f64, |m, s| m.max(s.abs()));
             let damp = (0.5 / largest).min(1.0);
-            if std::env::var("ADBG").is_ok() { eprintln!("{curves} round {round} chi2 {} freedom {} largest {largest} times {:?} lamps {:?}", system.chi2, system.freedom, fit.times, &fit.lamps[..4.min(fit.lamps.len())]); }
-            fit.coefficients.iter_mut().zip(&step).for_each(|(c, s)| *c += damp * s);
+                fit.coefficients.iter_mut().zip(&step).for_each(|(c, s)| *c += damp * s);
             fit.times.iter_mut().zip(&step[unknowns..]).for_each(|(t, s)| *t += damp * s);
             fit.lamps.iter_mut().zip(&step[unknowns + self.settings..]).for_each(|(l, s)| *l += damp * s);
             if largest < 1e-5 && round >= 5 {
@@ -180,7 +184,6 @@ impl Problem<'_> {
             .enumerate()
             .map(|(k, s)| self.add_sum(k, s, fit, &sensor, System::new(size), loose))
             .collect();
-        if std::env::var("ADBG").is_ok() { eprintln!("stacks {:?}", stacks.iter().map(|s| (s.chi2 as i64, s.freedom as i64)).collect::<Vec<_>>()); eprintln!("sums {:?}", sums.iter().map(|s| (s.chi2 as i64, s.freedom as i64)).collect::<Vec<_>>()); }
         // In order, so that the sum does not depend on the threads.
         let mut system = stacks.into_iter().chain(sums).fold(System::new(size), System::merge);
         self.add_priors(fit, &mut system);
@@ -206,7 +209,8 @@ impl Problem<'_> {
             system.add(&[(base + s, 1.0)], -now, self.options.times_sd.powi(-2));
         }
         for (l, now) in fit.lamps.iter().enumerate() {
-            system.add(&[(base + self.settings + l, 1.0)], -now, LAMP_SD.powi(-2));
+            let sd = if self.options.file.is_compressed() { COMPRESSED_LAMP_SD } else { LAMP_SD };
+            system.add(&[(base + self.settings + l, 1.0)], -now, sd.powi(-2));
         }
     }
 
@@ -274,6 +278,7 @@ impl Problem<'_> {
         let lamp = fit.coefficients.len() + self.settings + 2 * number;
         let lamps = [0, 1].map(|p| fit.lamps[2 * number + p].exp().recip());
         let samples = sum.whole.len().min(sum.black.len());
+        let compressed = self.options.file.is_compressed();
         let mut linear = [[0.0f32; BLOCK]; 3];
         let mut row = Vec::with_capacity(14);
         for first in (0..samples).step_by(BLOCK) {
@@ -283,8 +288,9 @@ impl Problem<'_> {
             }
             for k in 0..len {
                 let [a, b, whole] = [0, 1, 2].map(|p| f64::from(linear[p][k]));
+                let black = f64::from(sum.black[first + k]);
                 let [a, b] = [a * lamps[0], b * lamps[1]];
-                let expected = whole + f64::from(sum.black[first + k]);
+                let expected = whole + black;
                 if !(a + b + whole).is_finite() || !(expected > 0.0) || a + b <= 0.0 {
                     continue;
                 }
@@ -303,6 +309,10 @@ impl Problem<'_> {
                     whole - excess * variance[2] / total,
                 ];
                 let shared = a.min(b) > LEAST_SHARE * (a + b);
+                // Compression rings in the dark part, where black clips it: its mean is no longer that of the light.
+                if compressed && !shared {
+                    continue;
+                }
                 row.clear();
                 // Where one part is all there is, the curve cancels and the lamp's change is seen.
                 for (light, sign) in [(a, 1.0), (b, 1.0), (whole, -1.0)] {
@@ -423,14 +433,4 @@ impl Fit {
             observations: self.freedom as usize,
         })
     }
-}
-
-fn dbg_start() -> Curve {
-    if std::env::var("ATRUE").is_err() { return Curve::srgb(); }
-    let srgb = Curve::srgb();
-    let s = 0.461356f64.powf(0.5);
-    let k = s * (1.0 - 0.461356) / (1.0 - s);
-    // e = (1+k) p / (p + k) -> p = e k / (1 + k - e)
-    let table = (0..256).map(|z| { let e = z as f64 / 255.0; let p: f64 = e * k / (1.0 + k - e); srgb.linear_at(0, 255.0 * p.powf(1.0 / 1.5)) }).collect();
-    Curve::new(vec![table], vec![vec![0.0; 256]]).unwrap()
 }
