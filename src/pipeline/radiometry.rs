@@ -25,9 +25,10 @@ pub(super) struct Radiometry {
     pub record: serde_json::Value,
 }
 
-/// Lattice shots that are looked at: one in so many, within bounds. Twelve stacks of five give flicker to a tenth of itself.
+/// Lattice shots that are looked at: one in so many, within bounds. Twelve stacks of five
+/// give flicker to a tenth of itself.
 const LATTICE_SHOTS_PER_LOOK: usize = 16;
-const LOOKS: [usize; 2] = [4, 12];
+const LOOKS: [usize; 2] = [8, 16];
 /// Gray-code bits of each axis whose light sums are looked at, finest first: their stripes have most edges.
 const BITS_PER_AXIS: usize = 6;
 /// Pixels of a light sum, half of them on edges.

@@ -321,7 +321,10 @@ fn fit_given(stacks: &[Contrast], group: &[usize], sd: f64) -> Given {
         // What the anchor itself seems to add is no uncertainty of the anchored scale.
         variance.push((column[a] - 1.0 / (anchor * size)).max(0.0));
     }
-    let mut log_likelihood = 0.0;
+    // Restricted likelihood: the settings that are fitted take their share of the freedom.
+    let Some(fitted) = log_determinant(system, m) else { return failed() };
+    let groups = (0..m).filter(|g| group.contains(g)).count() as f64;
+    let mut log_likelihood = 0.5 * (groups * anchor.ln() - fitted);
     for (s, w) in stacks.iter().zip(&weights) {
         let n = s.settings.len();
         let r: Vec<f64> = (0..n).map(|j| s.log_scale[j] - log_scale[s.settings[j]]).collect();

@@ -137,6 +137,10 @@ pub struct Options {
     /// Response curve; the rig file takes `film` for sRGB [default: linear for PNG, srgb for JPEG]
     #[arg(long, value_enum, help_heading = "Camera")]
     pub response: Option<Response>,
+    /// The board is shot at the lattice's shortest exposure too: its black squares link the exposures of the references to those of
+    /// the lattice.
+    #[arg(long, help_heading = "Capture")]
+    pub link_exposures: bool,
     /// What the rig file says of the response [default: linear, or srgb for srgb and film]
     #[arg(long, value_enum, help_heading = "Camera")]
     pub rig_response: Option<RigResponse>,
@@ -232,6 +236,7 @@ impl Default for Options {
             bits: None,
             response: None,
             rig_response: None,
+            link_exposures: false,
             exif_stops_error: 0.0,
             nominal_times: false,
             distortion: -0.05,

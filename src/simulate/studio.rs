@@ -125,6 +125,11 @@ impl Studio {
     /// The exposure times of a shot.
     pub fn bracket(&self, options: &Options, pattern: &Pattern) -> Vec<ExposureTime> {
         match pattern {
+            Pattern::Board if options.link_exposures => {
+                let mut bracket = plan::bracket(self.white_shortest, 2, 2.0);
+                bracket.push(ExposureTime::one_over(SHORTEST_PER_SEC));
+                bracket
+            }
             Pattern::Board | Pattern::ReferenceWhite | Pattern::GrayCode { .. } => {
                 plan::bracket(self.white_shortest, 2, 2.0)
             }
@@ -134,7 +139,7 @@ impl Studio {
 
     /// Every exposure time that is used: what EXIF says and what it is, s.
     pub fn exposures(&self, options: &Options) -> Vec<[f64; 2]> {
-        let mut all = self.bracket(options, &Pattern::Board);
+        let mut all = self.bracket(options, &Pattern::ReferenceWhite);
         all.extend(self.bracket(options, &Pattern::SampleBlack));
         let told = |t: &ExposureTime| t.told(options.exif_stops_error, options.nominal_times, options.seed).secs();
         all.iter().map(|t| [told(t), t.secs()]).collect()
