@@ -68,8 +68,8 @@ fn interpret(block: &Exif, name: &str, warnings: &mut Vec<Warning>) -> ExifExpos
     let times = [LEAST_SECS, MOST_SECS];
     let exposure_secs = usable(Tag::ExposureTime, |v| v, times);
     let apex_secs = usable(Tag::ShutterSpeedValue, |v| (-v).exp2(), times);
-    let f_number = usable(Tag::FNumber, |v| v, F_NUMBERS)
-        .or_else(|| usable(Tag::ApertureValue, |v| (v / 2.0).exp2(), F_NUMBERS));
+    let f_number =
+        usable(Tag::FNumber, |v| v, F_NUMBERS).or_else(|| usable(Tag::ApertureValue, |v| (v / 2.0).exp2(), F_NUMBERS));
     let iso = usable(Tag::PhotographicSensitivity, |v| v, ISO_SPEEDS);
     let longer = || {
         [Tag::ISOSpeed, Tag::RecommendedExposureIndex, Tag::StandardOutputSensitivity]

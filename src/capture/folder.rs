@@ -54,8 +54,7 @@ impl Capture {
         check_against_rig(&manifest, &rig, &manifest_path)?;
 
         let mut warnings = Vec::new();
-        let heads: Vec<(Vec<Head>, Vec<Warning>)> =
-            {
+        let heads: Vec<(Vec<Head>, Vec<Warning>)> = {
             let shots = manifest.shots.par_iter();
             shots.map(|shot| read_heads(dir, shot, rig.camera.size_px, exposure_from)).collect::<Result<_>>()?
         };

@@ -17,7 +17,11 @@ pub fn compression_variance(bytes: &[u8], noise: f64) -> Option<[f64; 3]> {
     let luma = variance(tables[0].as_ref()?);
     // A grey picture has luma only.
     let chroma = tables[1].as_ref().map_or(0.0, variance);
-    Some([luma + 1.402f64.powi(2) * chroma, luma + (0.344f64.powi(2) + 0.714f64.powi(2)) * chroma, luma + 1.772f64.powi(2) * chroma])
+    Some([
+        luma + 1.402f64.powi(2) * chroma,
+        luma + (0.344f64.powi(2) + 0.714f64.powi(2)) * chroma,
+        luma + 1.772f64.powi(2) * chroma,
+    ])
 }
 
 /// Of whole numbers, code values squared.
@@ -89,8 +93,8 @@ mod tests {
             let stated = compression_variance(&bytes, 140.0).unwrap();
             for c in 0..3 {
                 let each = pixels.iter().zip(&read).skip(c).step_by(3);
-                let found = each.map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum::<f64>()
-                    / f64::from(side * side);
+                let found =
+                    each.map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum::<f64>() / f64::from(side * side);
                 // A quarter: rounding is not uniform where a step is wider than the noise.
                 assert!((found / stated[c] - 1.0).abs() < 0.25, "quality {quality}, {c}: {found} {stated:?}");
             }

@@ -116,7 +116,8 @@ impl Prepared<'_> {
         }
         let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
 
-        let mut result = ShotResult { lit: vec![], drift, findings: vec![], albedo_above_one: vec![], flicker_variance };
+        let mut result =
+            ShotResult { lit: vec![], drift, findings: vec![], albedo_above_one: vec![], flicker_variance };
         // What all samples of a row have in common: the lamp, and the response curve's own error.
         let common_variance = flicker_variance + self.shots.sensor.curve().map_or(0.0, Curve::relative_variance);
         let mut weights = CellWeights::new(self.cell_px);

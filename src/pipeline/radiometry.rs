@@ -6,8 +6,8 @@ use crate::capture::{
 };
 use crate::progress::Progress;
 use crate::radiance::{
-    Bracket, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, Sensor, Stack, decode_shot, estimate_curve,
-    evenly, fit_exposures, pick_pixels, stack_scales, take,
+    Bracket, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, Sensor, Stack, decode_shot,
+    estimate_curve, evenly, fit_exposures, pick_pixels, stack_scales, take,
 };
 use crate::{Error, Result, Warning};
 use rayon::prelude::*;

@@ -33,7 +33,14 @@ impl<'a> Shots<'a> {
     pub(super) fn new(capture: &'a Capture, radiometry: Radiometry) -> Self {
         let [width, height] = capture.rig.camera.size_px;
         let whole = Rect { x: 0, y: 0, width, height };
-        Self { capture, sensor: radiometry.sensor.clone(), radiometry, whole, hashes: Mutex::default(), sums: OnceLock::new() }
+        Self {
+            capture,
+            sensor: radiometry.sensor.clone(),
+            radiometry,
+            whole,
+            hashes: Mutex::default(),
+            sums: OnceLock::new(),
+        }
     }
 
     /// Decodes a shot and keeps the pixels of `rects`.
@@ -122,7 +129,7 @@ impl<'a> Shots<'a> {
         ];
         let mut merged: Vec<Radiance> =
             shots.par_iter().map(|&s| self.merge_whole(s).inspect(|_| stage.advance(1))).collect::<Result<_>>()?;
-        let (Some(black), Some(mut white), Some(ambient)) = (merged.pop(), merged.pop(), merged.pop()) else {
+        let (Some(black), Some(mut white), Some(mut ambient)) = (merged.pop(), merged.pop(), merged.pop()) else {
             return Err(Error::internal("three shots merged to fewer"));
         };
         let white_variance = self.radiometry.flicker_sd.and_then(|_| self.steady_white(&mut white, &black));
@@ -133,6 +140,12 @@ impl<'a> Shots<'a> {
         };
         let cell_px = px_per_mm * self.capture.manifest.window.pitch_mm;
         let irradiance = Irradiance::new(white, &self.capture.rig, cell_px.round().clamp(2.0, 50.0) as usize);
+        if let Some(sd) = self.radiometry.flicker_sd {
+            // One shot's lamp, the same error in all pixels of a cell: that many times what averaging them would leave.
+            let share = sd * sd / self.capture.brackets[shots[0]].len() as f64 * cell_px * cell_px;
+            let values = ambient.variance.iter_mut().zip(&ambient.value);
+            values.for_each(|(variance, value)| *variance += share as f32 * value * value);
+        }
         Ok(Prepared {
             shots: self,
             registration,

@@ -67,7 +67,8 @@ impl Curve {
         if file.format != crate::capture::FORMAT {
             return Err(Error::field(path, "format", crate::capture::FORMAT.to_string(), file.format));
         }
-        let found = format!("{} lists of {:?}", file.linear.len(), file.linear.iter().map(Vec::len).collect::<Vec<_>>());
+        let found =
+            format!("{} lists of {:?}", file.linear.len(), file.linear.iter().map(Vec::len).collect::<Vec<_>>());
         Self::new(file.linear, file.relative_sd).ok_or_else(|| {
             let expected = "1 or 3 lists of 256 rising numbers in linear, as many in relative_sd";
             Error::field(path, "linear", expected, found)
@@ -148,7 +149,7 @@ impl Channel {
     fn new(linear: Vec<f64>, relative_sd: Vec<f64>) -> Self {
         let step: Vec<f64> = linear.windows(2).map(|w| w[1] - w[0]).collect();
         let n = step.len();
-        // The harmonic mean of neighbouring steps keeps a cubic between them monotone (Fritsch and Butland 1984).
+        // The harmonic mean of neighbouring steps keeps a cubic between them monotone (`FritschButland1984`).
         let slope = (0..=n).map(|k| match k {
             0 => step[0],
             k if k == n => step[n - 1],

@@ -1,5 +1,6 @@
 //! How much light each photograph of a stack really took: the shutter's actual times, and a lamp that flickers.
 
+use super::cholesky::{log_determinant, solve};
 use super::merge::BLOCK;
 use super::{Exposure, Sensor};
 use crate::capture::Samples;
@@ -85,14 +86,7 @@ pub fn stack_scales(parts: &[&[Exposure]], sensor: &Sensor, stride: usize) -> Op
     Some(StackScales { log_scale, information })
 }
 
-fn accumulate(
-    exposures: &[Exposure],
-    secs: &[f32],
-    sensor: &Sensor,
-    stride: usize,
-    loose: bool,
-    sums: &mut Sums,
-) {
+fn accumulate(exposures: &[Exposure], secs: &[f32], sensor: &Sensor, stride: usize, loose: bool, sums: &mut Sums) {
     let n = exposures.len();
     let samples = exposures.iter().map(|e| e.samples.len()).min().unwrap_or(0);
     let mut linear = vec![[0.0f32; BLOCK]; n];
@@ -338,43 +332,6 @@ fn fit_given(stacks: &[Contrast], group: &[usize], sd: f64) -> Given {
     Given { log_scale, variance, log_likelihood }
 }
 
-/// Solves a small symmetric positive definite system by Cholesky; `None` when it is not.
-pub(crate) fn solve(mut a: Vec<f64>, mut b: Vec<f64>) -> Option<Vec<f64>> {
-    let n = b.len();
-    factorize(&mut a, n)?;
-    for i in 0..n {
-        let sum: f64 = (0..i).map(|k| a[i * n + k] * b[k]).sum();
-        b[i] = (b[i] - sum) / a[i * n + i];
-    }
-    for i in (0..n).rev() {
-        let sum: f64 = (i + 1..n).map(|k| a[k * n + i] * b[k]).sum();
-        b[i] = (b[i] - sum) / a[i * n + i];
-    }
-    b.iter().all(|v| v.is_finite()).then_some(b)
-}
-
-fn factorize(a: &mut [f64], n: usize) -> Option<()> {
-    for i in 0..n {
-        for j in 0..=i {
-            let sum: f64 = (0..j).map(|k| a[i * n + k] * a[j * n + k]).sum();
-            let v = a[i * n + j] - sum;
-            a[i * n + j] = if i != j {
-                v / a[j * n + j]
-            } else if v > 0.0 {
-                v.sqrt()
-            } else {
-                return None;
-            };
-        }
-    }
-    Some(())
-}
-
-fn log_determinant(mut a: Vec<f64>, n: usize) -> Option<f64> {
-    factorize(&mut a, n)?;
-    Some((0..n).map(|i| 2.0 * a[i * n + i].ln()).sum())
-}
-
 /// Pixels of a level of light that are kept of one shot.
 const PIXELS_PER_LEVEL: usize = 300;
 /// Levels in an octave of light.
@@ -432,3 +389,6 @@ pub(crate) fn take(samples: &Samples, pixels: &[usize]) -> Samples {
         Samples::F32(v) => Samples::F32(of(v, pixels)),
     }
 }
+
+#[cfg(test)]
+mod tests;

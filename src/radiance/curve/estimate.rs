@@ -2,7 +2,8 @@
 
 use super::{CODES, Curve, FULL};
 use crate::capture::{Noise, Samples};
-use crate::radiance::exposures::{Here, Stack, solve};
+use crate::radiance::cholesky::solve;
+use crate::radiance::exposures::{Here, Stack};
 use crate::radiance::merge::BLOCK;
 use crate::radiance::{FileNoise, Sensor};
 use rayon::prelude::*;
@@ -157,7 +158,7 @@ impl Problem<'_> {
             let step = solve(system.matrix.clone(), system.right.clone())?;
             let largest = step.iter().fold(0.0f64, |m, s| m.max(s.abs()));
             let damp = (0.5 / largest).min(1.0);
-                fit.coefficients.iter_mut().zip(&step).for_each(|(c, s)| *c += damp * s);
+            fit.coefficients.iter_mut().zip(&step).for_each(|(c, s)| *c += damp * s);
             fit.times.iter_mut().zip(&step[unknowns..]).for_each(|(t, s)| *t += damp * s);
             fit.lamps.iter_mut().zip(&step[unknowns + self.settings..]).for_each(|(l, s)| *l += damp * s);
             if largest < 1e-5 && round >= 5 {
