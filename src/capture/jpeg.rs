@@ -87,7 +87,8 @@ mod tests {
             (state >> 24) as u8
         };
         let pixels: Vec<u8> = (0..3 * side * side).map(|_| 108 + random() % 41).collect();
-        for quality in [75, 90, 95] {
+        // The colour transform leaves 0.4 of the noise in each chroma: steps of 20 are still rounded about uniformly.
+        for quality in [90, 95, 98] {
             let bytes = encoded(&pixels, side, quality);
             let read = image::load_from_memory(&bytes).unwrap().into_rgb8().into_raw();
             let stated = compression_variance(&bytes, 140.0).unwrap();

@@ -35,6 +35,8 @@ const BITS_PER_AXIS: usize = 6;
 const SUM_PIXELS: usize = 6000;
 /// A measured time is worth a word when it differs by more than this and by more than three standard deviations.
 const TIME_TOLERANCE: f64 = 0.005;
+/// Compressed dark parts mislead by half a per cent and more: there by more than this.
+const COMPRESSED_TIME_TOLERANCE: f64 = 0.015;
 const TIME_SIGMA: f64 = 3.0;
 /// How far nominal times are trusted while the curve is estimated (standard deviation of the logarithm): a rounded 1/30 for 1/32 is off by
 /// 6 %, most by less; times that are to be estimated are hardly trusted.
@@ -81,7 +83,7 @@ pub(super) fn calibrate(capture: &mut Capture, options: &BuildOptions, progress:
     let scales: Vec<_> =
         stacks.par_iter().filter_map(|s| stack_scales(&[&s.exposures], &sensor, 1).map(|scales| (s, scales))).collect();
     let fit = fit_exposures(&scales, settings.secs.len());
-    warnings.extend(judge(&fit, &settings, options));
+    warnings.extend(judge(&fit, &settings, options, file));
     if options.exposure_from == ExposureFrom::Estimate {
         settings.apply(&fit, capture);
     }
@@ -237,7 +239,7 @@ fn save(curve: &Curve, path: &Path) -> Option<Warning> {
     Some(Warning::CurveNotSaved { file: path.display().to_string(), reason: refused.to_string() })
 }
 
-fn judge(fit: &ExposureFit, settings: &Settings, options: &BuildOptions) -> Vec<Warning> {
+fn judge(fit: &ExposureFit, settings: &Settings, options: &BuildOptions, file: FileNoise) -> Vec<Warning> {
     let mut warnings = Vec::new();
     if options.exposure_from == ExposureFrom::Estimate {
         let names: BTreeSet<usize> = fit.group.iter().copied().collect();
@@ -248,9 +250,10 @@ fn judge(fit: &ExposureFit, settings: &Settings, options: &BuildOptions) -> Vec<
         }
         return warnings;
     }
+    let tolerance = if file.is_compressed() { COMPRESSED_TIME_TOLERANCE } else { TIME_TOLERANCE };
     let significant = |s: &usize| {
         let (off, sd) = (fit.log_scale[*s].abs(), fit.variance[*s].sqrt());
-        off > TIME_TOLERANCE && off > TIME_SIGMA * sd
+        off > tolerance && off > TIME_SIGMA * sd
     };
     let worst = (0..settings.secs.len())
         .filter(significant)
