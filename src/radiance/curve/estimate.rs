@@ -338,7 +338,7 @@ impl Problem<'_> {
 }
 
 /// Sums entries of the same index.
-fn merged(row: &mut Vec<(usize, f64)>) -> Vec<(usize, f64)> {
+fn merged(row: &mut [(usize, f64)]) -> Vec<(usize, f64)> {
     row.sort_unstable_by_key(|e| e.0);
     let mut out: Vec<(usize, f64)> = Vec::with_capacity(row.len());
     for &(i, a) in row.iter() {
