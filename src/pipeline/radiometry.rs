@@ -38,6 +38,8 @@ const TIME_TOLERANCE: f64 = 0.005;
 /// Compressed dark parts mislead by half a per cent and more: there by more than this.
 const COMPRESSED_TIME_TOLERANCE: f64 = 0.015;
 const TIME_SIGMA: f64 = 3.0;
+/// Compression scatters the scales of photographs by a tenth of a per cent: only more than this is flicker of the lamp.
+const LEAST_COMPRESSED_FLICKER: f64 = 0.002;
 /// How far nominal times are trusted while the curve is estimated (standard deviation of the logarithm): a rounded 1/30 for 1/32 is off by
 /// 6 %, most by less; times that are to be estimated are hardly trusted.
 const NOMINAL_SD: f64 = 0.03;
@@ -82,7 +84,8 @@ pub(super) fn calibrate(capture: &mut Capture, options: &BuildOptions, progress:
     }
     let scales: Vec<_> =
         stacks.par_iter().filter_map(|s| stack_scales(&[&s.exposures], &sensor, 1).map(|scales| (s, scales))).collect();
-    let fit = fit_exposures(&scales, settings.secs.len());
+    let mut fit = fit_exposures(&scales, settings.secs.len());
+    fit.flicker_sd = fit.flicker_sd.filter(|sd| !file.is_compressed() || *sd > LEAST_COMPRESSED_FLICKER);
     warnings.extend(judge(&fit, &settings, options, file));
     if options.exposure_from == ExposureFrom::Estimate {
         settings.apply(&fit, capture);
