@@ -168,6 +168,45 @@ pub enum Warning {
         /// The reader's message.
         reason: String,
     },
+    /// An EXIF field whose value cannot be (0/0, an overflow, an absurd time); it is not used.
+    UnusableExif {
+        /// The first such photograph.
+        file: String,
+        /// The field.
+        tag: String,
+        /// Its raw value.
+        found: String,
+        /// How many photographs.
+        photographs: usize,
+    },
+    /// Exposure times are not in the ratios that the photographs show, or the response curve is not what the rig says.
+    ExposureRatios {
+        /// The nominal time that is farthest off, s.
+        nominal_secs: f64,
+        /// What the photographs say it was, the mean of all settings taken as right, s.
+        measured_secs: f64,
+        /// Relative standard deviation of that.
+        relative_sd: f64,
+    },
+    /// No stack relates these exposure settings to the others: their scales rest on the nominal times alone.
+    ExposuresUnlinked {
+        /// Nominal times of each group that stacks do link, s.
+        groups: Vec<Vec<f64>>,
+    },
+    /// The lamp's output changes from photograph to photograph; it was measured and taken out.
+    Flicker {
+        /// Relative standard deviation of a photograph.
+        relative_sd: f64,
+        /// What remains of it in a row, relative.
+        remaining_sd: f64,
+    },
+    /// The rig's folder cannot be written: the estimated response curve is used but not kept.
+    CurveNotSaved {
+        /// The file.
+        file: String,
+        /// The system's answer.
+        reason: String,
+    },
     /// Rows without any valid sample or with a peak that is not positive; they are kept as zeros.
     EmptyRows {
         /// How many.
@@ -332,6 +371,34 @@ impl std::fmt::Display for Warning {
                 "noise.{field} of the rig is {given:.4}, the photographs say {found:.4} ± {sd:.4}: the reported variance may be wrong"
             ),
             Self::DamagedExif { file, reason } => write!(f, "{file}: EXIF is damaged and was read in part: {reason}"),
+            Self::UnusableExif { file, tag, found, photographs } => write!(
+                f,
+                "{file}: EXIF {tag} is {found}, which cannot be; it is not used (in {photographs} photographs)"
+            ),
+            Self::ExposureRatios { nominal_secs, measured_secs, relative_sd } => write!(
+                f,
+                "the exposure of {nominal_secs} s was {measured_secs:.6} s ({:+.2} % ± {:.2} %) by the photographs; use --exposure-from estimate, or check camera.response in rig.toml",
+                100.0 * (measured_secs / nominal_secs - 1.0),
+                100.0 * relative_sd
+            ),
+            Self::ExposuresUnlinked { groups } => {
+                let list = |g: &Vec<f64>| g.iter().map(|s| format!("{s:.6}")).collect::<Vec<_>>().join(", ");
+                let groups: Vec<String> = groups.iter().map(list).collect();
+                write!(
+                    f,
+                    "no stack links the exposures of {} s: their common scale rests on the nominal times",
+                    groups.join(" s and ")
+                )
+            }
+            Self::Flicker { relative_sd, remaining_sd } => write!(
+                f,
+                "the lamp flickers by {:.2} % from photograph to photograph; it was taken out but for {:.2} %",
+                100.0 * relative_sd,
+                100.0 * remaining_sd
+            ),
+            Self::CurveNotSaved { file, reason } => {
+                write!(f, "{file}: the estimated response curve could not be saved: {reason}")
+            }
             Self::EmptyRows { rows } => write!(f, "{rows} rows have no positive peak; they are kept as zeros"),
             Self::ShiftLimited { rows, limit } => {
                 write!(

@@ -134,7 +134,7 @@ fn pictures_show_what_the_simulated_photographs_show() {
     };
     let projector_from_slab = truth.slab_from_projector.inverse().unwrap();
     let white = photograph(capture.shots(|p| matches!(p, Pattern::ReferenceWhite))[0]);
-    let black = capture.rig.noise.black_dn as i32;
+    let black = capture.rig.noise.as_ref().unwrap().black_dn as i32;
     let (mut told, mut wrong) = (0usize, 0usize);
     for (shot, planned) in plan.shots.iter().enumerate() {
         let picture = Picture::of(&plan, &planned.pattern, size_px);

@@ -1,6 +1,6 @@
 //! A whole capture folder, checked before any work starts.
 
-use super::exif::{self, ExifExposure};
+use super::exif::{self, ExifExposure, ExposureFrom};
 use super::manifest::{LEAST_SECS, MOST_SECS};
 use super::{Manifest, Pattern, Photograph, Rig};
 use crate::{Error, Result, Warning, geometry::Point};
@@ -28,12 +28,20 @@ pub struct Capture {
 const EXPOSURE_TOLERANCE: f64 = 0.07;
 
 impl Capture {
+    /// [`Self::open_with`] exposure times from EXIF.
+    ///
+    /// # Errors
+    /// Those of [`Self::open_with`].
+    pub fn open(dir: &Path, calibration: Option<&Path>) -> Result<Self> {
+        Self::open_with(dir, calibration, ExposureFrom::Exif)
+    }
+
     /// Reads and checks a capture: manifest, rig, presence, size and exposure of every photograph. No pixels are decoded.
     ///
     /// # Errors
     /// Those of [`Manifest::read`], [`Rig::find`] and [`Rig::read`]; [`Error::MissingPhotograph`], [`Error::BrokenPhotograph`],
     /// [`Error::NoExposure`], [`Error::SameExposure`]; [`Error::Field`] for a photograph of another size or a shot that is needed and not there.
-    pub fn open(dir: &Path, calibration: Option<&Path>) -> Result<Self> {
+    pub fn open_with(dir: &Path, calibration: Option<&Path>, exposure_from: ExposureFrom) -> Result<Self> {
         if !dir.is_dir() {
             let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "there is no such folder");
             return Err(Error::io("read", dir)(missing));
@@ -46,12 +54,14 @@ impl Capture {
         check_against_rig(&manifest, &rig, &manifest_path)?;
 
         let mut warnings = Vec::new();
-        let heads: Vec<(Vec<Head>, Vec<Warning>)> =
-            manifest.shots.par_iter().map(|shot| read_heads(dir, shot, rig.camera.size_px)).collect::<Result<_>>()?;
+        let heads: Vec<(Vec<Head>, Vec<Warning>)> = {
+            let shots = manifest.shots.par_iter();
+            shots.map(|shot| read_heads(dir, shot, rig.camera.size_px, exposure_from)).collect::<Result<_>>()?
+        };
         let first = heads.iter().flat_map(|(heads, _)| heads).next().map(|h| h.exif.clone()).unwrap_or_default();
         let mut brackets = Vec::new();
         for (mut shot_heads, mut found) in heads {
-            warnings.append(&mut found);
+            gather(&mut warnings, &mut found);
             for head in &mut shot_heads {
                 let factor = relative_sensitivity(&head.exif, &first);
                 head.photograph.effective_secs = head.photograph.exposure_secs * factor;
@@ -89,7 +99,29 @@ struct Head {
     exif: ExifExposure,
 }
 
-fn read_heads(dir: &Path, shot: &super::Shot, size_px: [usize; 2]) -> Result<(Vec<Head>, Vec<Warning>)> {
+/// Adds findings; the same unusable field of many photographs is said once.
+fn gather(warnings: &mut Vec<Warning>, found: &mut Vec<Warning>) {
+    for new in found.drain(..) {
+        if let Warning::UnusableExif { tag: new_tag, .. } = &new {
+            let known = warnings.iter_mut().find_map(|w| match w {
+                Warning::UnusableExif { tag, photographs, .. } if tag == new_tag => Some(photographs),
+                _ => None,
+            });
+            if let Some(photographs) = known {
+                *photographs += 1;
+                continue;
+            }
+        }
+        warnings.push(new);
+    }
+}
+
+fn read_heads(
+    dir: &Path,
+    shot: &super::Shot,
+    size_px: [usize; 2],
+    exposure_from: ExposureFrom,
+) -> Result<(Vec<Head>, Vec<Warning>)> {
     let mut warnings = Vec::new();
     let mut heads = Vec::new();
     for entry in &shot.photographs {
@@ -103,11 +135,14 @@ fn read_heads(dir: &Path, shot: &super::Shot, size_px: [usize; 2]) -> Result<(Ve
         }
         let exif =
             exif::read(&photograph.path, &entry.file, &mut warnings).map_err(Error::io("read", &photograph.path))?;
-        let sources = [
+        let mut sources = [
             (entry.exposure_secs, "capture.toml"),
             (exif.exposure_secs, "EXIF ExposureTime"),
             (exif.apex_secs, "EXIF ShutterSpeedValue"),
         ];
+        if exposure_from == ExposureFrom::Apex {
+            sources.swap(1, 2);
+        }
         let mut known = sources.iter().filter_map(|(secs, source)| Some(((*secs)?, *source)));
         let Some((used_secs, source)) = known.next() else {
             return Err(Error::NoExposure { path: photograph.path });

@@ -2,6 +2,7 @@
 
 mod exif;
 mod folder;
+mod jpeg;
 mod manifest;
 mod photograph;
 #[cfg(feature = "raw")]
@@ -9,7 +10,9 @@ mod raw;
 mod rig;
 mod settings;
 
+pub use exif::ExposureFrom;
 pub use folder::Capture;
+pub use jpeg::compression_variance;
 pub use manifest::{
     Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Surface, Window,
 };

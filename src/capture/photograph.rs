@@ -309,6 +309,16 @@ impl Pixels {
 }
 
 impl Samples {
+    /// Number of code values.
+    #[allow(clippy::len_without_is_empty)]
+    pub fn len(&self) -> usize {
+        match self {
+            Self::U8(v) => v.len(),
+            Self::U16(v) => v.len(),
+            Self::F32(v) => v.len(),
+        }
+    }
+
     /// A copy of the code values in `part` of the rectangle `whole` that these are; `part` must lie inside.
     pub fn crop(&self, whole: Rect, part: Rect) -> Self {
         fn rows<T: Copy>(v: &[T], whole: Rect, part: Rect) -> Vec<T> {

@@ -55,13 +55,39 @@ impl Camera {
 }
 
 /// How code values encode light.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "String", into = "String")]
 pub enum ResponseCurve {
     /// Code values are proportional to light above the black level.
     Linear,
     /// The sRGB curve (IEC 61966-2-1) over the full range of code values.
     Srgb,
+    /// Not known: estimated from the capture's own stacks and saved as `response.toml` beside `rig.toml`.
+    Estimate,
+    /// A saved curve, the name of a file beside `rig.toml`.
+    File(String),
+}
+
+impl From<String> for ResponseCurve {
+    fn from(name: String) -> Self {
+        match name.as_str() {
+            "linear" => Self::Linear,
+            "srgb" => Self::Srgb,
+            "estimate" => Self::Estimate,
+            _ => Self::File(name),
+        }
+    }
+}
+
+impl From<ResponseCurve> for String {
+    fn from(curve: ResponseCurve) -> Self {
+        match curve {
+            ResponseCurve::Linear => "linear".into(),
+            ResponseCurve::Srgb => "srgb".into(),
+            ResponseCurve::Estimate => "estimate".into(),
+            ResponseCurve::File(name) => name,
+        }
+    }
 }
 
 /// The noise of the sensor, in code values (DN) of the linear signal: at the photographs' own bit depth with a linear response, from 0 to
@@ -221,6 +247,12 @@ impl Rig {
             return Err(Error::field(path, "format", super::FORMAT.to_string(), self.format));
         }
         range("camera.focal_px", self.camera.focal_px, 1.0, 1e7)?;
+        if let ResponseCurve::File(name) = &self.camera.response {
+            let expected = r#""linear", "srgb", "estimate", or the name of a curve's .toml file beside rig.toml"#;
+            if !name.ends_with(".toml") || name.contains(['/', '\\']) {
+                return Err(Error::field(path, "camera.response", expected, format!("\"{name}\"")));
+            }
+        }
         if let Some(noise) = &self.noise {
             range("noise.black_dn", noise.black_dn, 0.0, 65_535.0)?;
             range("noise.saturation_dn", noise.saturation_dn, noise.black_dn + 1e-6, 1e9)?;

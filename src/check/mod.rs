@@ -158,11 +158,12 @@ impl CheckReport {
             }
             stage.advance(1);
         }
-        let capture = Capture::open(dir, calibration).inspect_err(|_| self.findings.push(Finding::NotLookedAt))?;
+        let capture = Capture::open_with(dir, calibration, options.build.exposure_from)
+            .inspect_err(|_| self.findings.push(Finding::NotLookedAt))?;
         self.warned(&capture.warnings);
         let sample = sampled(&capture, options.lattice_shots);
         self.figures.lattice_shots_looked_at = sample.shots(is_lattice).len();
-        let tried = try_build(&sample, &options.build, progress);
+        let tried = try_build(sample.clone(), &options.build, progress);
         self.pixels(&capture, &sample, tried.as_ref().ok(), progress)?;
         let tried = tried?;
         self.estimate(&capture, &sample, progress);

@@ -28,6 +28,7 @@ impl Prepared<'_> {
         let mut warnings = capture.warnings.clone();
         warnings.extend(self.registration_warnings.iter().cloned());
         warnings.extend(self.shots.noise.warnings.clone());
+        warnings.extend(self.shots.radiometry.warnings.clone());
         if !self.hot.is_empty() {
             let stuck = self.hot.iter().filter(|h| h.excess.is_none()).count();
             let strongest = self.hot.iter().filter_map(|h| h.excess).map(f64::from).fold(0.0, f64::max);
@@ -80,9 +81,11 @@ impl Prepared<'_> {
         if capture.manifest.reference_dots.is_none() {
             warnings.push(Warning::DriftFromLatticeDots);
         }
+        let remaining = results.iter().map(|r| r.flicker_variance).sum::<f64>() / results.len().max(1) as f64;
+        warnings.extend(self.flicker.as_ref().map(|f| f.warning(remaining)));
         self.complete_header(header, &mut warnings);
         warnings.extend(crosstalk.as_ref().and_then(CrossTalk::warning));
-        header.provenance = self.provenance(crosstalk.as_ref())?;
+        header.provenance = self.provenance(crosstalk.as_ref(), remaining)?;
         header.warnings = warnings.clone();
         Ok(BuildReport {
             registration: self.registration.clone(),
@@ -166,7 +169,7 @@ impl Prepared<'_> {
         (outside > board.square_mm).then_some(outside)
     }
 
-    fn provenance(&self, crosstalk: Option<&CrossTalk>) -> Result<serde_json::Value> {
+    fn provenance(&self, crosstalk: Option<&CrossTalk>, flicker_variance: f64) -> Result<serde_json::Value> {
         let capture = self.shots.capture;
         let hash_file =
             |p: &Path| Ok::<_, Error>(blake3::hash(&std::fs::read(p).map_err(Error::io("read", p))?).to_string());
@@ -189,6 +192,8 @@ impl Prepared<'_> {
             "rig_toml_blake3": hash_file(&capture.rig_path)?,
             "photographs_blake3": all.finalize().to_string(),
             "noise": noise,
+            "radiometry": self.shots.radiometry.record,
+            "flicker": self.flicker.as_ref().map(|f| f.record(flicker_variance)),
             "registration": registration,
             "stray_light": serde_json::to_value(&self.stray).map_err(Error::internal)?,
             "crosstalk": serde_json::to_value(crosstalk).map_err(Error::internal)?,

@@ -1,11 +1,12 @@
 //! The lattice shots: drift, windows, rows.
 
 use super::drift::{Movements, moved_part};
+use super::flicker::Flicker;
 use super::shots::Shots;
 use crate::capture::{Pattern, Rect, Window};
 use crate::geometry::Point;
 use crate::progress::Progress;
-use crate::radiance::{Bracket, HotPixel, Radiance, StrayLight, mend};
+use crate::radiance::{Bracket, Curve, HotPixel, Radiance, StrayLight, mend};
 use crate::registration::{CameraMotion, Drift, Registration};
 use crate::response::{CellWeights, Irradiance, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
 use crate::transport::{MatrixWriter, Row};
@@ -26,6 +27,9 @@ pub(super) struct Prepared<'a> {
     pub(super) irradiance: Irradiance,
     /// The camera's halo.
     pub(super) stray: StrayLight,
+    /// Relative variance of the white reference's light that flicker leaves, when it was measured.
+    pub(super) white_variance: Option<f64>,
+    pub(super) flicker: Option<Flicker>,
     pub(super) px_per_mm: f64,
     pub(super) cell_px: f64,
 }
@@ -35,6 +39,8 @@ pub(super) struct ShotResult {
     pub(super) lit: Vec<LitPoint>,
     pub(super) drift: Option<Drift>,
     pub(super) camera: Option<CameraMotion>,
+    /// Relative variance that flicker leaves in each row.
+    pub(super) flicker_variance: f64,
 }
 
 /// One dot of a shot, measured.
@@ -107,13 +113,8 @@ impl Prepared<'_> {
         let size_px = self.shots.capture.rig.camera.size_px;
         let dots = self.dots(shot);
         let references = movements.references();
-        let radius_px = self.dot_radius_px();
         // Rectangles: reference dots, then each window with room for its drift.
-        let mut rects: Vec<Rect> = Vec::new();
-        for &p in references {
-            let q = self.registration.view.camera_from_slab(p);
-            rects.push(square(q, radius_px + DRIFT_SEARCH_PX, size_px).ok_or_else(|| self.outside_picture(shot))?);
-        }
+        let mut rects = self.reference_rects(shot)?;
         for &dot in dots {
             let grid = WindowGrid::new(&manifest.window, self.nominal_mm(dot), &self.registration.view);
             let rect = window_rect(&grid, size_px).ok_or_else(|| self.outside_picture(shot))?;
@@ -125,10 +126,14 @@ impl Prepared<'_> {
         let camera = self.camera_motion(movements, &windows.split_off(dots.len()));
         let camera_px = camera.filter(CameraMotion::is_sure).map_or([0.0; 2], |m| m.camera_px);
         let registration = &self.registration.moved(camera_px);
+        let flicker_variance =
+            self.flicker.as_ref().map_or(0.0, |f| f.steady(self, &mut references_seen, &mut windows));
         let drift = self.drift(shot, registration, movements, &references_seen, &windows)?;
         let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
 
-        let mut result = ShotResult { lit: vec![], drift, camera };
+        let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance };
+        // What all samples of a row have in common: the lamp, and the response curve's own error.
+        let common_variance = flicker_variance + self.shots.sensor.curve().map_or(0.0, Curve::relative_variance);
         let mut weights = CellWeights::new(self.cell_px, self.registration.point_spread.map_or(0.0, |p| p.psf_px));
         let centers: Vec<Point> =
             dots.iter().map(|&d| self.nominal_mm(d)).map(|p| [p[0] + moved[0], p[1] + moved[1]]).collect();
@@ -158,7 +163,8 @@ impl Prepared<'_> {
         .into_iter();
         for (k, &dot) in dots.iter().enumerate() {
             let (center, grid) = (centers[k], &grids[k]);
-            let lit = self.lit_dot(shot, dot, center, drift)?;
+            let mut lit = self.lit_dot(shot, dot, center, drift)?;
+            lit.flux.relative_variance = lit.flux.relative_variance.map(|v| v + common_variance);
             let picture = without_stray.next().map_or_else(|| picture((grid, &windows[k])), Ok)?;
             let (row, findings) =
                 extract_row(&picture, grid, &lit, self.irradiance.sensitivity(), manifest.slab.size_mm, &mut weights);
@@ -176,6 +182,16 @@ impl Prepared<'_> {
         picture.subtract(&self.ambient);
         mend(&mut picture, &self.hot);
         picture
+    }
+
+    /// Where the reference dots are looked for.
+    pub(super) fn reference_rects(&self, shot: usize) -> Result<Vec<Rect>> {
+        let reach_px = self.dot_radius_px() + DRIFT_SEARCH_PX;
+        let around = |p: Point| {
+            let at = self.registration.view.camera_from_slab(p);
+            square(at, reach_px, self.shots.capture.rig.camera.size_px).ok_or_else(|| self.outside_picture(shot))
+        };
+        self.reference_mm().into_iter().map(around).collect()
     }
 
     fn lit_dot(&self, shot: usize, dot: [usize; 2], center: Point, drift: Option<Drift>) -> Result<LitDot> {

@@ -3,12 +3,14 @@
 mod crosstalk;
 mod drift;
 mod findings;
+mod flicker;
 mod lattice;
 mod noise;
+mod radiometry;
 mod shots;
 mod stray;
 
-use crate::capture::{Capture, Noise};
+use crate::capture::{Capture, ExposureFrom, Noise};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Radiance, Sensor};
@@ -28,6 +30,10 @@ pub struct BuildOptions {
     /// Leave the light of a shot's other dots in the rows, to see what it does.
     #[arg(long)]
     pub keep_crosstalk: bool,
+    /// Where exposure times come from. capture.toml comes before all; `estimate` measures the actual times behind EXIF's from the
+    /// photographs.
+    #[arg(long, value_enum, default_value = "exif", value_name = "SOURCE")]
+    pub exposure_from: ExposureFrom,
 }
 
 /// What [`build_matrix`] found besides the matrix.
@@ -84,14 +90,14 @@ pub struct Overview {
 /// Those of [`Capture::open`], of decoding and registration; [`crate::Error::DotOutsideSlab`], [`crate::Error::DotSaturated`]; [`crate::Error::Io`] for `out`.
 /// Nothing appears at `out` then.
 pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &Progress) -> Result<BuildReport> {
-    let capture = {
+    let mut capture = {
         let stage = progress.stage("read", 1);
-        let capture = Capture::open(dir, options.calibration.as_deref())?;
+        let capture = Capture::open_with(dir, options.calibration.as_deref(), options.exposure_from)?;
         stage.advance(1);
         capture
     };
     let mut writer = MatrixWriter::create(out, empty_header(&capture))?;
-    let report = measure(&capture, options, &mut writer, progress)?;
+    let report = measure(&mut capture, options, &mut writer, progress)?;
     let stage = progress.stage("write", 1);
     writer.finish()?;
     stage.advance(1);
@@ -102,23 +108,26 @@ pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &P
 ///
 /// # Errors
 /// Those of [`build_matrix`] after [`Capture::open`].
-pub fn try_build(capture: &Capture, options: &BuildOptions, progress: &Progress) -> Result<BuildReport> {
+pub fn try_build(mut capture: Capture, options: &BuildOptions, progress: &Progress) -> Result<BuildReport> {
     let temporary = std::env::temp_dir();
     let scratch = crate::output::ScratchFolder::new(&temporary, ".acquire-try-", &temporary)?;
-    let mut writer = MatrixWriter::create(&scratch.path().join("try.rd.zarr"), empty_header(capture))?;
-    measure(capture, options, &mut writer, progress)
+    let mut writer = MatrixWriter::create(&scratch.path().join("try.rd.zarr"), empty_header(&capture))?;
+    measure(&mut capture, options, &mut writer, progress)
 }
 
 /// Everything between an opened capture and a complete writer.
 fn measure(
-    capture: &Capture,
+    capture: &mut Capture,
     options: &BuildOptions,
     writer: &mut MatrixWriter,
     progress: &Progress,
 ) -> Result<BuildReport> {
-    let shots = Shots::new(capture, noise::find(capture)?);
+    let noise = noise::find(capture)?;
+    let radiometry = radiometry::calibrate(capture, &noise.noise, options, progress)?;
+    let shots = Shots::new(capture, noise, radiometry);
     let (registration, found) = shots.register(progress)?;
-    let prepared = shots.prepare(registration, found, progress)?;
+    let mut prepared = shots.prepare(registration, found, progress)?;
+    prepared.flicker = flicker::Flicker::measure(&prepared)?;
     let mut result = prepared.extract(writer, progress)?;
     let crosstalk = match options.keep_crosstalk {
         true => None,

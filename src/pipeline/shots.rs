@@ -2,6 +2,7 @@
 
 use super::lattice::Prepared;
 use super::noise::FoundNoise;
+use super::radiometry::Radiometry;
 use crate::capture::{Board, Capture, Pattern, Photograph, Rect, Surface};
 use crate::geometry::{CameraView, Lens, Point};
 use crate::progress::{Progress, Stage};
@@ -15,22 +16,31 @@ use crate::{Error, Result, Warning};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::Mutex;
+use std::sync::{Mutex, OnceLock};
 
 /// What decoding any shot needs.
 pub(super) struct Shots<'a> {
     pub(super) capture: &'a Capture,
     pub(super) sensor: Sensor,
     pub(super) noise: FoundNoise,
+    pub(super) radiometry: Radiometry,
     whole: Rect,
     pub(super) hashes: Mutex<BTreeMap<PathBuf, blake3::Hash>>,
+    /// Light of each Gray-code pattern and its inverse together, every [`SUM_STEP`]th pixel: white, but for the lamp.
+    sums: OnceLock<Vec<Vec<f32>>>,
 }
 
+/// A few thousand pixels tell the lamp's change to a hundredth of a per cent.
+const SUM_STEP: usize = 13;
+/// Pixels this bright, of the brightest, are lit.
+const LIT_SHARE: f32 = 0.3;
+
 impl<'a> Shots<'a> {
-    pub(super) fn new(capture: &'a Capture, noise: FoundNoise) -> Self {
+    pub(super) fn new(capture: &'a Capture, noise: FoundNoise, radiometry: Radiometry) -> Self {
         let [width, height] = capture.rig.camera.size_px;
         let whole = Rect { x: 0, y: 0, width, height };
-        Self { capture, sensor: Sensor::new(&capture.rig, &noise.noise), noise, whole, hashes: Mutex::default() }
+        let sensor = radiometry.sensor.clone();
+        Self { capture, sensor, noise, radiometry, whole, hashes: Mutex::default(), sums: OnceLock::new() }
     }
 
     /// Decodes a shot and keeps the pixels of `rects`.
@@ -73,6 +83,8 @@ impl<'a> Shots<'a> {
             || self.bit_pairs(&codes, &stage),
         );
         let ((camera, choice, point_spread, warnings), pairs) = (camera?, pairs?);
+        let sum = |p: &BitPair| p.pattern.iter().zip(&p.inverse).step_by(SUM_STEP).map(|(a, b)| a + b).collect();
+        self.sums.get_or_init(|| pairs.iter().map(sum).collect());
         let first = codes[0];
         let rig = &self.capture.rig;
         // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
@@ -217,9 +229,10 @@ impl<'a> Shots<'a> {
         ];
         let mut merged: Vec<Radiance> =
             shots.par_iter().map(|&s| self.merge_whole(s).inspect(|_| stage.advance(1))).collect::<Result<_>>()?;
-        let (Some(black), Some(mut white), Some(ambient)) = (merged.pop(), merged.pop(), merged.pop()) else {
+        let (Some(black), Some(mut white), Some(mut ambient)) = (merged.pop(), merged.pop(), merged.pop()) else {
             return Err(Error::internal("three shots merged to fewer"));
         };
+        let white_variance = self.radiometry.flicker_sd.and_then(|_| self.steady_white(&mut white, &black));
         white.subtract(&black);
         let hot = find_hot_pixels(&ambient);
         mend(&mut white, &hot);
@@ -229,7 +242,12 @@ impl<'a> Shots<'a> {
         };
         let cell_px = px_per_mm * self.capture.manifest.window.pitch_mm;
         let irradiance = Irradiance::new(white, &self.capture.rig, cell_px.round().clamp(2.0, 50.0) as usize);
-        let stray = StrayLight::default();
+        if let Some(sd) = self.radiometry.flicker_sd {
+            // One shot's lamp, the same error in all pixels of a cell: that many times what averaging them would leave.
+            let share = sd * sd / self.capture.brackets[shots[0]].len() as f64 * cell_px * cell_px;
+            let values = ambient.variance.iter_mut().zip(&ambient.value);
+            values.for_each(|(variance, value)| *variance += share as f32 * value * value);
+        }
         let mut prepared = Prepared {
             shots: self,
             registration,
@@ -237,11 +255,43 @@ impl<'a> Shots<'a> {
             ambient,
             hot,
             irradiance,
-            stray,
+            stray: StrayLight::default(),
+            white_variance,
+            flicker: None,
             px_per_mm,
             cell_px,
         };
         prepared.stray = prepared.measure_stray(progress)?;
         Ok(prepared)
+    }
+
+    /// Scales the white reference to the lamp's mean over the Gray-code shots: each with its inverse adds up to white and black. Returns the
+    /// relative variance that remains; `None`, and nothing done, with fewer than three such sums.
+    ///
+    /// The median over pixels, so that those that some exposure did not measure do not matter.
+    fn steady_white(&self, white: &mut Radiance, black: &Radiance) -> Option<f64> {
+        let (light, dark) = (white.luminance(), black.luminance());
+        let brightest = light.iter().copied().fold(0.0, f32::max);
+        let lit: Vec<usize> =
+            (0..light.len()).step_by(SUM_STEP).filter(|&p| light[p] > LIT_SHARE * brightest).collect();
+        let ratio = |sum: &Vec<f32>| {
+            let mut all: Vec<f32> = lit.iter().map(|&p| (sum[p / SUM_STEP] - dark[p]) / light[p]).collect();
+            let middle = all.len() / 2;
+            (!all.is_empty()).then(|| f64::from(*all.select_nth_unstable_by(middle, f32::total_cmp).1))
+        };
+        let ratios: Vec<f64> = self.sums.get()?.iter().map(ratio).collect::<Option<_>>()?;
+        let n = ratios.len() as f64;
+        if ratios.len() < 3 {
+            return None;
+        }
+        let mean = ratios.iter().sum::<f64>() / n;
+        let variance = ratios.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / (n - 1.0) / n;
+        // A tenth is no flicker: something else differs.
+        if !((mean - 1.0).abs() < 0.1) {
+            return None;
+        }
+        white.value.iter_mut().for_each(|v| *v *= mean as f32);
+        white.variance.iter_mut().for_each(|v| *v *= (mean * mean) as f32);
+        Some(variance)
     }
 }

@@ -61,8 +61,8 @@ pub fn merge(bracket: &[Exposure], rect: Rect, sensor: &Sensor) -> Radiance {
     out
 }
 
-/// Samples that are merged together: all their exposures stay in the nearest cache.
-const BLOCK: usize = 512;
+/// Samples that are merged together, whole pixels: all their exposures stay in the nearest cache.
+pub(super) const BLOCK: usize = 510;
 
 /// What all exposures of a block say together.
 struct Pooled {
@@ -111,11 +111,11 @@ fn weigh(
     let mut bottom = [0.0f32; BLOCK];
     for (y, exposure) in linear.iter().zip(bracket) {
         let (t, floor) = (exposure.secs as f32, sensor.floor(&exposure.samples));
-        let sums = value.iter_mut().zip(&mut bottom).zip(&pooled.estimate).zip(y);
-        for (((top, bottom), &estimate), &y) in sums {
+        let sums = value.iter_mut().zip(&mut bottom).zip(&pooled.estimate).zip(y).enumerate();
+        for (k, (((top, bottom), &estimate), &y)) in sums {
             let mut variance = sensor.gain * estimate * t + floor;
             if sensor.is_curved() {
-                variance += sensor.rounding(estimate * t);
+                variance += sensor.rounding(estimate * t, k % 3);
             }
             let usable = y.is_finite();
             let w = if usable { t / variance } else { 0.0 };
@@ -164,7 +164,8 @@ impl Radiance {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::{Camera, Noise, Projector, ResponseCurve, Rig, WhiteReference};
+    use crate::capture::Noise;
+    use crate::radiance::FileNoise;
     use rand::SeedableRng;
     use rand_distr::{Distribution, Normal, Poisson};
 
@@ -172,20 +173,10 @@ mod tests {
     const READ: f64 = 0.7;
     const BLACK: f64 = 512.0;
 
-    fn sensor(response: ResponseCurve) -> Sensor {
-        let camera = Camera { size_px: [9, 9], focal_px: 9.0, principal_px: [4.0, 4.0], response, vignetting: vec![] };
+    fn sensor() -> Sensor {
         let noise =
             Noise { black_dn: BLACK, saturation_dn: 16_000.0, gain_dn_per_electron: GAIN, read_noise_electrons: READ };
-        let rig = Rig {
-            format: 1,
-            camera,
-            noise: None,
-            projector: Projector { size_px: [9, 9], principal_px: None },
-            board: None,
-            frame: None,
-            white_reference: WhiteReference { reflectance: [1.0; 3] },
-        };
-        Sensor::new(&rig, &noise)
+        Sensor::with_curve(&noise, None, FileNoise::default())
     }
 
     fn photograph(electrons_per_sec: f64, secs: f64, n: usize, rng: &mut impl rand::Rng) -> Exposure {
@@ -202,7 +193,7 @@ mod tests {
     /// (With less than one electron in the longest, clamping the plug-in at zero overstates the variance, by 17 % at 0.8.)
     #[test]
     fn radiance_is_unbiased_and_its_variance_right_over_six_decades() {
-        let sensor = sensor(ResponseCurve::Linear);
+        let sensor = sensor();
         let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(1);
         let rect = Rect { x: 0, y: 0, width: 60, height: 100 };
         let n = 3 * rect.area();
@@ -227,7 +218,7 @@ mod tests {
 
     #[test]
     fn a_pixel_saturated_in_every_exposure_is_marked_and_not_averaged() {
-        let sensor = sensor(ResponseCurve::Linear);
+        let sensor = sensor();
         let rect = Rect { x: 0, y: 0, width: 1, height: 1 };
         let full = Exposure { samples: Samples::U16(vec![16_383, 16_383, 600]), secs: 0.1 };
         let short = Exposure { samples: Samples::U16(vec![16_383, 1000, 515]), secs: 0.001 };
@@ -242,7 +233,7 @@ mod tests {
     fn nan_in_a_float_photograph_is_no_measurement() {
         let rect = Rect { x: 0, y: 0, width: 2, height: 1 };
         let samples = Samples::F32(vec![f32::NAN, f32::INFINITY, 1000.0, f32::NEG_INFINITY, -3e38, -20.0]);
-        let merged = merge(&[Exposure { samples, secs: 1.0 }], rect, &sensor(ResponseCurve::Linear));
+        let merged = merge(&[Exposure { samples, secs: 1.0 }], rect, &sensor());
         assert_eq!(merged.used, [0, 0, 1, 0, 0, 1]);
         assert!(merged.value.iter().all(|v| v.is_finite()));
     }

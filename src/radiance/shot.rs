@@ -34,6 +34,16 @@ impl Bracket {
         self.sampling
     }
 
+    /// The exposures, shortest first.
+    pub fn exposures(&self) -> &[Exposure] {
+        &self.exposures
+    }
+
+    /// Corrects the exposure times by a factor each.
+    pub fn scale_secs(&mut self, factors: &[f64]) {
+        self.exposures.iter_mut().zip(factors).for_each(|(e, f)| e.secs *= f);
+    }
+
     /// The rectangle.
     pub fn rect(&self) -> Rect {
         self.rect

@@ -20,6 +20,8 @@ pub enum Cause {
     HotPixels,
     /// A film-like response that the rig file does not tell.
     Film,
+    /// Exposure times that EXIF gives wrong.
+    Exif,
     /// A lamp that flickers.
     Flicker,
     /// Ambient light.
@@ -44,7 +46,7 @@ pub enum Cause {
 
 impl Cause {
     /// All of them.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::Noise,
         Self::Psf,
         Self::Glare,
@@ -52,6 +54,7 @@ impl Cause {
         Self::Vignetting,
         Self::HotPixels,
         Self::Film,
+        Self::Exif,
         Self::Flicker,
         Self::Ambient,
         Self::Falloff,
@@ -73,6 +76,7 @@ impl Cause {
             Self::Distortion => (&mut options.distortion, -0.05),
             Self::Vignetting => (&mut options.vignetting, 0.15),
             Self::HotPixels => (&mut options.hot_pixels, 1e-5),
+            Self::Exif => (&mut options.exif_stops_error, 0.125),
             Self::Flicker => (&mut options.flicker, 0.003),
             Self::Ambient => (&mut options.ambient, 5e-5),
             Self::Falloff => (&mut options.falloff, 0.12),

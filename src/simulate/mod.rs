@@ -31,7 +31,7 @@ mod studio;
 pub use camera::photograph::{ExposureTime, PhotographWriter};
 pub use causes::Cause;
 pub use light::{beam::Beam, monte_carlo, solution::Balance};
-pub use options::{FileFormat, Options, Response, SensorKind, Transport};
+pub use options::{FileFormat, Options, Response, RigResponse, SensorKind, Transport};
 pub use slab::{Beyond, Material, Optics, SlabRecord, Volume};
 
 use crate::{
@@ -83,6 +83,9 @@ pub struct Truth {
     /// The camera's response, whatever the rig file says: pairs of linear light and encoded value, both 0 to 1.
     #[serde(default)]
     pub response_curve: Vec<[f64; 2]>,
+    /// Exposure times: what EXIF says and what they are, s; those of reference shots first.
+    #[serde(default)]
+    pub exposures_secs: Vec<[f64; 2]>,
     /// All options.
     pub options: Options,
     /// The material's coefficients and layout.
@@ -194,6 +197,7 @@ fn write_truth(options: &Options, studio: &Studio, plan: &Plan, work: &Path) -> 
         photon_noise: studio.photon_noise(),
         layers_mm: studio.dots.slab.layers_mm.clone(),
         response_curve: options.response().samples(),
+        exposures_secs: studio.exposures(options),
         options: options.clone(),
         medium: studio.record.clone(),
         camera_from_slab: studio.scene.view,

@@ -56,6 +56,18 @@ pub enum Response {
     Film,
 }
 
+/// What the rig file says of the response.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum RigResponse {
+    /// Code values in proportion to light.
+    Linear,
+    /// The sRGB curve.
+    Srgb,
+    /// Not known: to be estimated.
+    Estimate,
+}
+
 /// Everything that makes a simulated capture; the same options give the same bytes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, clap::Args)]
 #[serde(default, deny_unknown_fields)]
@@ -128,6 +140,19 @@ pub struct Options {
     /// Leave [noise] out of the rig file: it is to be estimated from the photographs.
     #[arg(long, help_heading = "Camera")]
     pub rig_without_noise: bool,
+    /// The board is shot at the lattice's shortest exposure too: its black squares link the exposures of the references to those of
+    /// the lattice.
+    #[arg(long, help_heading = "Capture")]
+    pub link_exposures: bool,
+    /// What the rig file says of the response [default: linear, or srgb for srgb and film]
+    #[arg(long, value_enum, help_heading = "Camera")]
+    pub rig_response: Option<RigResponse>,
+    /// EXIF gives each distinct exposure time wrong by a fixed random amount of this size, root mean square, stops.
+    #[arg(long, value_name = "STOPS", default_value_t = Options::default().exif_stops_error, help_heading = "Camera")]
+    pub exif_stops_error: f64,
+    /// EXIF gives the usual name of the time: 1/250 for 1/256, thirds of stops.
+    #[arg(long, help_heading = "Camera")]
+    pub nominal_times: bool,
     /// Camera pixels across an outgoing cell. 3: enough for sub-cell registration.
     #[arg(long, value_name = "PX", default_value_t = Options::default().camera_px_per_sample, help_heading = "Camera")]
     pub camera_px_per_sample: f64,
@@ -229,6 +254,10 @@ impl Default for Options {
             bits: None,
             response: None,
             rig_without_noise: false,
+            rig_response: None,
+            link_exposures: false,
+            exif_stops_error: 0.0,
+            nominal_times: false,
             distortion: -0.05,
             vignetting: 0.15,
             psf_px: 0.0,
@@ -324,6 +353,7 @@ impl Options {
         range("--exposures", self.exposures as f64, 1.0, 10.0)?;
         range("--stops", self.stops, 0.1, 4.0)?;
         range("--bits", f64::from(self.bits.unwrap_or(8)), 8.0, 16.0)?;
+        range("--exif-stops-error", self.exif_stops_error, 0.0, 1.0)?;
         range("--distortion", self.distortion, -0.5, 0.5)?;
         range("--projector-distortion", self.projector_distortion, -0.2, 0.2)?;
         range("--vignetting", self.vignetting, 0.0, 0.9)?;

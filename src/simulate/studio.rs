@@ -127,11 +127,24 @@ impl Studio {
         match pattern {
             // The frame is darker than the white reference by four stops.
             Pattern::Frame | Pattern::GrayCode { on: Surface::Frame, .. } => plan::bracket(self.white_shortest, 3, 2.0),
+            Pattern::Board if options.link_exposures => {
+                let mut bracket = plan::bracket(self.white_shortest, 2, 2.0);
+                bracket.push(ExposureTime::one_over(SHORTEST_PER_SEC));
+                bracket
+            }
             Pattern::Board | Pattern::CalibrationBoard | Pattern::ReferenceWhite | Pattern::GrayCode { .. } => {
                 plan::bracket(self.white_shortest, 2, 2.0)
             }
             _ => plan::bracket(ExposureTime::one_over(SHORTEST_PER_SEC), options.exposures, options.stops),
         }
+    }
+
+    /// Every exposure time that is used: what EXIF says and what it is, s.
+    pub fn exposures(&self, options: &Options) -> Vec<[f64; 2]> {
+        let mut all = self.bracket(options, &Pattern::ReferenceWhite);
+        all.extend(self.bracket(options, &Pattern::SampleBlack));
+        let told = |t: &ExposureTime| t.told(options.exif_stops_error, options.nominal_times, options.seed).secs();
+        all.iter().map(|t| [told(t), t.secs()]).collect()
     }
 
     /// Renders a shot, writes its photographs and, for dots, the rows of the truth. Returns the bytes of the photographs.
@@ -169,7 +182,8 @@ impl Studio {
             let seed = mix_seed(mix_seed(options.seed, shot as u64), n as u64);
             let lit_secs = exposure.secs() * lamp(options.flicker, seed);
             self.sensor.expose(&room.rate, &self.hot, lit_secs, exposure.secs(), seed, &mut room.codes);
-            bytes += room.writer.write(&dir.join(&file.file), &room.codes, *exposure, shot * 10 + n)?;
+            let told = exposure.told(options.exif_stops_error, options.nominal_times, options.seed);
+            bytes += room.writer.write(&dir.join(&file.file), &room.codes, told, shot * 10 + n)?;
         }
         if let Ok(mut spare) = self.spare.lock() {
             spare.push(room);

@@ -2,8 +2,8 @@
 #![allow(dead_code)]
 
 use super::photon_sensor::PhotonSensor;
-use acquire::capture::{Board, Camera, Noise, Projector, Rect, ResponseCurve, Rig, Samples, WhiteReference};
-use acquire::radiance::{Exposure, Radiance, Sensor, merge};
+use acquire::capture::{Noise, Rect, Samples};
+use acquire::radiance::{Exposure, FileNoise, Radiance, Sensor, merge};
 use rand::SeedableRng;
 
 /// A sensor and its exposures.
@@ -74,23 +74,7 @@ impl Bracketing {
             gain_dn_per_electron: s.gain_dn_per_electron,
             read_noise_electrons: s.read_noise_electrons,
         };
-        let camera = Camera {
-            size_px: [9, 9],
-            focal_px: 9.0,
-            principal_px: [4.0, 4.0],
-            response: ResponseCurve::Linear,
-            vignetting: vec![],
-        };
-        let rig = Rig {
-            format: 1,
-            camera,
-            noise: None,
-            projector: Projector { size_px: [9, 9], principal_px: None },
-            board: None,
-            frame: None,
-            white_reference: WhiteReference { reflectance: [1.0; 3] },
-        };
-        Sensor::new(&rig, &noise)
+        Sensor::with_curve(&noise, None, FileNoise::default())
     }
 }
 

@@ -1,7 +1,7 @@
 //! From linear light to the code values of an encoded file.
 
 use crate::capture::ResponseCurve;
-use crate::simulate::Response;
+use crate::simulate::{Response, RigResponse};
 
 /// Steepness of the film-like curve in the sRGB signal, and the mid-grey that it keeps (sRGB of 0.18).
 const FILM_EXPONENT: f64 = 1.5;
@@ -17,11 +17,12 @@ impl Response {
         }
     }
 
-    /// What the rig file says: a lab with a film-like curve takes it for sRGB.
-    pub(crate) fn told(self) -> ResponseCurve {
-        match self {
-            Self::Linear => ResponseCurve::Linear,
-            Self::Srgb | Self::Film => ResponseCurve::Srgb,
+    /// What the rig file says: what it is asked to; else a lab with a film-like curve takes it for sRGB.
+    pub(crate) fn told(self, asked: Option<RigResponse>) -> ResponseCurve {
+        match (asked, self) {
+            (Some(RigResponse::Linear), _) | (None, Self::Linear) => ResponseCurve::Linear,
+            (Some(RigResponse::Srgb), _) | (None, Self::Srgb | Self::Film) => ResponseCurve::Srgb,
+            (Some(RigResponse::Estimate), _) => ResponseCurve::Estimate,
         }
     }
 
@@ -84,7 +85,7 @@ mod tests {
         assert!((Response::Film.encode(0.18) - Response::Srgb.encode(0.18)).abs() < 1e-5, "mid-grey stays");
         assert!(Response::Film.encode(0.01) < 0.6 * Response::Srgb.encode(0.01), "a toe");
         assert!(Response::Film.encode(0.6) > 1.02 * Response::Srgb.encode(0.6), "a shoulder");
-        assert_eq!(Response::Film.told(), ResponseCurve::Srgb);
+        assert_eq!(Response::Film.told(None), ResponseCurve::Srgb);
     }
 
     #[test]

@@ -349,7 +349,7 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera, [f
         size_px,
         focal_px: nominal_focal_px,
         principal_px,
-        response: options.response().told(),
+        response: options.response().told(options.rig_response),
         vignetting: vec![-1.2 * options.vignetting / corner2, 0.2 * options.vignetting / (corner2 * corner2)],
     };
     (view, camera, eye_mm)

@@ -1,0 +1,309 @@
+//! Before any registration: what code values, exposure times and the lamp are really like, from a few of the capture's shots.
+
+use super::BuildOptions;
+use crate::capture::{
+    Axis, Capture, ExposureFrom, Noise, Pattern, Photograph, Rect, ResponseCurve, Samples, Surface,
+    compression_variance,
+};
+use crate::progress::Progress;
+use crate::radiance::{
+    Bracket, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, Sensor, Stack, decode_shot,
+    estimate_curve, evenly, fit_exposures, pick_pixels, stack_scales, take,
+};
+use crate::{Error, Result, Warning};
+use rayon::prelude::*;
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// The sensor as it was found to be, and what was found on the way.
+#[derive(Debug)]
+pub(super) struct Radiometry {
+    pub sensor: Sensor,
+    /// Standard deviation of a photograph's light about its setting's, when there is any beyond noise.
+    pub flicker_sd: Option<f64>,
+    pub warnings: Vec<Warning>,
+    /// For the provenance.
+    pub record: serde_json::Value,
+}
+
+/// Lattice shots that are looked at: one in so many, within bounds. Twelve stacks of five
+/// give flicker to a tenth of itself.
+const LATTICE_SHOTS_PER_LOOK: usize = 16;
+const LOOKS: [usize; 2] = [8, 16];
+/// Gray-code bits of each axis whose light sums are looked at, finest first: their stripes have most edges.
+const BITS_PER_AXIS: usize = 6;
+/// Pixels of a light sum, half of them on edges.
+const SUM_PIXELS: usize = 6000;
+/// A measured time is worth a word when it differs by more than this and by more than three standard deviations.
+const TIME_TOLERANCE: f64 = 0.005;
+/// Compressed dark parts mislead by half a per cent and more: there by more than this.
+const COMPRESSED_TIME_TOLERANCE: f64 = 0.015;
+const TIME_SIGMA: f64 = 3.0;
+/// Compression scatters the scales of photographs by a tenth of a per cent: only more than this is flicker of the lamp.
+const LEAST_COMPRESSED_FLICKER: f64 = 0.002;
+/// How far nominal times are trusted while the curve is estimated (standard deviation of the logarithm): a rounded 1/30 for 1/32 is off by
+/// 6 %, most by less; times that are to be estimated are hardly trusted.
+const NOMINAL_SD: f64 = 0.03;
+const DOUBTED_SD: f64 = 0.3;
+/// Noise of code values that compression acts on, squared code values: about that of a good sensor's mid-greys in 8 bits.
+const CODE_NOISE: f64 = 1.0;
+/// The estimated curve's file, beside `rig.toml`.
+const CURVE_FILE: &str = "response.toml";
+
+/// Looks at some shots, estimates what is to be estimated, and corrects the capture's `effective_secs` when asked to.
+///
+/// # Errors
+/// Those of decoding; [`Error::Field`] for a curve file that cannot be read and a curve that cannot be estimated.
+pub(super) fn calibrate(
+    capture: &mut Capture,
+    noise: &Noise,
+    options: &BuildOptions,
+    progress: &Progress,
+) -> Result<Radiometry> {
+    let settings = Settings::of(capture);
+    let chosen = choose_shots(capture, &settings);
+    let stage = progress.stage("radiometry", chosen.len() + 1);
+    let file = file_noise(capture)?;
+    let first_curve = match &capture.rig.camera.response {
+        ResponseCurve::Linear => None,
+        ResponseCurve::Srgb | ResponseCurve::Estimate => Some(Curve::srgb()),
+        ResponseCurve::File(name) => Some(Curve::read(&capture.rig_path.with_file_name(name))?),
+    };
+    let mut sensor = Sensor::with_curve(noise, first_curve, file);
+    let stacks: Vec<Stack> = chosen
+        .par_iter()
+        .map(|&shot| {
+            let exposures = pick_pixels(decode_whole(capture, shot)?.exposures(), &sensor);
+            stage.advance(1);
+            let settings = capture.brackets[shot].iter().map(|p| settings.index(p)).collect();
+            Ok(Stack { exposures, settings })
+        })
+        .collect::<Result<_>>()?;
+
+    let mut warnings = Vec::new();
+    let mut estimate = None;
+    if capture.rig.camera.response == ResponseCurve::Estimate {
+        let found = curve(capture, noise, &stacks, &settings, &sensor, file, options)?;
+        sensor = Sensor::with_curve(noise, Some(found.curve.clone()), file);
+        warnings.extend(save(&found.curve, &capture.rig_path.with_file_name(CURVE_FILE)));
+        estimate = Some(found);
+    }
+    let scales: Vec<_> =
+        stacks.par_iter().filter_map(|s| stack_scales(&[&s.exposures], &sensor, 1).map(|scales| (s, scales))).collect();
+    let mut fit = fit_exposures(&scales, settings.secs.len());
+    fit.flicker_sd = fit.flicker_sd.filter(|sd| !file.is_compressed() || *sd > LEAST_COMPRESSED_FLICKER);
+    warnings.extend(judge(&fit, &settings, options, file));
+    if options.exposure_from == ExposureFrom::Estimate {
+        settings.apply(&fit, capture);
+    }
+    stage.advance(1);
+    let record = record(&fit, &settings, file, estimate.as_ref(), options);
+    Ok(Radiometry { sensor, flicker_sd: fit.flicker_sd, warnings, record })
+}
+
+/// The distinct nominal exposures of a capture, shortest first.
+struct Settings {
+    secs: Vec<f64>,
+}
+
+impl Settings {
+    fn of(capture: &Capture) -> Self {
+        let mut secs: Vec<f64> = capture.brackets.iter().flatten().map(|p| p.effective_secs).collect();
+        secs.sort_by(f64::total_cmp);
+        secs.dedup_by(|b, a| *b / *a < SAME);
+        Self { secs }
+    }
+
+    fn index(&self, photograph: &Photograph) -> usize {
+        self.secs.partition_point(|s| s * SAME <= photograph.effective_secs).min(self.secs.len() - 1)
+    }
+
+    fn apply(&self, fit: &ExposureFit, capture: &mut Capture) {
+        for bracket in &mut capture.brackets {
+            for photograph in bracket.iter_mut() {
+                photograph.effective_secs *= fit.log_scale[self.index(photograph)].exp();
+            }
+            bracket.sort_by(|a, b| a.effective_secs.total_cmp(&b.effective_secs));
+        }
+    }
+}
+
+/// Nominal exposures nearer than this are one setting.
+const SAME: f64 = 1.000_001;
+
+/// Some lattice shots, evenly spaced; board, white and black; and whatever else has a setting that these have not.
+fn choose_shots(capture: &Capture, settings: &Settings) -> Vec<usize> {
+    let lattice = capture.shots(|p| matches!(p, Pattern::Lattice { .. }));
+    let looks = (lattice.len() / LATTICE_SHOTS_PER_LOOK).clamp(LOOKS[0], LOOKS[1]);
+    let mut chosen: BTreeSet<usize> = evenly(&lattice, looks).collect();
+    chosen.extend(capture.shots(|p| matches!(p, Pattern::Board | Pattern::ReferenceWhite | Pattern::SampleBlack)));
+    let of = |shot: usize| capture.brackets[shot].iter().map(|p| settings.index(p));
+    let mut seen: BTreeSet<usize> = chosen.iter().flat_map(|&s| of(s)).collect();
+    for shot in 0..capture.brackets.len() {
+        if of(shot).any(|s| !seen.contains(&s)) {
+            chosen.insert(shot);
+            seen.extend(of(shot));
+        }
+    }
+    chosen.into_iter().collect()
+}
+
+fn decode_whole(capture: &Capture, shot: usize) -> Result<Bracket> {
+    let [width, height] = capture.rig.camera.size_px;
+    let whole = Rect { x: 0, y: 0, width, height };
+    let mut brackets = decode_shot(&capture.brackets[shot], &[whole], [width, height], &|_, _| {})?;
+    brackets.pop().ok_or_else(|| Error::internal("a shot decoded to nothing"))
+}
+
+/// Bits and compression of the capture's first photograph, which stand for all.
+fn file_noise(capture: &Capture) -> Result<FileNoise> {
+    let Some(first) = capture.brackets.iter().flatten().next() else { return Ok(FileNoise::default()) };
+    let bytes = std::fs::read(&first.path).map_err(Error::io("read", &first.path))?;
+    let compression = compression_variance(&bytes, CODE_NOISE).unwrap_or_default();
+    let sixteen_bit = compression == [0.0; 3] && matches!(first.decode()?.samples, Samples::U16(_));
+    Ok(FileNoise { sixteen_bit, compression })
+}
+
+fn curve(
+    capture: &Capture,
+    noise: &Noise,
+    stacks: &[Stack],
+    settings: &Settings,
+    sensor: &Sensor,
+    file: FileNoise,
+    options: &BuildOptions,
+) -> Result<CurveEstimate> {
+    let times_sd = if options.exposure_from == ExposureFrom::Estimate { DOUBTED_SD } else { NOMINAL_SD };
+    let sums = light_sums(capture, settings, sensor)?;
+    let options = CurveOptions { times_sd, file };
+    estimate_curve(stacks, &sums, settings.secs.len(), noise, &options).ok_or_else(|| {
+        let expected = "a known response: the stacks have too few pixels that two exposures measured to estimate it";
+        Error::field(&capture.rig_path, "camera.response", expected, "\"estimate\"")
+    })
+}
+
+/// Gray-code patterns with their inverses: together they are white and black.
+fn light_sums(capture: &Capture, settings: &Settings, sensor: &Sensor) -> Result<Vec<LightSum>> {
+    let one = |of: fn(&Pattern) -> bool| capture.shots(of).first().copied();
+    let (Some(white), Some(black)) =
+        (one(|p| matches!(p, Pattern::ReferenceWhite)), one(|p| matches!(p, Pattern::ReferenceBlack)))
+    else {
+        return Ok(vec![]);
+    };
+    let code = |axis: Axis, bit: u32, inverse: bool| {
+        // On the frame, black and white of the reference are not its sum.
+        let wanted = Pattern::GrayCode { axis, bit, inverse, on: Surface::WhiteReference };
+        capture.manifest.shots.iter().position(|s| s.pattern == wanted)
+    };
+    let pairs: Vec<[usize; 2]> = [Axis::X, Axis::Y]
+        .into_iter()
+        .flat_map(|axis| {
+            let both = (0..16).filter_map(move |bit| Some([code(axis, bit, false)?, code(axis, bit, true)?]));
+            both.take(BITS_PER_AXIS)
+        })
+        .collect();
+    let white_bracket = decode_whole(capture, white)?;
+    let dark = decode_whole(capture, black)?;
+    let dark = dark.merge(dark.rect(), sensor).value;
+    let sums: Vec<Vec<LightSum>> = pairs
+        .par_iter()
+        .map(|pair| {
+            let parts = [decode_whole(capture, pair[0])?, decode_whole(capture, pair[1])?];
+            let mut sums = Vec::new();
+            for (k, photograph) in capture.brackets[white].iter().enumerate() {
+                let setting = settings.index(photograph);
+                let same = |shot: usize| capture.brackets[shot].iter().position(|p| settings.index(p) == setting);
+                let (Some(a), Some(b)) = (same(pair[0]), same(pair[1])) else { continue };
+                let all = [&parts[0].exposures()[a], &parts[1].exposures()[b], &white_bracket.exposures()[k]];
+                let picked = sum_pixels([&all[0].samples, &all[1].samples, &all[2].samples], sensor);
+                let secs = all[2].secs as f32;
+                let black = picked.iter().flat_map(|&p| dark[3 * p..3 * p + 3].iter().map(|v| v * secs)).collect();
+                let [a, b, whole] = all.map(|e| take(&e.samples, &picked));
+                sums.push(LightSum { parts: [a, b], whole, black });
+            }
+            Ok(sums)
+        })
+        .collect::<Result<_>>()?;
+    Ok(sums.into_iter().flatten().collect())
+}
+
+/// Lit pixels, half of them where both parts have light.
+fn sum_pixels(samples: [&Samples; 3], sensor: &Sensor) -> Vec<usize> {
+    let n = samples.map(Samples::len).into_iter().min().unwrap_or(0) / 3;
+    let green = samples.map(|s| sensor.linear(s, 1));
+    let (mut edges, mut even) = (Vec::new(), Vec::new());
+    for p in 0..n {
+        let [a, b, whole] = [0, 1, 2].map(|k| green[k][p]);
+        // Lit at all: a frame around the target tells nothing.
+        if !(a + b + whole).is_finite() || a + b < 0.02 * sensor.full_range() {
+            continue;
+        }
+        if a.min(b) > 0.1 * (a + b) { edges.push(p) } else { even.push(p) }
+    }
+    let mut picked: Vec<usize> = evenly(&edges, SUM_PIXELS / 2).chain(evenly(&even, SUM_PIXELS / 2)).collect();
+    picked.sort_unstable();
+    picked
+}
+
+fn save(curve: &Curve, path: &Path) -> Option<Warning> {
+    let refused = curve.write(path).err()?;
+    Some(Warning::CurveNotSaved { file: path.display().to_string(), reason: refused.to_string() })
+}
+
+fn judge(fit: &ExposureFit, settings: &Settings, options: &BuildOptions, file: FileNoise) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    if options.exposure_from == ExposureFrom::Estimate {
+        let names: BTreeSet<usize> = fit.group.iter().copied().collect();
+        if names.len() > 1 {
+            let of = |g: usize| (0..settings.secs.len()).filter(move |&s| fit.group[s] == g).map(|s| settings.secs[s]);
+            let groups = names.into_iter().map(|g| of(g).collect()).collect();
+            warnings.push(Warning::ExposuresUnlinked { groups });
+        }
+        return warnings;
+    }
+    let tolerance = if file.is_compressed() { COMPRESSED_TIME_TOLERANCE } else { TIME_TOLERANCE };
+    let significant = |s: &usize| {
+        let (off, sd) = (fit.log_scale[*s].abs(), fit.variance[*s].sqrt());
+        off > tolerance && off > TIME_SIGMA * sd
+    };
+    let worst = (0..settings.secs.len())
+        .filter(significant)
+        .max_by(|&a, &b| fit.log_scale[a].abs().total_cmp(&fit.log_scale[b].abs()));
+    warnings.extend(worst.map(|s| Warning::ExposureRatios {
+        nominal_secs: settings.secs[s],
+        measured_secs: settings.secs[s] * fit.log_scale[s].exp(),
+        relative_sd: fit.variance[s].sqrt(),
+    }));
+    warnings
+}
+
+fn record(
+    fit: &ExposureFit,
+    settings: &Settings,
+    file: FileNoise,
+    estimate: Option<&CurveEstimate>,
+    options: &BuildOptions,
+) -> serde_json::Value {
+    let settings: Vec<_> = (0..settings.secs.len())
+        .map(|s| {
+            serde_json::json!({
+                "nominal_secs": settings.secs[s],
+                "measured_secs": settings.secs[s] * fit.log_scale[s].exp(),
+                "relative_sd": fit.variance[s].sqrt(),
+                "group": fit.group[s],
+            })
+        })
+        .collect();
+    serde_json::json!({
+        "exposure_from": format!("{:?}", options.exposure_from).to_lowercase(),
+        "settings": settings,
+        "flicker_relative_sd": fit.flicker_sd,
+        "compression_variance": file.compression,
+        "response": estimate.map(|e| serde_json::json!({
+            "per_channel": e.curve.is_per_channel(),
+            "relative_sd": e.curve.relative_variance().sqrt(),
+            "reduced_chi2": e.reduced_chi2,
+            "observations": e.observations,
+        })),
+    })
+}

@@ -1,0 +1,437 @@
+//! An unknown response curve, from the capture's own stacks and from light that adds up.
+
+use super::{CODES, Curve, FULL};
+use crate::capture::{Noise, Samples};
+use crate::radiance::cholesky::solve;
+use crate::radiance::exposures::{Here, Stack};
+use crate::radiance::merge::BLOCK;
+use crate::radiance::{FileNoise, Sensor};
+use rayon::prelude::*;
+
+/// Two photographs whose light adds up to that of two others: a pattern, its inverse, white and black, all of one exposure time.
+#[derive(Debug, Clone)]
+pub struct LightSum {
+    /// Code values of the pattern and its inverse, R G B interleaved, the same pixels in each.
+    pub parts: [Samples; 2],
+    /// Those of white.
+    pub whole: Samples,
+    /// Linear light of black in that exposure time, DN; little.
+    pub black: Vec<f32>,
+}
+
+/// Settings of [`estimate_curve`].
+#[derive(Debug, Clone, Copy)]
+pub struct CurveOptions {
+    /// Standard deviation of ln(actual / nominal) that the exposure times are trusted to.
+    pub times_sd: f64,
+    /// Rounding and compression.
+    pub file: FileNoise,
+}
+
+/// An estimated curve.
+#[derive(Debug, Clone)]
+pub struct CurveEstimate {
+    /// The curve, with its uncertainty.
+    pub curve: Curve,
+    /// Squared residuals over their degrees of freedom: 1 when the noise is as the rig says.
+    pub reduced_chi2: f64,
+    /// Number of code values that it rests on.
+    pub observations: usize,
+}
+
+/// Cubic B-splines in ln(code + [`OFFSET`]): fine where curves bend.
+const INTERVALS: usize = 14;
+const COEFFICIENTS: usize = INTERVALS + 3;
+const OFFSET: f64 = 8.0;
+/// Below this code value a power law leads to 0: clipping at black makes means there too large.
+const LEAST_CODE: f64 = 4.0;
+/// Prior standard deviation of second differences of coefficients: sRGB has 0.05, film-like curves 0.2.
+const BEND_SD: f64 = 0.3;
+/// Prior standard deviation of a lamp's change from one photograph to another.
+const LAMP_SD: f64 = 0.02;
+/// And of what compression does to all edges of a pattern alike, where dark parts cannot tell the lamp's change.
+const COMPRESSED_LAMP_SD: f64 = 0.004;
+/// A light sum tells about the curve where both parts have at least this share of it.
+const LEAST_SHARE: f64 = 0.1;
+const ITERATIONS: usize = 15;
+/// Compression errs for a block of pixels together: so many are one observation when curves are compared.
+const BLOCK_PIXELS: f64 = 64.0;
+
+/// Estimates ln g(z), g being the light of code value z, as a monotone curve; one for all channels, or one each when the Bayesian
+/// information criterion says that they differ.
+///
+/// Weighted least squares over all unknowns at once: the curve's coefficients, the light of each pixel (eliminated), one exposure time
+/// a setting with the prior `times_sd`. As in `MitsunagaNayar1999` curve and exposure ratios are found together; stacks alone leave the ambiguity
+/// g → g^γ, t → t^γ (`GrossbergNayar2003`), which here is settled by light sums: g(pattern) + g(inverse) = g(white) + g(black) holds for one γ
+/// only. Weights are those of photon statistics and of rounding and compression, at predicted values, not at the noisy ones.
+///
+/// `None` when the stacks have too little in common. Not detected: a curve that changes between photographs (automatic tone
+/// mapping), crosstalk of channels (a colour matrix before the curve).
+pub fn estimate_curve(
+    stacks: &[Stack],
+    sums: &[LightSum],
+    settings: usize,
+    noise: &Noise,
+    options: &CurveOptions,
+) -> Option<CurveEstimate> {
+    let problem = Problem { stacks, sums, settings, noise, options };
+    let common = problem.fit(1, None)?;
+    let own = problem.fit(3, Some(&common));
+    // Each channel of its own costs twice the coefficients.
+    let blocks = if options.file.is_compressed() { BLOCK_PIXELS } else { 1.0 };
+    let noise_scale = own.as_ref().map_or(1.0, |o| blocks * (o.chi2 / o.freedom).max(0.1));
+    let penalty = (2 * COEFFICIENTS) as f64 * common.freedom.max(2.0).ln();
+    let better = own.filter(|o| (common.chi2 - o.chi2) / noise_scale > penalty);
+    better.unwrap_or(common).into_estimate()
+}
+
+struct Problem<'a> {
+    stacks: &'a [Stack],
+    sums: &'a [LightSum],
+    settings: usize,
+    noise: &'a Noise,
+    options: &'a CurveOptions,
+}
+
+/// Where a solution stands.
+struct Fit {
+    /// Of each curve, one after the other.
+    coefficients: Vec<f64>,
+    curves: usize,
+    times: Vec<f64>,
+    lamps: Vec<f64>,
+    chi2: f64,
+    freedom: f64,
+    covariance_diagonal: Vec<Vec<f64>>,
+}
+
+/// Normal equations.
+#[derive(Clone)]
+struct System {
+    size: usize,
+    matrix: Vec<f64>,
+    right: Vec<f64>,
+    chi2: f64,
+    freedom: f64,
+}
+
+impl System {
+    fn new(size: usize) -> Self {
+        Self { size, matrix: vec![0.0; size * size], right: vec![0.0; size], chi2: 0.0, freedom: 0.0 }
+    }
+
+    /// Adds weight · row rowᵀ, negative to take out.
+    fn add(&mut self, row: &[(usize, f64)], residual: f64, weight: f64) {
+        for &(i, a) in row {
+            self.right[i] += weight * a * residual;
+            for &(j, b) in row {
+                self.matrix[i * self.size + j] += weight * a * b;
+            }
+        }
+    }
+
+    fn merge(mut self, other: Self) -> Self {
+        self.matrix.iter_mut().zip(other.matrix).for_each(|(a, b)| *a += b);
+        self.right.iter_mut().zip(other.right).for_each(|(a, b)| *a += b);
+        self.chi2 += other.chi2;
+        self.freedom += other.freedom;
+        self
+    }
+}
+
+impl Problem<'_> {
+    fn fit(&self, curves: usize, from: Option<&Fit>) -> Option<Fit> {
+        let lamps = 2 * self.sums.len();
+        let mut fit = Fit {
+            coefficients: from.map_or_else(|| starting(&Curve::srgb()), |f| f.coefficients.clone()).repeat(curves),
+            curves,
+            times: from.map_or_else(|| vec![0.0; self.settings], |f| f.times.clone()),
+            lamps: from.map_or_else(|| vec![0.0; lamps], |f| f.lamps.clone()),
+            chi2: 0.0,
+            freedom: 0.0,
+            covariance_diagonal: vec![],
+        };
+        let unknowns = curves * COEFFICIENTS;
+        let mut system = System::new(0);
+        for round in 0..ITERATIONS {
+            system = self.system(&fit, round < 4)?;
+            let step = solve(system.matrix.clone(), system.right.clone())?;
+            let largest = step.iter().fold(0.0f64, |m, s| m.max(s.abs()));
+            let damp = (0.5 / largest).min(1.0);
+            fit.coefficients.iter_mut().zip(&step).for_each(|(c, s)| *c += damp * s);
+            fit.times.iter_mut().zip(&step[unknowns..]).for_each(|(t, s)| *t += damp * s);
+            fit.lamps.iter_mut().zip(&step[unknowns + self.settings..]).for_each(|(l, s)| *l += damp * s);
+            if largest < 1e-5 && round >= 5 {
+                break;
+            }
+        }
+        if system.freedom < 100.0 {
+            return None;
+        }
+        (fit.chi2, fit.freedom) = (system.chi2, system.freedom);
+        fit.covariance_diagonal = (0..curves).map(|c| code_variance(&system, c)).collect::<Option<_>>()?;
+        Some(fit)
+    }
+
+    fn system(&self, fit: &Fit, loose: bool) -> Option<System> {
+        let curve = fit.curve(vec![vec![0.0; CODES]; fit.curves])?;
+        let sensor = Sensor::with_curve(self.noise, Some(curve), self.options.file);
+        let size = fit.coefficients.len() + self.settings + 2 * self.sums.len();
+        let stacks: Vec<System> =
+            self.stacks.par_iter().map(|s| self.add_stack(s, fit, &sensor, System::new(size), loose)).collect();
+        let sums: Vec<System> = self
+            .sums
+            .par_iter()
+            .enumerate()
+            .map(|(k, s)| self.add_sum(k, s, fit, &sensor, System::new(size), loose))
+            .collect();
+        // In order, so that the sum does not depend on the threads.
+        let mut system = stacks.into_iter().chain(sums).fold(System::new(size), System::merge);
+        self.add_priors(fit, &mut system);
+        Some(system)
+    }
+
+    fn add_priors(&self, fit: &Fit, system: &mut System) {
+        let base = fit.coefficients.len();
+        for c in 0..fit.curves {
+            let at = c * COEFFICIENTS;
+            for k in 0..COEFFICIENTS - 2 {
+                let row = [(at + k, 1.0), (at + k + 1, -2.0), (at + k + 2, 1.0)];
+                let now: f64 = row.iter().map(|&(i, a)| a * fit.coefficients[i]).sum();
+                system.add(&row, -now, BEND_SD.powi(-2));
+            }
+            // The scale: the largest code has the largest light.
+            let (first, basis) = basis(FULL);
+            let row: Vec<(usize, f64)> = (0..4).map(|m| (at + first + m, basis[m])).collect();
+            let now: f64 = row.iter().map(|&(i, a)| a * fit.coefficients[i]).sum();
+            system.add(&row, FULL.ln() - now, 1e8);
+        }
+        for (s, now) in fit.times.iter().enumerate() {
+            system.add(&[(base + s, 1.0)], -now, self.options.times_sd.powi(-2));
+        }
+        for (l, now) in fit.lamps.iter().enumerate() {
+            let sd = if self.options.file.is_compressed() { COMPRESSED_LAMP_SD } else { LAMP_SD };
+            system.add(&[(base + self.settings + l, 1.0)], -now, sd.powi(-2));
+        }
+    }
+
+    /// Stacks: ln g(z_j) = ln L + ln t_j + δ at each pixel, ln L eliminated.
+    fn add_stack(&self, stack: &Stack, fit: &Fit, sensor: &Sensor, mut system: System, loose: bool) -> System {
+        let n = stack.exposures.len();
+        let base = fit.coefficients.len();
+        let time = |j: usize| stack.exposures[j].secs * fit.times[stack.settings[j]].exp();
+        let secs: Vec<f32> = (0..n).map(|j| time(j) as f32).collect();
+        let samples = stack.exposures.iter().map(|e| e.samples.len()).min().unwrap_or(0);
+        let Some(curve) = sensor.curve() else { return system };
+        let (mut here, mut linear) = (Here::new(n), vec![[0.0f32; BLOCK]; n]);
+        let (mut row, mut mean) = (Vec::with_capacity(5), Vec::with_capacity(5 * n));
+        for first in (0..samples).step_by(BLOCK) {
+            let len = BLOCK.min(samples - first);
+            for (y, e) in linear.iter_mut().zip(&stack.exposures) {
+                sensor.linearize(&e.samples, first, &mut y[..len]);
+            }
+            for k in 0..len {
+                if !here.look(&linear, k, &secs, sensor, loose) {
+                    continue;
+                }
+                mean.clear();
+                let (mut total, mut mean_residual) = (0.0, 0.0);
+                let channel = (k % 3).min(fit.curves - 1);
+                for j in 0..n {
+                    let code = curve.code_at(k % 3, f64::from(here.mean[j]));
+                    // Below it noise that black clips has another mean.
+                    if here.weight[j] == 0.0 || code < LEAST_CODE {
+                        continue;
+                    }
+                    let w = here.weight[j];
+                    let (at, basis) = basis(code);
+                    row.clear();
+                    row.extend((0..4).map(|m| (channel * COEFFICIENTS + at + m, -basis[m])));
+                    row.push((base + stack.settings[j], 1.0));
+                    system.add(&row, here.residual[j], w);
+                    mean.extend(row.iter().map(|&(i, a)| (i, w * a)));
+                    total += w;
+                    mean_residual += w * here.residual[j];
+                    system.chi2 += w * here.residual[j] * here.residual[j];
+                    system.freedom += 1.0;
+                }
+                if total > 0.0 {
+                    system.add(&merged(&mut mean), mean_residual, -1.0 / total);
+                    system.chi2 -= mean_residual * mean_residual / total;
+                    system.freedom -= 1.0;
+                }
+            }
+        }
+        system
+    }
+
+    /// Light sums: g(a) exp(−α) + g(b) exp(−β) = g(white) + black, α and β being the lamp's changes.
+    fn add_sum(
+        &self,
+        number: usize,
+        sum: &LightSum,
+        fit: &Fit,
+        sensor: &Sensor,
+        mut system: System,
+        loose: bool,
+    ) -> System {
+        let Some(curve) = sensor.curve() else { return system };
+        let lamp = fit.coefficients.len() + self.settings + 2 * number;
+        let lamps = [0, 1].map(|p| fit.lamps[2 * number + p].exp().recip());
+        let samples = sum.whole.len().min(sum.black.len());
+        let compressed = self.options.file.is_compressed();
+        let mut linear = [[0.0f32; BLOCK]; 3];
+        let mut row = Vec::with_capacity(14);
+        for first in (0..samples).step_by(BLOCK) {
+            let len = BLOCK.min(samples - first);
+            for (y, of) in linear.iter_mut().zip([&sum.parts[0], &sum.parts[1], &sum.whole]) {
+                sensor.linearize(of, first, &mut y[..len]);
+            }
+            for k in 0..len {
+                let [a, b, whole] = [0, 1, 2].map(|p| f64::from(linear[p][k]));
+                let black = f64::from(sum.black[first + k]);
+                let [a, b] = [a * lamps[0], b * lamps[1]];
+                let expected = whole + black;
+                if !(a + b + whole).is_finite() || !(expected > 0.0) || a + b <= 0.0 {
+                    continue;
+                }
+                let variance = [a, b, whole].map(|v| f64::from(sensor.variance(v as f32, k % 3)));
+                let total: f64 = variance.iter().sum();
+                let weight = expected * expected / total;
+                let excess = expected - a - b;
+                let residual = excess / expected;
+                if residual.abs() > (5.0 / weight.sqrt()).max(if loose { 0.5 } else { 0.0 }) || weight < 100.0 {
+                    continue;
+                }
+                // The row is taken at the values that fit: at the noisy ones it would correlate with the residual.
+                let [a, b, whole] = [
+                    a + excess * variance[0] / total,
+                    b + excess * variance[1] / total,
+                    whole - excess * variance[2] / total,
+                ];
+                let shared = a.min(b) > LEAST_SHARE * (a + b);
+                // Compression rings in the dark part, where black clips it: its mean is no longer that of the light.
+                if compressed && !shared {
+                    continue;
+                }
+                row.clear();
+                // Where one part is all there is, the curve cancels and the lamp's change is seen.
+                for (light, sign) in [(a, 1.0), (b, 1.0), (whole, -1.0)] {
+                    let code = curve.code_at(k % 3, light);
+                    if shared && code >= LEAST_CODE {
+                        let channel = (k % 3).min(fit.curves - 1);
+                        let (at, basis) = basis(code);
+                        row.extend(
+                            (0..4).map(|m| (channel * COEFFICIENTS + at + m, sign * light / expected * basis[m])),
+                        );
+                    }
+                }
+                row.push((lamp, -a / expected));
+                row.push((lamp + 1, -b / expected));
+                system.add(&merged(&mut row), residual, weight);
+                system.chi2 += weight * residual * residual;
+                system.freedom += 1.0;
+            }
+        }
+        system
+    }
+}
+
+/// Sums entries of the same index.
+fn merged(row: &mut [(usize, f64)]) -> Vec<(usize, f64)> {
+    row.sort_unstable_by_key(|e| e.0);
+    let mut out: Vec<(usize, f64)> = Vec::with_capacity(row.len());
+    for &(i, a) in row.iter() {
+        match out.last_mut() {
+            Some(last) if last.0 == i => last.1 += a,
+            _ => out.push((i, a)),
+        }
+    }
+    out
+}
+
+/// First of the four basis functions at a code value, and their values.
+fn basis(code: f64) -> (usize, [f64; 4]) {
+    let x = ((code + OFFSET).ln() - OFFSET.ln()) / ((FULL + OFFSET).ln() - OFFSET.ln()) * INTERVALS as f64;
+    let first = (x as usize).min(INTERVALS - 1);
+    let t = x - first as f64;
+    let u = 1.0 - t;
+    let values = [
+        u * u * u / 6.0,
+        (3.0 * t * t * t - 6.0 * t * t + 4.0) / 6.0,
+        (3.0 * u * u * u - 6.0 * u * u + 4.0) / 6.0,
+        t * t * t / 6.0,
+    ];
+    (first, values)
+}
+
+/// Coefficients of a known curve, by least squares over codes.
+fn starting(curve: &Curve) -> Vec<f64> {
+    let mut system = System::new(COEFFICIENTS);
+    for code in LEAST_CODE as usize..CODES {
+        let (first, basis) = basis(code as f64);
+        let row: Vec<(usize, f64)> = (0..4).map(|m| (first + m, basis[m])).collect();
+        system.add(&row, curve.linear_at(0, code as f64).ln(), 1.0);
+    }
+    for k in 0..COEFFICIENTS - 2 {
+        system.add(&[(k, 1.0), (k + 1, -2.0), (k + 2, 1.0)], 0.0, 1e-4);
+    }
+    solve(system.matrix, system.right).unwrap_or_else(|| vec![0.0; COEFFICIENTS])
+}
+
+/// Variance of ln g at each code against half the range, of curve `c`.
+fn code_variance(system: &System, c: usize) -> Option<Vec<f64>> {
+    let n = system.size;
+    let scale = (system.chi2 / system.freedom).max(1.0);
+    let vector = |code: f64| {
+        let (first, basis) = basis(code);
+        let mut v = vec![0.0; n];
+        (0..4).for_each(|m| v[c * COEFFICIENTS + first + m] = basis[m]);
+        v
+    };
+    let middle = vector(188.0);
+    (0..CODES)
+        .map(|code| {
+            let mut v = vector((code as f64).max(LEAST_CODE));
+            v.iter_mut().zip(&middle).for_each(|(a, b)| *a -= b);
+            let column = solve(system.matrix.clone(), v.clone())?;
+            Some(scale * v.iter().zip(&column).map(|(a, b)| a * b).sum::<f64>().max(0.0))
+        })
+        .collect()
+}
+
+impl Fit {
+    /// Tables of the coefficients, made monotone.
+    fn curve(&self, relative_sd: Vec<Vec<f64>>) -> Option<Curve> {
+        let tables = self.coefficients.chunks(COEFFICIENTS).map(|coefficients| {
+            let log = |code: f64| {
+                let (first, basis) = basis(code);
+                (0..4).map(|m| basis[m] * coefficients[first + m]).sum::<f64>()
+            };
+            let h = 0.5;
+            let power = LEAST_CODE * (log(LEAST_CODE + h) - log(LEAST_CODE - h)) / (2.0 * h);
+            let power = power.clamp(0.5, 3.0);
+            let mut table: Vec<f64> = (0..CODES)
+                .map(|k| match k as f64 {
+                    code if code < LEAST_CODE => log(LEAST_CODE).exp() * (code / LEAST_CODE).powf(power),
+                    code => log(code).exp(),
+                })
+                .collect();
+            // Nothing but noise makes it fall: the least rise then.
+            for k in 1..CODES {
+                table[k] = table[k].max(table[k - 1] * (1.0 + 1e-6) + 1e-9);
+            }
+            table
+        });
+        Curve::new(tables.collect(), relative_sd)
+    }
+
+    fn into_estimate(self) -> Option<CurveEstimate> {
+        let sd = self.covariance_diagonal.iter().map(|v| v.iter().map(|v| v.sqrt()).collect()).collect();
+        Some(CurveEstimate {
+            curve: self.curve(sd)?,
+            reduced_chi2: self.chi2 / self.freedom,
+            observations: self.freedom as usize,
+        })
+    }
+}
