@@ -267,7 +267,8 @@ fn what_the_probe_says_of_cross_talk_is_what_a_capture_with_that_spacing_has() {
         };
         let (folder, dir) = common::capture(&options);
         let out = folder.path().join("m.rd.zarr");
-        build_matrix(&dir, &BuildOptions::default(), &out, &Progress::silent()).unwrap();
+        let keep = BuildOptions { keep_crosstalk: true, ..BuildOptions::default() };
+        build_matrix(&dir, &keep, &out, &Progress::silent()).unwrap();
         let matrix = MatrixReader::open(&out).unwrap();
         let row = matrix.read(7 * 15 + 7..7 * 15 + 8).unwrap();
         [0, 1, 2].map(|c| row.response.iter().skip(c).step_by(3).map(|&r| f64::from(r)).sum::<f64>())

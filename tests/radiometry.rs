@@ -133,7 +133,8 @@ fn an_unknown_response_of_jpeg_files_is_found_to_one_percent_together_with_the_t
     rig.write(&dir.join("calibration")).unwrap();
     let (matrix, _) = build(&dir, ExposureFrom::Estimate);
     let again = compare(&matrix, &dir.join("truth.rd.zarr"));
-    assert!((again.rel_rmse - found.rel_rmse).abs() < 1e-4, "{again:?}");
+    // The times are measured anew, from pixels that another curve picks.
+    assert!((again.rel_rmse - found.rel_rmse).abs() < 2e-3, "{again:?} {found:?}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use super::drift::{Movements, moved_part};
 use super::flicker::Flicker;
 use super::shots::Shots;
-use crate::capture::{Pattern, Rect, Window};
+use crate::capture::{Pattern, Rect, Sampling, Window};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Bracket, Curve, HotPixel, Radiance, StrayLight, mend};
@@ -134,7 +134,7 @@ impl Prepared<'_> {
         let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance };
         // What all samples of a row have in common: the lamp, and the response curve's own error.
         let common_variance = flicker_variance + self.shots.sensor.curve().map_or(0.0, Curve::relative_variance);
-        let mut weights = CellWeights::new(self.cell_px, self.registration.point_spread.map_or(0.0, |p| p.psf_px));
+        let mut weights = self.cell_weights(windows.first().map_or(Sampling::WHOLE, Bracket::sampling));
         let centers: Vec<Point> =
             dots.iter().map(|&d| self.nominal_mm(d)).map(|p| [p[0] + moved[0], p[1] + moved[1]]).collect();
         let grids: Vec<WindowGrid> =
@@ -174,6 +174,16 @@ impl Prepared<'_> {
             result.lit.push(LitPoint { dot, center_mm: center, flux: lit.flux.value, findings, albedo });
         }
         Ok(result)
+    }
+
+    /// One set for all channels, or one for each where a mosaic measured them at places of their own.
+    fn cell_weights(&self, sampling: Sampling) -> Vec<CellWeights> {
+        let psf_px = self.registration.point_spread.map_or(0.0, |p| p.psf_px);
+        if sampling == Sampling::WHOLE {
+            return vec![CellWeights::new(self.cell_px, psf_px)];
+        }
+        let places = sampling.aperture_px.into_iter().zip(sampling.offset_px);
+        places.map(|(aperture, offset)| CellWeights::sampled(self.cell_px, psf_px, aperture, offset)).collect()
     }
 
     /// Radiance of a part of a bracket, ambient light subtracted, hot photosites mended.

@@ -93,7 +93,8 @@ pub struct RowFindings {
 
 /// Responses of a window: R = (mean exitance over each cell) / flux, mm⁻², with variance.
 ///
-/// `light` is the dot's radiance without ambient light over [`window_rect`]. The variance is that of the pixels, plus that of the
+/// `light` is the dot's radiance without ambient light over [`window_rect`]; `weights` are one set for all channels, or three where each
+/// channel was measured at a place of its own ([`crate::capture::Sampling`]). The variance is that of the pixels, plus that of the
 /// reconstruction near the lit point (from what a lower degree would give), plus that of the flux (common to the row), plus the
 /// lit point's uncertainty times the slope of R.
 ///
@@ -104,7 +105,7 @@ pub fn extract_row(
     dot: &LitDot,
     sensitivity: &Sensitivity,
     size_mm: Point,
-    weights: &mut CellWeights,
+    weights: &mut [CellWeights],
 ) -> (Row, RowFindings) {
     let [wx, wy] = grid.samples;
     let n = 3 * wx * wy;
@@ -116,8 +117,9 @@ pub fn extract_row(
                 findings.clipped += 1;
                 continue;
             }
-            weights.set(grid.cell(i, j), grid.is_within(NEAR_SAMPLES, i, j), grid.is_within(SHARP_SAMPLES, i, j));
-            let Some(cell) = weighted_mean(light, weights, sensitivity) else {
+            let (near, sharp) = (grid.is_within(NEAR_SAMPLES, i, j), grid.is_within(SHARP_SAMPLES, i, j));
+            weights.iter_mut().for_each(|w| w.set(grid.cell(i, j), near, sharp));
+            let Some(cell) = cell_mean(light, weights, sensitivity) else {
                 findings.clipped += 1;
                 continue;
             };
@@ -144,6 +146,18 @@ struct CellMean {
     /// Variance of the reconstruction.
     doubt: [f64; 3],
     valid: [bool; 3],
+}
+
+/// By weights that all channels share, or each channel by its own.
+fn cell_mean(light: &Radiance, weights: &[CellWeights], sensitivity: &Sensitivity) -> Option<CellMean> {
+    let [red, green, blue] = weights else { return weighted_mean(light, weights.first()?, sensitivity) };
+    let mut of = weighted_mean(light, red, sensitivity)?;
+    for (c, weights) in [(1, green), (2, blue)] {
+        let channel = weighted_mean(light, weights, sensitivity)?;
+        (of.value[c], of.variance[c]) = (channel.value[c], channel.variance[c]);
+        (of.doubt[c], of.valid[c]) = (channel.doubt[c], channel.valid[c]);
+    }
+    Some(of)
 }
 
 fn weighted_mean(light: &Radiance, weights: &CellWeights, sensitivity: &Sensitivity) -> Option<CellMean> {

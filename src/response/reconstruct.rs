@@ -32,21 +32,30 @@ pub struct CellWeights {
     weights: Vec<f32>,
     /// Weights of degree 6 less those of degree 4; empty unless asked for.
     doubt: Vec<f32>,
+    /// Where in its pixel the light was measured, px from the pixel's centre.
+    offset_px: Point,
 }
 
 impl CellWeights {
-    /// Weights for cells of about `cell_px` pixels a side, for a lens that blurs by `psf_px` (standard deviation, px).
+    /// Weights for cells of about `cell_px` pixels a side, for a lens that blurs by `psf_px` (standard deviation, px) and pixels that see all of
+    /// their square.
     pub fn new(cell_px: f64, psf_px: f64) -> Self {
+        Self::sampled(cell_px, psf_px, 1.0, [0.0; 2])
+    }
+
+    /// The same for pixels that see a square of side `aperture_px`, `offset_px` from their centre: one colour of a mosaic.
+    pub fn sampled(cell_px: f64, psf_px: f64, aperture_px: f64, offset_px: Point) -> Self {
         let places = |extra: f64| ((cell_px.round() + extra) as usize).clamp(3, 32);
         Self {
-            table: tap_table(&polynomials::<STENCIL>(psf_px)),
-            lower: tap_table(&polynomials::<LOWER_STENCIL>(psf_px)),
+            table: tap_table(&polynomials::<STENCIL>(psf_px, aperture_px)),
+            lower: tap_table(&polynomials::<LOWER_STENCIL>(psf_px, aperture_px)),
             fine: gauss_legendre(places(EXTRA_PLACES)),
             smooth: gauss_legendre(places(0.0)),
             origin: [0, 0],
             size: [0, 0],
             weights: vec![],
             doubt: vec![],
+            offset_px,
         }
     }
 
@@ -56,6 +65,7 @@ impl CellWeights {
     /// light that changes within a pixel or two; elsewhere a third of the places will do, at a quarter of the time. `doubted` asks for
     /// [`Self::doubt`], too.
     pub fn set(&mut self, corners: [Point; 4], fine: bool, doubted: bool) {
+        let corners = corners.map(|c| [c[0] - self.offset_px[0], c[1] - self.offset_px[1]]);
         let range = |a: usize| {
             let v = corners.map(|c| c[a]);
             let low = v.into_iter().fold(f64::MAX, f64::min);
@@ -145,10 +155,10 @@ fn tap_table<const N: usize>(polynomials: &[[f64; N]; N]) -> Vec<[f32; TAPS]> {
 
 /// The polynomials w_i(t) with Σ_i w_i(t) · (what pixel i sees of x^k) = t^k for k below `N`.
 ///
-/// A pixel sees the mean over its side of the light blurred by a Gaussian of standard deviation `psf_px`.
-fn polynomials<const N: usize>(psf_px: f64) -> [[f64; N]; N] {
+/// A pixel sees the mean over `aperture_px` of the light blurred by a Gaussian of standard deviation `psf_px`.
+fn polynomials<const N: usize>(psf_px: f64, aperture_px: f64) -> [[f64; N]; N] {
     // Moments of the pixel's side and of the Gaussian, from one even order to the next: those of odd order are 0.
-    let side = |m: usize| 0.5f64.powi(m as i32) / (m as f64 + 1.0);
+    let side = |m: usize| (0.5 * aperture_px).powi(m as i32) / (m as f64 + 1.0);
     let gaussian = |m: usize| (1..m).step_by(2).map(|k| k as f64 * psf_px * psf_px).product::<f64>();
     let even = |order: usize, moment: &dyn Fn(usize) -> f64| if order.is_multiple_of(2) { moment(order) } else { 0.0 };
     // E[(a + b)^k] of independent quantities from their moments.
@@ -230,6 +240,27 @@ mod tests {
             let scale = pixel(x + side + 3.0, y + side + 3.0).abs();
             assert!((cell_mean(corners, side, pixel) - truth).abs() < 1e-6 * scale);
         }
+    }
+
+    #[test]
+    fn a_polynomial_light_is_integrated_exactly_from_photosites_and_through_a_blur() {
+        let mean = |k: i32, a: f64, b: f64| (b.powi(k + 1) - a.powi(k + 1)) / (f64::from(k + 1) * (b - a));
+        let (aperture, offset, psf) = (0.5, [-0.25, 0.25], 0.6);
+        // A Gaussian adds its variance to the mean of x², and three times the product with x to that of x³.
+        let square = |a: f64, b: f64| mean(2, a, b) + psf * psf;
+        let cube = |a: f64, b: f64| mean(3, a, b) + 3.0 * psf * psf * mean(1, a, b);
+        let seen = |x: f64, y: f64| {
+            let (x, y) = (x + offset[0], y + offset[1]);
+            cube(x - 0.5 * aperture, x + 0.5 * aperture) * square(y - 0.5 * aperture, y + 0.5 * aperture)
+        };
+        let mut weights = CellWeights::sampled(3.0, psf, aperture, offset);
+        let (x, y, side) = (0.3, -0.2, 3.1);
+        weights.set([[x, y], [x + side, y], [x, y + side], [x + side, y + side]], true, false);
+        let ([x0, y0], [width, _], w) = weights.get();
+        let pixel = |k: usize| seen((x0 + (k % width) as isize) as f64, (y0 + (k / width) as isize) as f64);
+        let found: f64 = w.iter().enumerate().map(|(k, w)| f64::from(*w) * pixel(k)).sum();
+        // Weights are f32: 1e-7 of the largest pixel in reach, times weights that a deconvolution makes larger than one.
+        assert!((found - mean(3, x, x + side) * mean(2, y, y + side)).abs() < 1e-5 * seen(7.0, 6.0), "{found}");
     }
 
     #[test]
