@@ -232,7 +232,7 @@ fn a_probe_asks_for_few_photographs_and_for_exposures_that_fit() {
     let (choice, without) = (written.choice.unwrap(), written.without_probe.unwrap());
     assert!(written.plan.grid.len() > without.grid.len() && choice.window < 15, "{choice:?}");
     assert!(written.plan.photographs() < without.photographs() / 4, "{choice:?}");
-    assert!(choice.spacing.cross_talk <= 0.01 || choice.spacing.below_noise, "{choice:?}");
+    assert!(choice.spacing.cross_talk <= 0.1 || choice.spacing.below_noise, "{choice:?}");
     // The simulator sets its sensitivity so that the brightest dot reaches 0.7 of the range in 1/256 s; the plan goes to the third of a stop below.
     let shortest = choice.shortest_secs.unwrap() * 256.0;
     assert!((0.75..1.05).contains(&shortest), "{choice:?}");

@@ -82,7 +82,7 @@ pub struct PatternsOptions {
     /// What the camera takes for a photograph besides its exposure, s, to tell the time.
     #[arg(long, value_name = "S", default_value_t = 1.5)]
     pub overhead_secs: f64,
-    /// Share of a row's light that other dots' tails may add to it, with --probe.
+    /// Share of a row's light that other dots' tails may add to it before `build-matrix` takes that out, with --probe.
     #[arg(long, value_name = "SHARE", default_value_t = SpacingOptions::default().most_cross_talk)]
     pub most_cross_talk: f64,
 }

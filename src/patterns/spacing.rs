@@ -179,13 +179,14 @@ pub struct SpacingOptions {
     pub window: usize,
     /// Distance of lit points, mm: spacings are multiples of it.
     pub lit_pitch_mm: f64,
-    /// Share of a row's light that the tails of other dots may add to it. 0.01: as large as the other errors of a good capture.
+    /// Share of a row's light that the tails of other dots may add to it. 0.1: what is left when `build-matrix` has taken it out is a
+    /// fraction of the other errors of a good capture (docs/accuracy.md).
     pub most_cross_talk: f64,
 }
 
 impl Default for SpacingOptions {
     fn default() -> Self {
-        Self { window: 31, lit_pitch_mm: 0.5, most_cross_talk: 0.01 }
+        Self { window: 31, lit_pitch_mm: 0.5, most_cross_talk: 0.1 }
     }
 }
 
