@@ -295,7 +295,7 @@ impl std::fmt::Display for Warning {
             }
             Self::CameraMoved { first, shots, measured, largest_px } => write!(
                 f,
-                "camera and sample have moved against each other by up to {largest_px:.2} px in {shots} of {measured} lattice shots (\"{first}\" first); windows were moved with the sample's rim"
+                "camera and sample have moved against each other by up to {largest_px:.2} px in {shots} of the {measured} lattice shots that show the sample's rim well enough (\"{first}\" first); their windows were moved with the rim"
             ),
             Self::FrameMoved { shot, moved_px: [x, y], sd_px } => write!(
                 f,
@@ -377,7 +377,7 @@ impl std::fmt::Display for Warning {
             ),
             Self::ExposureRatios { nominal_secs, measured_secs, relative_sd } => write!(
                 f,
-                "the exposure of {nominal_secs} s was {measured_secs:.6} s ({:+.2} % ± {:.2} %) by the photographs; use --exposure-from estimate, or check camera.response in rig.toml",
+                "the exposure of {nominal_secs:.6} s was {measured_secs:.6} s ({:+.2} % ± {:.2} %) by the photographs; use --exposure-from estimate, or check camera.response in rig.toml",
                 100.0 * (measured_secs / nominal_secs - 1.0),
                 100.0 * relative_sd
             ),

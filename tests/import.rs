@@ -2,8 +2,9 @@
 
 mod common;
 
-use acquire::capture::Capture;
+use acquire::capture::{Capture, ResponseCurve, Rig};
 use acquire::patterns::Plan;
+use acquire::radiance::Curve;
 use common::acquire;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -272,4 +273,19 @@ fn a_capture_that_is_there_is_replaced_only_when_asked() {
     assert_eq!(bench.import(&[]).0, 0);
     bench.refused(&[], &["--out", "--force"]);
     bench.gives_the_capture(&["--force"]);
+}
+
+#[test]
+fn a_response_curve_that_the_rig_names_comes_along() {
+    let bench = Bench::new();
+    let calibration = bench.path("plan/calibration");
+    let mut rig = Rig::read(&calibration.join("rig.toml")).unwrap();
+    rig.camera.response = ResponseCurve::File("curve.toml".into());
+    rig.write(&calibration).unwrap();
+    bench.refused(&[], &["curve.toml"]);
+    Curve::srgb().write(&calibration.join("curve.toml")).unwrap();
+    let (status, _, stderr) = bench.import(&[]);
+    assert_eq!(status, 0, "{stderr}");
+    let [planned, imported] = [calibration, bench.path("out/calibration")].map(|c| files(&c));
+    assert!(planned.len() == 2 && planned == imported);
 }

@@ -241,6 +241,22 @@ impl Rig {
         std::fs::write(&path, text).map_err(Error::io("write", &path))
     }
 
+    /// Copies a rig file, as it was written, and the response curve that it names, into the folder `to`.
+    ///
+    /// # Errors
+    /// Those of [`Rig::read`]; [`Error::Io`], for a curve that is not there too.
+    pub fn copy(path: &Path, to: &Path) -> Result<()> {
+        let one = |from: &Path, name: &str| {
+            let copy = to.join(name);
+            std::fs::read(from).map_err(Error::io("read", from))?;
+            std::fs::copy(from, &copy).map(|_| ()).map_err(Error::io("write", &copy))
+        };
+        if let ResponseCurve::File(name) = &Self::read(path)?.camera.response {
+            one(&path.with_file_name(name), name)?;
+        }
+        one(path, "rig.toml")
+    }
+
     fn check(&self, path: &Path) -> Result<()> {
         let range = |name: &str, v: f64, low: f64, high: f64| Error::unless_within(path, name, v, low, high);
         if self.format != super::FORMAT {

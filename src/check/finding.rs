@@ -272,9 +272,17 @@ impl Finding {
 
 fn topic_of(warning: &Warning) -> Topic {
     match warning {
-        Warning::ExposureDisagrees { .. } => Topic::Exposures,
+        Warning::ExposureDisagrees { .. }
+        | Warning::UnusableExif { .. }
+        | Warning::ExposureRatios { .. }
+        | Warning::ExposuresUnlinked { .. } => Topic::Exposures,
         Warning::ApertureOrIsoChanges { .. } | Warning::DamagedExif { .. } => Topic::Settings,
-        Warning::SaturatedSamples { .. } | Warning::AlbedoAboveOne { .. } => Topic::Light,
+        Warning::SaturatedSamples { .. }
+        | Warning::AlbedoAboveOne { .. }
+        | Warning::NoiseEstimated { .. }
+        | Warning::NoiseDisagrees { .. }
+        | Warning::HotPixels { .. }
+        | Warning::Flicker { .. } => Topic::Light,
         Warning::DriftFromLatticeDots
         | Warning::DriftUnmeasured { .. }
         | Warning::DriftJumps { .. }

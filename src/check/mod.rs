@@ -14,7 +14,7 @@ mod text;
 pub use finding::{Finding, Severity, Topic};
 pub use text::table;
 
-use crate::capture::{Capture, Manifest, Pattern, Rig};
+use crate::capture::{Capture, Manifest, Pattern, ResponseCurve, Rig};
 use crate::pipeline::{BuildOptions, BuildReport, try_build};
 use crate::progress::Progress;
 use crate::radiance::Sensor;
@@ -220,8 +220,10 @@ impl CheckReport {
         progress: &Progress,
     ) -> Result<()> {
         let stage = progress.stage("light", 3);
-        // What code values mean may itself have to be found by the build.
-        let sensor = tried.map(|t| t.sensor.clone()).or_else(|| Sensor::of_rig(&sample.rig));
+        // What code values mean may itself have to be found by the build: guessed, all might look black.
+        let known = matches!(sample.rig.camera.response, ResponseCurve::Linear | ResponseCurve::Srgb);
+        let of_rig = || Sensor::of_rig(&sample.rig).filter(|_| known);
+        let sensor = tried.map(|t| t.sensor.clone()).or_else(of_rig);
         let Some(sensor) = sensor else { return Ok(()) };
         let pictures = Pictures::new(sample, sensor);
         self.findings.extend(pictures.stills(tried)?);
@@ -263,9 +265,11 @@ impl CheckReport {
         let secs = |stage: &str| timings.iter().rev().find(|t| t.stage == stage).map(|t| t.secs);
         let photographs = |c: &Capture| c.shots(is_lattice).iter().map(|&s| c.brackets[s].len()).sum::<usize>();
         let more = photographs(capture) as f64 / photographs(sample).max(1) as f64;
-        let stages = (secs("register"), secs("reference"), secs("extract"));
-        if let (Some(register), Some(reference), Some(extract)) = stages {
-            self.figures.build_secs = Some(register + reference + more * extract);
+        let stages = (secs("radiometry"), secs("register"), secs("reference"), secs("extract"));
+        if let (Some(radiometry), Some(register), Some(reference), Some(extract)) = stages {
+            let stray = secs("stray light").unwrap_or(0.0);
+            let separate = secs("separate").unwrap_or(0.0);
+            self.figures.build_secs = Some(radiometry + register + reference + stray + more * (extract + separate));
         }
     }
 

@@ -168,8 +168,7 @@ fn write(
     let make = |path: PathBuf| std::fs::create_dir(&path).map_err(Error::io("create", &path));
     make(dir.join("photos"))?;
     make(dir.join("calibration"))?;
-    let rig_copy = dir.join("calibration/rig.toml");
-    std::fs::copy(rig_path, &rig_copy).map_err(Error::io("write", &rig_copy))?;
+    Rig::copy(rig_path, &dir.join("calibration"))?;
     let name = |s: usize, n: usize| {
         let ending = sources[s][n].extension().map_or(String::new(), |e| e.to_string_lossy().to_ascii_lowercase());
         format!("photos/{}_{n}.{ending}", plan.shots[s].name)

@@ -213,8 +213,7 @@ pub fn patterns(
     let make = |path: PathBuf| std::fs::create_dir(&path).map_err(Error::io("create", &path));
     make(dir.join("pictures"))?;
     make(dir.join("calibration"))?;
-    let copy = dir.join("calibration/rig.toml");
-    std::fs::copy(rig_path, &copy).map_err(Error::io("write", &copy))?;
+    Rig::copy(rig_path, &dir.join("calibration"))?;
     written.plan.write(&dir)?;
     let page = dir.join(page::PAGE_FILE);
     std::fs::write(&page, page::text(&written.plan, options.overhead_secs, out)).map_err(Error::io("write", &page))?;

@@ -97,8 +97,12 @@ pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &P
         capture
     };
     let mut writer = MatrixWriter::create(out, empty_header(&capture))?;
-    let report = measure(&mut capture, options, &mut writer, progress)?;
+    let mut report = measure(&mut capture, options, &mut writer, progress)?;
     let stage = progress.stage("write", 1);
+    // Here, so that neither a check nor a capture that cannot be built replaces an earlier curve.
+    let not_saved = radiometry::save_curve(&capture, &report.sensor);
+    writer.header_mut().warnings.extend(not_saved.clone());
+    report.warnings.extend(not_saved);
     writer.finish()?;
     stage.advance(1);
     Ok(report)

@@ -13,7 +13,6 @@ use crate::radiance::{
 use crate::{Error, Result, Warning};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
-use std::path::Path;
 
 /// The sensor as it was found to be, and what was found on the way.
 #[derive(Debug)]
@@ -85,7 +84,6 @@ pub(super) fn calibrate(
     if capture.rig.camera.response == ResponseCurve::Estimate {
         let found = curve(capture, noise, &stacks, &settings, &sensor, file, options)?;
         sensor = Sensor::with_curve(noise, Some(found.curve.clone()), file);
-        warnings.extend(save(&found.curve, &capture.rig_path.with_file_name(CURVE_FILE)));
         estimate = Some(found);
     }
     let scales: Vec<_> =
@@ -245,8 +243,11 @@ fn sum_pixels(samples: [&Samples; 3], sensor: &Sensor) -> Vec<usize> {
     picked
 }
 
-fn save(curve: &Curve, path: &Path) -> Option<Warning> {
-    let refused = curve.write(path).err()?;
+/// Saves an estimated curve beside `rig.toml`; a warning when that cannot be written.
+pub(super) fn save_curve(capture: &Capture, sensor: &Sensor) -> Option<Warning> {
+    let curve = sensor.curve().filter(|_| capture.rig.camera.response == ResponseCurve::Estimate)?;
+    let path = capture.rig_path.with_file_name(CURVE_FILE);
+    let refused = curve.write(&path).err()?;
     Some(Warning::CurveNotSaved { file: path.display().to_string(), reason: refused.to_string() })
 }
 

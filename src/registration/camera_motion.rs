@@ -21,9 +21,12 @@ const SOFTNESS_PX: [f64; 4] = [0.05, 0.15, 0.3, 0.5];
 const STEP_SIGMA: f64 = 10.0;
 /// Segments whose step has grown or shrunk by more than this are left out.
 const GLOW: f64 = 1.5;
+/// What glow on one side of a rim moves it by, px for each unit by which the rim's step has changed. On simulated marble up to twice as
+/// much; it is alike in all segments of a side, so that their scatter does not show it.
+const GLOW_PX: f64 = 0.25;
 /// Segments that are needed for a movement.
 const LEAST_SEGMENTS: usize = 8;
-/// A movement that is known worse than this is not known, px.
+/// A movement of which the segments say no more than this is not known, px.
 const LARGEST_SD_PX: f64 = 0.1;
 /// Found offsets of segments never agree better than this, px.
 const FLOOR_PX: f64 = 0.005;
@@ -189,37 +192,44 @@ pub fn camera_motion(
     before: &[Option<RimPlace>],
     now: &[Option<RimPlace>],
 ) -> Option<CameraMotion> {
-    let seen: Vec<(Point, f64, f64)> = segments
+    // Normal, movement along it, its standard deviation, and what of that is glow.
+    let seen: Vec<(Point, f64, f64, f64)> = segments
         .iter()
         .zip(before.iter().zip(now))
         .filter_map(|(s, (b, n))| {
             let (b, n) = ((*b)?, (*n)?);
             // Where a dot's glow outshines what was there before, the rim's profile is another.
             (n.height / b.height > 1.0 / GLOW && n.height / b.height < GLOW).then_some(())?;
-            Some((s.normal, n.offset_px - b.offset_px, b.sd_px.hypot(n.sd_px).max(FLOOR_PX)))
+            let glow = GLOW_PX * (n.height / b.height - 1.0).abs();
+            Some((s.normal, n.offset_px - b.offset_px, b.sd_px.hypot(n.sd_px).max(FLOOR_PX).hypot(glow), glow))
         })
         .collect();
     let mut moved = [0.0; 2];
     let mut spread = f64::INFINITY;
     let mut inverse = [0.0; 2];
+    let mut glow = [0.0; 2];
     for _ in 0..4 {
-        let left = |m: Point, s: &(Point, f64, f64)| s.1 - s.0[0] * m[0] - s.0[1] * m[1];
+        let left = |m: Point, s: &(Point, f64, f64, f64)| s.1 - s.0[0] * m[0] - s.0[1] * m[1];
         let kept: Vec<_> = seen.iter().filter(|s| left(moved, s).abs() <= 4.0 * spread * s.2).collect();
         if kept.len() < LEAST_SEGMENTS {
             return None;
         }
         let (mut matrix, mut right) = ([[0.0; 2]; 2], [0.0; 2]);
-        for (normal, offset, sd) in &kept {
+        for (normal, offset, sd, _) in &kept {
             for i in 0..2 {
                 (0..=i).for_each(|j| matrix[i][j] += normal[i] * normal[j] / (sd * sd));
                 right[i] += normal[i] * offset / (sd * sd);
             }
         }
         (moved, inverse) = solve(matrix, right)?;
+        // The mean glow of the segments that tell the movement along an axis: an error that they have in common.
+        let told = |a: usize| kept.iter().map(move |(n, _, sd, glow)| ((n[a] / sd).powi(2), *glow));
+        glow = [0, 1].map(|a| told(a).map(|(w, g)| w * g).sum::<f64>() / told(a).map(|(w, _)| w).sum::<f64>());
         let mut left: Vec<f64> = kept.iter().map(|s| (left(moved, s) / s.2).abs()).collect();
         // What segments disagree by beyond their noise widens all of them.
         spread = (1.4826 * median(&mut left)).max(1.0);
     }
-    let sd_px = spread * (0.5 * (inverse[0] + inverse[1])).sqrt();
-    (sd_px <= LARGEST_SD_PX).then_some(CameraMotion { camera_px: moved, sd_px })
+    let scatter_px = spread * (0.5 * (inverse[0] + inverse[1])).sqrt();
+    let sd_px = scatter_px.hypot(glow[0].max(glow[1]));
+    (scatter_px <= LARGEST_SD_PX).then_some(CameraMotion { camera_px: moved, sd_px })
 }
