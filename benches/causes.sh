@@ -25,7 +25,7 @@ measure() {
     echo "| $label | | | | | $(grep -m1 error "$folder/said" || true) |"
     return
   fi
-  sed "s/^/$label: /" "$folder/said" >&2
+  while IFS= read -r line; do echo "$label: $line" >&2; done <"$folder/said"
   "$acquire" evaluate -q --json "$matrix" "$capture/truth.rd.zarr" >"$folder/measures.json"
   python3 - "$label" "$folder" <<'PY'
 import json, sys

@@ -217,7 +217,16 @@ fn plot(lines: &[Vec<Point>]) -> String {
 fn panel(lines: &[Vec<Point>], x: (&str, fn(&Point) -> f64), y: (&str, fn(&Point) -> f64)) -> String {
     let axis = |(title, of): (&str, fn(&Point) -> f64)| {
         let values = || lines.iter().flatten().map(of).filter(|v| v.is_finite());
-        Axis::decades(values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max), title)
+        let (min, max) = (0.85 * values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max) / 0.85);
+        let mut axis = Axis::decades(min, max, title);
+        // Ticks are at whole decades, the nearest to either end included: an end may move towards the data by less than half a decade.
+        if min.log10().rem_euclid(1.0) > 0.5 {
+            axis.min = min;
+        }
+        if max.log10().rem_euclid(1.0) < 0.5 {
+            axis.max = max;
+        }
+        axis
     };
     let mut chart = Chart::new(CHART_PX[0], CHART_PX[1], axis(x), axis(y));
     for (k, line) in lines.iter().enumerate() {
