@@ -48,7 +48,9 @@ impl StrayLight {
     pub fn estimate(pictures: &[Radiance], dark: &[bool]) -> Option<Self> {
         let mut rows: Vec<([f64; RADII_PX.len()], f64)> = Vec::new();
         for picture in pictures {
-            let whole = [picture];
+            // The dark pixels' own noise, blurred, would look like a halo of theirs: their light is the halo's, and second order in it.
+            let lit = lit_only(picture, dark);
+            let whole = [&lit];
             let halos: Vec<Coarse> =
                 RADII_PX.iter().map(|&r| Coarse::paint(&whole, picture_size(picture), r).blurred(r)).collect();
             let blocks = dark_blocks(picture, dark);
@@ -118,6 +120,13 @@ fn picture_size(picture: &Radiance) -> [usize; 2] {
 
 fn luminance(light: [f32; 3]) -> f64 {
     light.iter().map(|&v| f64::from(v)).sum::<f64>() / 3.0
+}
+
+/// The picture without the light of its dark pixels.
+fn lit_only(picture: &Radiance, dark: &[bool]) -> Radiance {
+    let mut lit = picture.clone();
+    lit.value.chunks_exact_mut(3).zip(dark).filter(|(_, dark)| **dark).for_each(|(value, _)| value.fill(0.0));
+    lit
 }
 
 /// Middle, mean and its variance of each block of dark pixels that were all measured.
