@@ -106,6 +106,11 @@ pub enum Warning {
         /// Share of the light in it.
         share: f64,
     },
+    /// The lens blurs so much that taking it out costs accuracy and amplifies noise.
+    StronglyBlurred {
+        /// Standard deviation of the blur, camera px.
+        psf_px: f64,
+    },
     /// The board does not tell how much the lens blurs; it is taken for not at all.
     PointSpreadUnmeasured,
     /// The lens blurs more in one part of the picture than in another; its mean is taken out everywhere.
@@ -334,6 +339,12 @@ impl std::fmt::Display for Warning {
                 "{:.2} % of the light is in a wide halo of the camera; it was measured on the frame and taken out: clean the lens, shade it",
                 100.0 * share
             ),
+            Self::StronglyBlurred { psf_px } => {
+                write!(
+                    f,
+                    "the lens blurs by {psf_px:.2} px: peaks are known to some per cent only; focus it, or stop it down"
+                )
+            }
             Self::PointSpreadUnmeasured => {
                 write!(f, "the board's edges do not tell how much the lens blurs; its blur is left in the rows")
             }

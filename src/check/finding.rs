@@ -288,7 +288,10 @@ fn topic_of(warning: &Warning) -> Topic {
         | Warning::DriftJumps { .. }
         | Warning::CameraMoved { .. }
         | Warning::FrameMoved { .. } => Topic::Drift,
-        Warning::PointSpreadUnmeasured | Warning::PointSpreadVaries { .. } | Warning::StrayLight { .. } => Topic::Focus,
+        Warning::StronglyBlurred { .. }
+        | Warning::PointSpreadUnmeasured
+        | Warning::PointSpreadVaries { .. }
+        | Warning::StrayLight { .. } => Topic::Focus,
         Warning::BoardTooSmall { .. } | Warning::BoardElsewhere { .. } => Topic::Registration,
         _ => Topic::Dots,
     }

@@ -13,6 +13,8 @@ use std::path::Path;
 /// A point spread that differs by this much over the board, px, leaves a few per cent of the peaks where it is not the mean's.
 const SPREAD_VARIES_PX: f64 = 0.1;
 
+/// From this blur on a sharp dot's peak is known to two per cent and worse at 3 px a sample (docs/accuracy.md).
+const STRONG_BLUR_PX: f64 = 0.9;
 /// A halo of this share is worth a word: an ordinary lens has about half a per cent.
 const STRAY_TOLD: f64 = 0.005;
 
@@ -122,6 +124,9 @@ impl Prepared<'_> {
         }
         if self.stray.share > STRAY_TOLD {
             warnings.push(Warning::StrayLight { share: self.stray.share });
+        }
+        if let Some(PointSpread { psf_px, .. }) = self.registration.point_spread.filter(|p| p.psf_px > STRONG_BLUR_PX) {
+            warnings.push(Warning::StronglyBlurred { psf_px });
         }
         match self.registration.point_spread {
             None => warnings.push(Warning::PointSpreadUnmeasured),

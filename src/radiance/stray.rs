@@ -43,12 +43,16 @@ impl StrayLight {
     /// `dark` marks pixels that no light reaches directly: on the opaque frame, away from its reference dots. What is there is fitted by
     /// non-negative shares of the whole picture blurred. `None` when fewer than thirty blocks of such pixels were measured.
     ///
+    /// A few blocks that are bright by themselves (a dot on the frame that nobody listed) are left out.
+    ///
     /// Not detected: halos much narrower than the way from the dots to the nearest of these pixels, ghosts (reflections between lenses, which have a shape and a place), light that the frame scatters
     /// back, light that goes through the sample's sides.
     pub fn estimate(pictures: &[Radiance], dark: &[bool]) -> Option<Self> {
-        let mut rows: Vec<([f64; RADII_PX.len()], f64)> = Vec::new();
+        let mut rows: Vec<Weighted> = Vec::new();
         for picture in pictures {
-            let whole = [picture];
+            // The dark pixels' own noise, blurred, would look like a halo of theirs: their light is the halo's, and second order in it.
+            let lit = lit_only(picture, dark);
+            let whole = [&lit];
             let halos: Vec<Coarse> =
                 RADII_PX.iter().map(|&r| Coarse::paint(&whole, picture_size(picture), r).blurred(r)).collect();
             let blocks = dark_blocks(picture, dark);
@@ -62,10 +66,7 @@ impl StrayLight {
                 }
             }
         }
-        if rows.len() < 30 {
-            return None;
-        }
-        let (shares, sd) = non_negative(&rows)?;
+        let (shares, sd) = fit_without_outliers(rows)?;
         let share: f64 = shares.iter().sum();
         if !(share > SIGNIFICANCE * sd && share > LEAST_SHARE && share < 0.5) {
             return Some(Self { halos: vec![], share: 0.0, share_sd: sd });
@@ -112,12 +113,22 @@ impl StrayLight {
     }
 }
 
+/// A block's light under each halo of share one, and its own light, both times its weight.
+type Weighted = ([f64; RADII_PX.len()], f64);
+
 fn picture_size(picture: &Radiance) -> [usize; 2] {
     [picture.rect.x + picture.rect.width, picture.rect.y + picture.rect.height]
 }
 
 fn luminance(light: [f32; 3]) -> f64 {
     light.iter().map(|&v| f64::from(v)).sum::<f64>() / 3.0
+}
+
+/// The picture without the light of its dark pixels.
+fn lit_only(picture: &Radiance, dark: &[bool]) -> Radiance {
+    let mut lit = picture.clone();
+    lit.value.chunks_exact_mut(3).zip(dark).filter(|(_, dark)| **dark).for_each(|(value, _)| value.fill(0.0));
+    lit
 }
 
 /// Middle, mean and its variance of each block of dark pixels that were all measured.
@@ -143,8 +154,33 @@ fn dark_blocks(picture: &Radiance, dark: &[bool]) -> Vec<([f64; 2], f64, f64)> {
     starts(rect.y, rect.height).flat_map(|y| starts(rect.x, rect.width).filter_map(move |x| block(x, y))).collect()
 }
 
+/// Blocks that the fit misses by more than this many times what it misses of most are something else than a halo.
+const OUTLIER: f64 = 5.0;
+/// With fewer blocks of dark pixels nothing is believed.
+const LEAST_BLOCKS: usize = 30;
+
+/// [`non_negative`], fitted again without what it misses by far until nothing is. `None` when too few blocks are left.
+fn fit_without_outliers(mut rows: Vec<Weighted>) -> Option<([f64; RADII_PX.len()], f64)> {
+    loop {
+        if rows.len() < LEAST_BLOCKS {
+            return None;
+        }
+        let (shares, sd) = non_negative(&rows)?;
+        let miss = |row: &Weighted| (row.0.iter().zip(&shares).map(|(h, s)| h * s).sum::<f64>() - row.1).abs();
+        let mut misses: Vec<f64> = rows.iter().map(miss).collect();
+        let middle = misses.len() / 2;
+        // 1.4826 makes the median of a normal distribution's deviations its standard deviation; weights count in that of the noise.
+        let scale = (1.4826 * *misses.select_nth_unstable_by(middle, f64::total_cmp).1).max(1.0);
+        let before = rows.len();
+        rows.retain(|row| miss(row) <= OUTLIER * scale);
+        if rows.len() == before {
+            return Some((shares, sd));
+        }
+    }
+}
+
 /// Non-negative least squares by leaving out what comes out negative, and the standard deviation of the sum.
-fn non_negative(rows: &[([f64; RADII_PX.len()], f64)]) -> Option<([f64; RADII_PX.len()], f64)> {
+fn non_negative(rows: &[Weighted]) -> Option<([f64; RADII_PX.len()], f64)> {
     let mut kept: Vec<usize> = (0..RADII_PX.len()).collect();
     loop {
         let n = kept.len();
@@ -323,6 +359,17 @@ mod tests {
         let mut windows = vec![seen.clone()];
         found.remove(&mut windows, SIZE);
         assert_eq!(windows[0], seen);
+    }
+
+    #[test]
+    fn a_lit_dot_on_the_frame_is_no_halo() {
+        let mut seen = picture(0.0, 20.0);
+        for (x, y) in [(20, 20), (21, 20), (20, 21), (140, 30), (140, 31), (141, 31)] {
+            let k = seen.at(x, y);
+            seen.value[k..k + 3].fill(300.0);
+        }
+        let found = StrayLight::estimate(std::slice::from_ref(&seen), &dark()).unwrap();
+        assert!(found.halos.is_empty(), "{found:?}");
     }
 
     #[test]
