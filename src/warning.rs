@@ -38,6 +38,9 @@ pub enum Warning {
         other_secs: f64,
         /// Where the other came from.
         other: String,
+        /// How many photographs disagree alike.
+        #[serde(default)]
+        photographs: usize,
     },
     /// Aperture or ISO change inside the capture; the radiance scale is corrected by them.
     ApertureOrIsoChanges {
@@ -286,8 +289,9 @@ impl std::fmt::Display for Warning {
             Self::UnlitPoints { rows } => {
                 write!(f, "{rows} grid points are lit by no shot; their rows are marked invalid")
             }
-            Self::ExposureDisagrees { file, used_secs, other_secs, other } => {
-                write!(f, "{file}: exposure {used_secs} s is used, {other} says {other_secs} s")
+            Self::ExposureDisagrees { file, used_secs, other_secs, other, photographs } => {
+                write!(f, "{file}: exposure {used_secs} s is used, {other} says {other_secs} s")?;
+                if *photographs > 1 { write!(f, " ({photographs} photographs alike)") } else { Ok(()) }
             }
             Self::ApertureOrIsoChanges { file, factor } => {
                 write!(f, "{file}: aperture or ISO differ from the first photograph; radiance is scaled by {factor:.4}")

@@ -99,20 +99,23 @@ struct Head {
     exif: ExifExposure,
 }
 
-/// Adds findings; the same unusable field of many photographs is said once.
+/// Adds findings; the same one of many photographs is said once, with their number.
 fn gather(warnings: &mut Vec<Warning>, found: &mut Vec<Warning>) {
     for new in found.drain(..) {
-        if let Warning::UnusableExif { tag: new_tag, .. } = &new {
-            let known = warnings.iter_mut().find_map(|w| match w {
-                Warning::UnusableExif { tag, photographs, .. } if tag == new_tag => Some(photographs),
-                _ => None,
-            });
-            if let Some(photographs) = known {
-                *photographs += 1;
-                continue;
+        let known = warnings.iter_mut().find_map(|old| match (old, &new) {
+            (Warning::UnusableExif { tag, photographs, .. }, Warning::UnusableExif { tag: new, .. }) if tag == new => {
+                Some(photographs)
             }
+            (
+                Warning::ExposureDisagrees { used_secs, other_secs, other, photographs, .. },
+                Warning::ExposureDisagrees { used_secs: new_used, other_secs: new_secs, other: new_other, .. },
+            ) if (&*used_secs, &*other_secs, &*other) == (new_used, new_secs, new_other) => Some(photographs),
+            _ => None,
+        });
+        match known {
+            Some(photographs) => *photographs += 1,
+            None => warnings.push(new),
         }
-        warnings.push(new);
     }
 }
 
@@ -151,7 +154,7 @@ fn read_heads(
         for (other_secs, other) in known {
             if (other_secs / used_secs - 1.0).abs() > EXPOSURE_TOLERANCE {
                 let (file, other) = (entry.file.clone(), other.to_owned());
-                warnings.push(Warning::ExposureDisagrees { file, used_secs, other_secs, other });
+                warnings.push(Warning::ExposureDisagrees { file, used_secs, other_secs, other, photographs: 1 });
             }
         }
         photograph.exposure_secs = used_secs;
