@@ -61,7 +61,7 @@ struct Point {
 }
 
 /// A quantity of the plot: its name, and its value for a point.
-type Axis = (&'static str, fn(&Point) -> f64);
+type Quantity = (&'static str, fn(&Point) -> f64);
 
 fn main() -> Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -76,7 +76,7 @@ fn main() -> Result<()> {
         let dir = folder.path().join("capture");
         let pitch_mm = Options::default().pitch_mm;
         let options = Options {
-            material: "chessboard-4x4".parse().map_err(|what| Error::Internal { what: what.to_string() })?,
+            material: "chessboard-4x4".parse().map_err(|what: String| Error::Internal { what })?,
             lit_pitch_mm: Some(SAMPLES_PER_POINT as f64 * pitch_mm),
             spacing: Some(spacing),
             exposures: EXPOSURES,
@@ -185,8 +185,8 @@ const LEGEND_PX: f64 = 26.0;
 
 /// Both errors against photographs and against the lab's time; a line is a spacing, its points have one to six exposures.
 fn plot(lines: &[Vec<Point>]) -> String {
-    let abscissas: [Axis; 2] = [("photographs", |p| p.photographs as f64), ("the lab's time, s", |p| p.lab_secs)];
-    let errors: [Axis; 2] = [("rel_rmse", |p| p.rel_rmse), ("log_rmse", |p| p.log_rmse)];
+    let abscissas: [Quantity; 2] = [("photographs", |p| p.photographs as f64), ("the lab's time, s", |p| p.lab_secs)];
+    let errors: [Quantity; 2] = [("rel_rmse", |p| p.rel_rmse), ("log_rmse", |p| p.log_rmse)];
     let mut body = String::new();
     for (column, (x_title, x)) in abscissas.into_iter().enumerate() {
         for (line, (y_title, y)) in errors.into_iter().enumerate() {
