@@ -13,7 +13,7 @@ pub const CODES: usize = 256;
 /// Light of the largest code value: the linear signal of encoded files is counted from 0 to 255.
 pub const FULL: f64 = 255.0;
 
-/// Linear light of each 8-bit code value, per channel, from 0 to [`FULL`]; between codes it is interpolated.
+/// Linear light of each 8-bit code value, per channel, from 0 to `FULL`; between codes it is interpolated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Curve {
     channels: Vec<Channel>,
@@ -44,7 +44,7 @@ impl Curve {
         Self { channels: vec![Channel::new(linear, vec![0.0; CODES])] }
     }
 
-    /// From tables of [`CODES`] strictly increasing values (one, or one a channel) and their relative standard deviations.
+    /// From tables of `CODES` strictly increasing values (one, or one a channel) and their relative standard deviations.
     /// `None` unless they are.
     pub fn new(linear: Vec<Vec<f64>>, relative_sd: Vec<Vec<f64>>) -> Option<Self> {
         let whole = |table: &Vec<f64>| table.len() == CODES && table.iter().all(|v| v.is_finite());

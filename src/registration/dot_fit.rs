@@ -74,7 +74,7 @@ impl DotShape {
     /// The core of the dot whose centre is near `start` (camera px, to a pixel or two).
     ///
     /// The light around is taken for the footprint times a height, plus a glow that changes smoothly (level, slopes, isotropic
-    /// curvature): slopes of a glow that is brighter on one side move no core. The blur is that of [`BLURS_PX`] that leaves least.
+    /// curvature): slopes of a glow that is brighter on one side move no core. The blur is that of `BLURS_PX` that leaves least.
     /// `None` when pixels are invalid or outside, or the fit wanders off.
     ///
     /// Not detected: an edge between materials within the footprint itself, which moves the core's own light.

@@ -137,7 +137,7 @@ pub struct Options {
     /// Response curve; the rig file takes `film` for sRGB [default: linear for PNG, srgb for JPEG]
     #[arg(long, value_enum, help_heading = "Camera")]
     pub response: Option<Response>,
-    /// Leave [noise] out of the rig file: it is to be estimated from the photographs.
+    /// Leave `[noise]` out of the rig file: it is to be estimated from the photographs.
     #[arg(long, help_heading = "Camera")]
     pub rig_without_noise: bool,
     /// The board is shot at the lattice's shortest exposure too: its black squares link the exposures of the references to those of
