@@ -73,7 +73,7 @@ fn main() -> Result<()> {
         let dir = folder.path().join("capture");
         let pitch_mm = Options::default().pitch_mm;
         let options = Options {
-            material: "chessboard-4x4".parse().map_err(|what| Error::Internal { what: format!("{what}") })?,
+            material: "chessboard-4x4".parse().map_err(|what| Error::Internal { what })?,
             lit_pitch_mm: Some(SAMPLES_PER_POINT as f64 * pitch_mm),
             spacing: Some(spacing),
             exposures: EXPOSURES,
@@ -176,15 +176,17 @@ fn row(p: &Point, csv: bool) {
     );
 }
 
+/// What an axis shows, with its title.
+type Quantity = (&'static str, fn(&Point) -> f64);
+
 /// Size of one of the four charts, px, and of the legend's line above them.
 const CHART_PX: [f64; 2] = [430.0, 280.0];
 const LEGEND_PX: f64 = 26.0;
 
 /// Both errors against photographs and against the lab's time; a line is a spacing, its points have one to six exposures.
 fn plot(lines: &[Vec<Point>]) -> String {
-    let abscissas: [(&str, fn(&Point) -> f64); 2] =
-        [("photographs", |p| p.photographs as f64), ("the lab's time, s", |p| p.lab_secs)];
-    let errors: [(&str, fn(&Point) -> f64); 2] = [("rel_rmse", |p| p.rel_rmse), ("log_rmse", |p| p.log_rmse)];
+    let abscissas: [Quantity; 2] = [("photographs", |p| p.photographs as f64), ("the lab's time, s", |p| p.lab_secs)];
+    let errors: [Quantity; 2] = [("rel_rmse", |p| p.rel_rmse), ("log_rmse", |p| p.log_rmse)];
     let mut body = String::new();
     for (column, (x_title, x)) in abscissas.into_iter().enumerate() {
         for (line, (y_title, y)) in errors.into_iter().enumerate() {
@@ -214,8 +216,8 @@ fn plot(lines: &[Vec<Point>]) -> String {
     )
 }
 
-fn panel(lines: &[Vec<Point>], x: (&str, fn(&Point) -> f64), y: (&str, fn(&Point) -> f64)) -> String {
-    let axis = |(title, of): (&str, fn(&Point) -> f64)| {
+fn panel(lines: &[Vec<Point>], x: Quantity, y: Quantity) -> String {
+    let axis = |(title, of): Quantity| {
         let values = || lines.iter().flatten().map(of).filter(|v| v.is_finite());
         let (min, max) = (0.85 * values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max) / 0.85);
         let mut axis = Axis::decades(min, max, title);
