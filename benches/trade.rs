@@ -60,9 +60,6 @@ struct Point {
     removed: f64,
 }
 
-/// A quantity of the plot: its name, and its value for a point.
-type Quantity = (&'static str, fn(&Point) -> f64);
-
 fn main() -> Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let after = |name: &str| args.iter().position(|a| a == name).and_then(|k| args.get(k + 1));
@@ -76,7 +73,7 @@ fn main() -> Result<()> {
         let dir = folder.path().join("capture");
         let pitch_mm = Options::default().pitch_mm;
         let options = Options {
-            material: "chessboard-4x4".parse().map_err(|what: String| Error::Internal { what })?,
+            material: "chessboard-4x4".parse().map_err(|what| Error::Internal { what })?,
             lit_pitch_mm: Some(SAMPLES_PER_POINT as f64 * pitch_mm),
             spacing: Some(spacing),
             exposures: EXPOSURES,
@@ -179,6 +176,9 @@ fn row(p: &Point, csv: bool) {
     );
 }
 
+/// What an axis shows, with its title.
+type Quantity = (&'static str, fn(&Point) -> f64);
+
 /// Size of one of the four charts, px, and of the legend's line above them.
 const CHART_PX: [f64; 2] = [430.0, 280.0];
 const LEGEND_PX: f64 = 26.0;
@@ -216,8 +216,8 @@ fn plot(lines: &[Vec<Point>]) -> String {
     )
 }
 
-fn panel(lines: &[Vec<Point>], x: (&str, fn(&Point) -> f64), y: (&str, fn(&Point) -> f64)) -> String {
-    let axis = |(title, of): (&str, fn(&Point) -> f64)| {
+fn panel(lines: &[Vec<Point>], x: Quantity, y: Quantity) -> String {
+    let axis = |(title, of): Quantity| {
         let values = || lines.iter().flatten().map(of).filter(|v| v.is_finite());
         let (min, max) = (0.85 * values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max) / 0.85);
         let mut axis = Axis::decades(min, max, title);
