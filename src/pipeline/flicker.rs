@@ -43,6 +43,9 @@ const SHOTS: usize = 36;
 /// Samples of a shot that are looked at: more would not know the scales any better than they flicker.
 const SAMPLES: usize = 60_000;
 
+/// A photograph that is off by more than this many standard deviations of the flicker is off by something else.
+const FLICKER_SIGMA: f64 = 5.0;
+
 impl Flicker {
     /// Looks at the reference dots of some lattice shots; `None` when the stacks showed no flicker.
     pub fn measure(prepared: &Prepared) -> Result<Option<Self>> {
@@ -90,6 +93,10 @@ impl Flicker {
         let scales = stack_scales(&parts, sensor, samples.div_ceil(SAMPLES));
         let found = scales.and_then(|s| shrink(&s.log_scale, &s.information, prior));
         let Some((log_scale, covariance)) = found else { return untouched };
+        // Times or a response curve that are wrong differ alike in every stack: that is told elsewhere, and is no flicker.
+        if log_scale.iter().any(|s| s.abs() > FLICKER_SIGMA * self.sd) {
+            return untouched;
+        }
         let factors: Vec<f64> = log_scale.iter().map(|s| s.exp()).collect();
         brackets.into_iter().for_each(|b| b.scale_secs(&factors));
         let common = covariance.iter().sum::<f64>() / (n * n) as f64;
