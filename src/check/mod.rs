@@ -238,7 +238,7 @@ impl CheckReport {
         self.figures.camera_rms_px = Some(tried.registration.camera_rms_px);
         self.figures.projector_rms_px = Some(tried.registration.projector_rms_px);
         self.drift(tried);
-        let sample_px = capture.manifest.window.pitch_mm * pixels::px_per_mm(tried);
+        let sample_px = capture.manifest.window.pitch_mm * tried.registration.px_per_mm();
         self.figures.sample_px = Some(sample_px);
         self.figures.psf_px = tried.registration.point_spread.map(|p| p.psf_px);
         if let Some(psf_px) = self.figures.psf_px.filter(|psf| *psf > BLUR_SHARE * sample_px) {

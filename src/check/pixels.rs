@@ -1,11 +1,11 @@
 //! What the pixels of a few shots tell: saturation, darkness, dots that are not there.
 
 use super::Finding;
+use crate::Result;
 use crate::capture::{Capture, Pattern, Photograph, Rect};
 use crate::geometry::Point;
 use crate::pipeline::BuildReport;
-use crate::radiance::{Radiance, Sensor, decode_shot};
-use crate::{Error, Result};
+use crate::radiance::{Radiance, Sensor, decode_whole};
 use rayon::prelude::*;
 
 /// More saturated pixels than this in the shortest exposure are more than hot ones.
@@ -44,8 +44,7 @@ impl<'a> Pictures<'a> {
 
     /// The merged picture of some exposures of one shot.
     pub fn merged(&self, photographs: &[Photograph]) -> Result<Radiance> {
-        let brackets = decode_shot(photographs, &[self.whole], self.capture.rig.camera.size_px, &|_, _| {})?;
-        let bracket = brackets.first().ok_or_else(|| Error::internal("a shot decoded to nothing"))?;
+        let bracket = decode_whole(photographs, self.capture.rig.camera.size_px)?;
         Ok(bracket.merge(self.whole, &self.sensor))
     }
 
@@ -155,19 +154,13 @@ struct Scale {
 impl Scale {
     fn new(capture: &Capture, report: &BuildReport) -> Self {
         let (grid, window) = (&capture.manifest.grid, &capture.manifest.window);
-        let px_per_mm = px_per_mm(report);
+        let px_per_mm = report.registration.px_per_mm();
         let pixel_mm = report.registration.slab_from_projector.area_scale(grid.origin_projector_px).sqrt();
         let dot_px = grid.dot_projector_px as f64 * pixel_mm * px_per_mm;
         let pitch_px = window.pitch_mm * px_per_mm;
         let window_px = 0.5 * window.samples[0].max(window.samples[1]) as f64 * pitch_px;
         Self { ring_px: 0.5 * dot_px + pitch_px.max(2.0), window_px }
     }
-}
-
-/// Camera px in a mm at the slab's centre.
-pub(super) fn px_per_mm(report: &BuildReport) -> f64 {
-    let j = report.registration.view.jacobian(report.registration.center_mm);
-    (j[0][0] * j[1][1] - j[0][1] * j[1][0]).abs().sqrt()
 }
 
 /// Whether no dot stands out from what surrounds its place; where pixels are saturated there is light.

@@ -101,6 +101,12 @@ impl CameraView {
         (eye.iter().all(|v| v.is_finite()) && eye[2] < 0.0).then_some(eye)
     }
 
+    /// Camera px in a mm at slab point `p` (mm): the root of the area's scale.
+    pub fn px_per_mm(&self, p: Point) -> f64 {
+        let j = self.jacobian(p);
+        (j[0][0] * j[1][1] - j[0][1] * j[1][0]).abs().sqrt()
+    }
+
     /// Derivative of [`Self::camera_from_slab`] at `p`, px per mm, by central differences (relative error below 1e-6).
     pub fn jacobian(&self, p: Point) -> [[f64; 2]; 2] {
         let h = 1e-4;

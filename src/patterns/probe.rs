@@ -113,10 +113,8 @@ impl Probe {
     /// Narrowest stripes whose edges the registration can place, projector px.
     pub(super) fn narrowest_stripe_px(&self) -> usize {
         let r = &self.registration;
-        let j = r.view.jacobian(r.center_mm);
-        let camera_px_per_mm = (j[0][0] * j[1][1] - j[0][1] * j[1][0]).abs().sqrt();
         let projector_px_per_mm = self.projector_from_slab().map_or(1.0, |h| h.area_scale(r.center_mm).sqrt());
-        (STRIPE_CAMERA_PX * projector_px_per_mm / camera_px_per_mm - 1e-6).ceil().clamp(2.0, 65_536.0) as usize
+        (STRIPE_CAMERA_PX * projector_px_per_mm / r.px_per_mm() - 1e-6).ceil().clamp(2.0, 65_536.0) as usize
     }
 
     /// Spacing, window and exposures for this material.

@@ -1,6 +1,6 @@
 //! How far the pattern of a lattice shot has moved: from dots on the frame, or without any from the dots on the sample.
 
-use super::lattice::{DRIFT_SEARCH_PX, Prepared, overlap, square};
+use super::lattice::{DRIFT_SEARCH_PX, Prepared, STILL, overlap, square};
 use crate::capture::Rect;
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
@@ -25,14 +25,6 @@ pub(super) struct Movements {
 }
 
 impl Movements {
-    /// Where reference dots are expected, mm.
-    pub(super) fn references(&self) -> &[Point] {
-        match &self.source {
-            DriftSource::Frame(places) => places,
-            DriftSource::Sample(..) => &[],
-        }
-    }
-
     /// The pixels that show the rim.
     pub(super) fn rim_rects(&self) -> impl Iterator<Item = Rect> {
         self.rims.iter().map(|r| r.rect)
@@ -125,7 +117,12 @@ impl Prepared<'_> {
         let around = |(&dot, bracket): (&[usize; 2], &Bracket)| {
             let expected = self.nominal_mm(dot);
             let near = square(registration.view.camera_from_slab(expected), reach, size_px)?;
-            dots.locate(expected, &self.picture(bracket, overlap(near, bracket.rect())?), registration, search_px)
+            dots.locate(
+                expected,
+                &self.picture(bracket, overlap(near, bracket.rect())?, STILL),
+                registration,
+                search_px,
+            )
         };
         self.dots(shot).iter().zip(windows).map(around).collect()
     }
@@ -145,7 +142,7 @@ impl Prepared<'_> {
         match &movements.source {
             DriftSource::Frame(places) => {
                 let seen: Vec<(Point, Radiance)> =
-                    places.iter().zip(references_seen).map(|(&p, b)| (p, self.picture(b, b.rect()))).collect();
+                    places.iter().zip(references_seen).map(|(&p, b)| (p, self.picture(b, b.rect(), STILL))).collect();
                 let drift = measure_drift(&seen, registration, self.dot_radius_px());
                 drift.map(Some).ok_or_else(|| self.lost(shot, windows, places.len()))
             }
@@ -195,7 +192,7 @@ impl Prepared<'_> {
     fn lost(&self, shot: usize, windows: &[Bracket], references: usize) -> Error {
         for (&dot, bracket) in self.dots(shot).iter().zip(windows) {
             if let Err(saturated) =
-                self.check_peak(shot, dot, self.nominal_mm(dot), &self.picture(bracket, bracket.rect()))
+                self.check_peak(shot, dot, self.nominal_mm(dot), &self.picture(bracket, bracket.rect(), STILL))
             {
                 return saturated;
             }
@@ -212,9 +209,6 @@ impl Prepared<'_> {
 /// Between pixels noise is averaged; its variance is kept as it was, which is too much by a third at the most.
 pub(super) fn moved_part(picture: &Radiance, rect: Rect, moved_px: Point) -> Radiance {
     let mut out = part(picture, rect);
-    if moved_px == [0.0; 2] {
-        return out;
-    }
     let whole = picture.rect;
     let weights = moved_px.map(|m| {
         let f = -m - (-m).floor();

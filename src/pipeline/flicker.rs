@@ -6,7 +6,7 @@
 //! - a stack against the other stacks, from the light of the reference dots on the opaque frame;
 //! - the white reference against the Gray-code shots, each of which adds up with its inverse to the same white.
 
-use super::lattice::Prepared;
+use super::lattice::{Prepared, STILL};
 use crate::capture::Rect;
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance, Sensor, evenly, solve, stack_scales};
@@ -181,7 +181,7 @@ impl Prepared<'_> {
     /// Light of the reference dots where the drift has put them.
     fn reference_light(&self, seen: &[Bracket]) -> Option<DotLight> {
         let pictures: Vec<(Point, Radiance)> =
-            self.reference_mm().into_iter().zip(seen).map(|(p, b)| (p, self.picture(b, b.rect()))).collect();
+            self.reference_mm().into_iter().zip(seen).map(|(p, b)| (p, self.picture(b, b.rect(), STILL))).collect();
         let moved = measure_drift(&pictures, &self.registration, self.dot_radius_px())?.slab_mm;
         let reach = self.dot_radius_px() + 2.0;
         let light = |(p, picture): &(Point, Radiance)| {

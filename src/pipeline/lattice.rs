@@ -16,6 +16,9 @@ use rayon::prelude::*;
 /// Pixels around a reference dot's expected place in which it is searched; drift of up to two less is measured, more is refused.
 pub(super) const DRIFT_SEARCH_PX: f64 = 8.0;
 
+/// A camera that has not moved, px.
+pub(super) const STILL: Point = [0.0; 2];
+
 /// Everything that lattice shots are measured against.
 pub(super) struct Prepared<'a> {
     pub(super) shots: Shots<'a>,
@@ -112,9 +115,9 @@ impl Prepared<'_> {
         let manifest = &self.shots.capture.manifest;
         let size_px = self.shots.capture.rig.camera.size_px;
         let dots = self.dots(shot);
-        let references = movements.references();
         // Rectangles: reference dots, then each window with room for its drift.
         let mut rects = self.reference_rects(shot)?;
+        let references = rects.len();
         for &dot in dots {
             let grid = WindowGrid::new(&manifest.window, self.nominal_mm(dot), &self.registration.view);
             let rect = window_rect(&grid, size_px).ok_or_else(|| self.outside_picture(shot))?;
@@ -122,9 +125,9 @@ impl Prepared<'_> {
         }
         rects.extend(movements.rim_rects());
         let mut references_seen = self.shots.decode(shot, &rects)?;
-        let mut windows = references_seen.split_off(references.len());
+        let mut windows = references_seen.split_off(references);
         let camera = self.camera_motion(movements, &windows.split_off(dots.len()));
-        let camera_px = camera.filter(CameraMotion::is_sure).map_or([0.0; 2], |m| m.camera_px);
+        let camera_px = camera.filter(CameraMotion::is_sure).map_or(STILL, |m| m.camera_px);
         let registration = &self.registration.moved(camera_px);
         let flicker_variance =
             self.flicker.as_ref().map_or(0.0, |f| f.steady(self, &mut references_seen, &mut windows));
@@ -139,22 +142,16 @@ impl Prepared<'_> {
             dots.iter().map(|&d| self.nominal_mm(d)).map(|p| [p[0] + moved[0], p[1] + moved[1]]).collect();
         let grids: Vec<WindowGrid> =
             centers.iter().map(|&c| WindowGrid::new(&manifest.window, c, &registration.view)).collect();
-        let picture_of = |part: Rect, bracket: &Bracket| {
-            let mut picture = bracket.merge(part, &self.shots.sensor);
-            picture.subtract(&moved_part(&self.ambient, part, camera_px));
-            mend(&mut picture, &self.hot);
-            picture
-        };
         let picture = |(grid, bracket): (&WindowGrid, &Bracket)| {
             let needed = window_rect(grid, size_px).and_then(|r| overlap(r, bracket.rect()));
-            Ok(picture_of(needed.ok_or_else(|| self.outside_picture(shot))?, bracket))
+            Ok(self.picture(bracket, needed.ok_or_else(|| self.outside_picture(shot))?, camera_px))
         };
         // The halo of any dot is in all windows: without one, windows are merged one at a time.
         let mut without_stray = match self.stray.halos.is_empty() {
             true => vec![],
             false => {
                 let mut all: Vec<Radiance> = grids.iter().zip(&windows).map(picture).collect::<Result<_>>()?;
-                all.extend(references_seen.iter().map(|b| picture_of(b.rect(), b)));
+                all.extend(references_seen.iter().map(|b| self.picture(b, b.rect(), camera_px)));
                 self.stray.remove(&mut all, size_px);
                 all.truncate(dots.len());
                 all
@@ -186,10 +183,13 @@ impl Prepared<'_> {
         places.map(|(aperture, offset)| CellWeights::sampled(self.cell_px, psf_px, aperture, offset)).collect()
     }
 
-    /// Radiance of a part of a bracket, ambient light subtracted, hot photosites mended.
-    pub(super) fn picture(&self, bracket: &Bracket, part: Rect) -> Radiance {
+    /// Radiance of a part of a bracket for a camera that has moved by `camera_px`, ambient light subtracted, hot photosites mended.
+    pub(super) fn picture(&self, bracket: &Bracket, part: Rect, camera_px: Point) -> Radiance {
         let mut picture = bracket.merge(part, &self.shots.sensor);
-        picture.subtract(&self.ambient);
+        match camera_px {
+            STILL => picture.subtract(&self.ambient),
+            moved => picture.subtract(&moved_part(&self.ambient, part, moved)),
+        }
         mend(&mut picture, &self.hot);
         picture
     }
@@ -239,9 +239,7 @@ impl Prepared<'_> {
 
     pub(super) fn dot_radius_px(&self) -> f64 {
         let grid = &self.shots.capture.manifest.grid;
-        let middle = self.nominal_mm([grid.points[0] / 2, grid.points[1] / 2]);
         let pixel_mm = self.registration.slab_from_projector.area_scale(grid.dot_projector_px([0, 0])).sqrt();
-        debug_assert!(middle[0].is_finite());
         0.75 * grid.dot_projector_px as f64 * pixel_mm * self.px_per_mm
     }
 

@@ -2,13 +2,12 @@
 
 use super::BuildOptions;
 use crate::capture::{
-    Axis, Capture, ExposureFrom, Noise, Pattern, Photograph, Rect, ResponseCurve, Samples, Surface,
-    compression_variance,
+    Axis, Capture, ExposureFrom, Noise, Pattern, Photograph, ResponseCurve, Samples, Surface, compression_variance,
 };
 use crate::progress::Progress;
 use crate::radiance::{
-    Bracket, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, Sensor, Stack, decode_shot,
-    estimate_curve, evenly, fit_exposures, pick_pixels, stack_scales, take,
+    Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, Sensor, Stack, decode_whole, estimate_curve,
+    evenly, fit_exposures, pick_pixels, stack_scales, take,
 };
 use crate::{Error, Result, Warning};
 use rayon::prelude::*;
@@ -72,7 +71,8 @@ pub(super) fn calibrate(
     let stacks: Vec<Stack> = chosen
         .par_iter()
         .map(|&shot| {
-            let exposures = pick_pixels(decode_whole(capture, shot)?.exposures(), &sensor);
+            let exposures =
+                pick_pixels(decode_whole(&capture.brackets[shot], capture.rig.camera.size_px)?.exposures(), &sensor);
             stage.advance(1);
             let settings = capture.brackets[shot].iter().map(|p| settings.index(p)).collect();
             Ok(Stack { exposures, settings })
@@ -146,13 +146,6 @@ fn choose_shots(capture: &Capture, settings: &Settings) -> Vec<usize> {
     chosen.into_iter().collect()
 }
 
-fn decode_whole(capture: &Capture, shot: usize) -> Result<Bracket> {
-    let [width, height] = capture.rig.camera.size_px;
-    let whole = Rect { x: 0, y: 0, width, height };
-    let mut brackets = decode_shot(&capture.brackets[shot], &[whole], [width, height], &|_, _| {})?;
-    brackets.pop().ok_or_else(|| Error::internal("a shot decoded to nothing"))
-}
-
 /// Bits and compression of the capture's first photograph, which stand for all.
 fn file_noise(capture: &Capture) -> Result<FileNoise> {
     let Some(first) = capture.brackets.iter().flatten().next() else { return Ok(FileNoise::default()) };
@@ -200,13 +193,14 @@ fn light_sums(capture: &Capture, settings: &Settings, sensor: &Sensor) -> Result
             both.take(BITS_PER_AXIS)
         })
         .collect();
-    let white_bracket = decode_whole(capture, white)?;
-    let dark = decode_whole(capture, black)?;
+    let decode = |shot: usize| decode_whole(&capture.brackets[shot], capture.rig.camera.size_px);
+    let white_bracket = decode(white)?;
+    let dark = decode(black)?;
     let dark = dark.merge(dark.rect(), sensor).value;
     let sums: Vec<Vec<LightSum>> = pairs
         .par_iter()
         .map(|pair| {
-            let parts = [decode_whole(capture, pair[0])?, decode_whole(capture, pair[1])?];
+            let parts = [decode(pair[0])?, decode(pair[1])?];
             let mut sums = Vec::new();
             for (k, photograph) in capture.brackets[white].iter().enumerate() {
                 let setting = settings.index(photograph);

@@ -236,10 +236,7 @@ impl<'a> Shots<'a> {
         white.subtract(&black);
         let hot = find_hot_pixels(&ambient);
         mend(&mut white, &hot);
-        let px_per_mm = {
-            let j = registration.view.jacobian(registration.center_mm);
-            (j[0][0] * j[1][1] - j[0][1] * j[1][0]).abs().sqrt()
-        };
+        let px_per_mm = registration.px_per_mm();
         let cell_px = px_per_mm * self.capture.manifest.window.pitch_mm;
         let irradiance = Irradiance::new(white, &self.capture.rig, cell_px.round().clamp(2.0, 50.0) as usize);
         if let Some(sd) = self.radiometry.flicker_sd {

@@ -4,7 +4,7 @@ use super::lattice::{DRIFT_SEARCH_PX, Prepared};
 use crate::Result;
 use crate::geometry::Point;
 use crate::progress::Progress;
-use crate::radiance::{Radiance, StrayLight};
+use crate::radiance::{Radiance, StrayLight, evenly};
 
 /// Lattice shots that are looked at.
 const SHOTS: usize = 4;
@@ -22,15 +22,13 @@ impl Prepared<'_> {
             return Ok(StrayLight::default());
         }
         let stage = progress.stage("stray light", SHOTS.min(lattice.len()));
-        let mut chosen: Vec<usize> = (0..SHOTS).map(|k| lattice[(2 * k + 1) * lattice.len() / (2 * SHOTS)]).collect();
-        chosen.dedup();
         let picture = |shot: usize| -> Result<Radiance> {
             let mut picture = self.shots.merge_whole(shot)?;
             picture.subtract(&self.ambient);
             stage.advance(1);
             Ok(picture)
         };
-        let pictures: Vec<Radiance> = chosen.into_iter().map(picture).collect::<Result<_>>()?;
+        let pictures: Vec<Radiance> = evenly(&lattice, SHOTS).map(picture).collect::<Result<_>>()?;
         Ok(StrayLight::estimate(&pictures, &dark).unwrap_or_default())
     }
 

@@ -155,6 +155,11 @@ impl Radiance {
         }
     }
 
+    /// Variance of [`Self::luminance`].
+    pub fn luminance_variance(&self) -> Vec<f32> {
+        self.variance.as_chunks::<3>().0.iter().map(|p| (p[0] + p[1] + p[2]) / 9.0).collect()
+    }
+
     /// Mean of the three channels, one value a pixel.
     pub fn luminance(&self) -> Vec<f32> {
         self.value.as_chunks::<3>().0.iter().map(|p| (p[0] + p[1] + p[2]) / 3.0).collect()

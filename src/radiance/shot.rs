@@ -50,6 +50,16 @@ impl Bracket {
     }
 }
 
+/// Decodes a shot and keeps all of it.
+///
+/// # Errors
+/// Those of [`decode_shot`].
+pub fn decode_whole(photographs: &[Photograph], size_px: [usize; 2]) -> Result<Bracket> {
+    let whole = Rect { x: 0, y: 0, width: size_px[0], height: size_px[1] };
+    let mut brackets = decode_shot(photographs, &[whole], size_px, &|_, _| {})?;
+    brackets.pop().ok_or_else(|| crate::Error::internal("a shot decoded to nothing"))
+}
+
 /// Decodes a shot photograph by photograph and keeps the pixels in each of `rects`.
 ///
 /// At any time one photograph is held whole, besides the crops. `decoded` is told each file's hash as it is read.

@@ -125,7 +125,7 @@ fn pixels(picture: &Radiance, segment: &RimSegment) -> Option<Vec<Pixel>> {
         return None;
     }
     let light = picture.luminance();
-    let variance: Vec<f32> = picture.variance.as_chunks::<3>().0.iter().map(|p| (p[0] + p[1] + p[2]) / 9.0).collect();
+    let variance = picture.luminance_variance();
     let [nx, ny] = segment.normal;
     let all = (0..r.area()).map(|k| {
         let d = [(r.x + k % r.width) as f64 - segment.at[0], (r.y + k / r.width) as f64 - segment.at[1]];

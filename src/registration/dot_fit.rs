@@ -204,10 +204,9 @@ struct Window {
 
 impl Window {
     fn new(picture: &Radiance) -> Self {
-        let variance = picture.variance.as_chunks::<3>().0.iter().map(|p| f64::from(p[0] + p[1] + p[2]) / 9.0);
         let used = picture.used.as_chunks::<3>().0.iter().map(|u| !u.contains(&0));
-        let light = picture.luminance().into_iter().zip(variance).zip(used);
-        let light = light.map(|((l, v), used)| used.then_some((f64::from(l), v))).collect();
+        let light = picture.luminance().into_iter().zip(picture.luminance_variance()).zip(used);
+        let light = light.map(|((l, v), used)| used.then_some((f64::from(l), f64::from(v)))).collect();
         Self { rect: picture.rect, light }
     }
 }

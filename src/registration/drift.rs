@@ -43,7 +43,7 @@ pub fn measure_drift(dots: &[(Point, Radiance)], registration: &Registration, do
         return None;
     }
     let jacobian = registration.view.jacobian(registration.center_mm);
-    let px_per_mm = (jacobian[0][0] * jacobian[1][1] - jacobian[0][1] * jacobian[1][0]).abs().sqrt();
+    let px_per_mm = registration.px_per_mm();
     let [x, y] = [0, 1].map(|a| robust_mean(moved.iter().map(|m| m.0[a]).collect()));
     if x.1.max(y.1) * px_per_mm > LARGEST_SPREAD_PX {
         return None;
@@ -78,7 +78,7 @@ pub(super) fn median(values: &mut [f64]) -> f64 {
 pub(super) fn centroid(picture: &Radiance, radius_px: f64, within: Option<(Point, f64)>) -> Option<(Point, f64)> {
     let Rect { x: x0, y: y0, width, height } = picture.rect;
     let light = picture.luminance();
-    let variance: Vec<f32> = picture.variance.as_chunks::<3>().0.iter().map(|p| (p[0] + p[1] + p[2]) / 9.0).collect();
+    let variance = picture.luminance_variance();
     let invalid = picture.used.as_chunks::<3>().0.iter().any(|u| u.contains(&0));
     let near = |k: usize| {
         within.is_none_or(|(c, r)| ((x0 + k % width) as f64 - c[0]).hypot((y0 + k / width) as f64 - c[1]) <= r)

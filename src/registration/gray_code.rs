@@ -103,8 +103,7 @@ fn usable_pixels(
     slab: &dyn Fn(Point) -> Point,
 ) -> Option<Vec<bool>> {
     let StripeSurface::Frame(size) = surface else { return None };
-    let j = view.jacobian(size.map(|s| 0.5 * s));
-    let rim = RIM_PX / (j[0][0] * j[1][1] - j[0][1] * j[1][0]).abs().sqrt();
+    let rim = RIM_PX / view.px_per_mm(size.map(|s| 0.5 * s));
     let outside = |k: usize| {
         let p = slab([(k % width) as f64, (k / width) as f64]);
         (0..2).any(|a| p[a] < -rim || p[a] > size[a] + rim)

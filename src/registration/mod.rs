@@ -55,6 +55,11 @@ pub struct Registration {
 }
 
 impl Registration {
+    /// Camera px in a mm at the slab's centre.
+    pub fn px_per_mm(&self) -> f64 {
+        self.view.px_per_mm(self.center_mm)
+    }
+
     /// The same with the camera's picture moved by `camera_px`.
     pub fn moved(&self, camera_px: Point) -> Self {
         let mut moved = self.clone();

@@ -134,7 +134,7 @@ impl Parallax {
         let moved = |a: usize| dots.iter().map(move |d| d.moved_mm[a] - self.depth_mm * self.tangent(d.expected_mm)[a]);
         let slab_mm = [0, 1].map(|a| robust_mean(moved(a).collect()).0);
         let jacobian = registration.view.jacobian(registration.center_mm);
-        let px_per_mm = (jacobian[0][0] * jacobian[1][1] - jacobian[0][1] * jacobian[1][0]).abs().sqrt();
+        let px_per_mm = registration.px_per_mm();
         let camera_px = std::array::from_fn(|i| jacobian[i][0] * slab_mm[0] + jacobian[i][1] * slab_mm[1]);
         let n = dots.len() as f64;
         let tangent = [0, 1].map(|a| dots.iter().map(|d| self.tangent(d.expected_mm)[a]).sum::<f64>() / n);
