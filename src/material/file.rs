@@ -30,11 +30,8 @@ impl Material {
     /// # Errors
     /// [`Error::Io`]; [`Error::Internal`] when the material's arrays do not have the lengths its header says.
     pub fn save(&self, path: &Path) -> Result<()> {
-        self.check().map_err(|(field, expected, found)| {
-            Error::internal(format!("the material has {found} in {field}, expected {expected}"))
-        })?;
+        self.check_lengths()?;
         let h = &self.header;
-        check_header(h).map_err(Error::internal)?;
         let n = h.rows();
         let f32s = |v: &[f32]| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
         let lit: Vec<f32> = self.lit_mm.iter().flatten().map(|&v| v as f32).collect();
@@ -59,13 +56,39 @@ impl Material {
         write_whole(path, &bytes)
     }
 
-    /// Reads a material; every length, range and number is checked.
+    /// Reads a material, plain or coded (told apart by the first bytes); every length, range and number is checked.
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::BrokenMaterial`].
     pub fn load(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
-        decode(&bytes).map_err(|reason| Error::BrokenMaterial { path: path.to_path_buf(), reason })
+        let coded = bytes.starts_with(&super::coded::MAGIC);
+        let decoded = if coded { super::coded::decode(&bytes) } else { decode(&bytes) };
+        decoded.map_err(|reason| Error::BrokenMaterial { path: path.to_path_buf(), reason })
+    }
+
+    /// Whether the header can be read again and the arrays have the lengths it says.
+    pub(super) fn check_lengths(&self) -> Result<()> {
+        check_header(&self.header).map_err(Error::internal)?;
+        self.check().map_err(|(field, expected, found)| {
+            Error::internal(format!("the material has {found} in {field}, expected {expected}"))
+        })
+    }
+
+    /// Whether every number may be in a file.
+    pub(super) fn check_values(&self) -> Result<(), String> {
+        let lit: Vec<f32> = self.lit_mm.iter().flatten().map(|&v| v as f32).collect();
+        let tensors = self.header.shapes().into_iter().zip(self.stored()).map(|((name, _), values)| (name, values));
+        for (name, values) in tensors.chain([("lit_mm", lit.as_slice()), ("offset_factors", &self.offset_factors)]) {
+            if let Some(at) = values.iter().position(|v| !(v.abs() <= LARGEST)) {
+                return Err(format!("{name}: expected numbers up to {LARGEST:e}, found {} at {at}", values[at]));
+            }
+        }
+        let reach = self.header.window.map(|w| w as i32 / 2);
+        match self.shift.iter().position(|s| (0..2).any(|a| i32::from(s[a]).abs() > reach[a])) {
+            Some(at) => Err(format!("shift: row {at} is moved by {:?}, out of its window", self.shift[at])),
+            None => Ok(()),
+        }
     }
 
     /// Whether the arrays have the lengths that the header says: (field, expected, found) when not.
@@ -116,11 +139,7 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
             return Ok(Vec::new());
         }
         let data = tensor(&file, name, Dtype::F32, shape)?;
-        let values: Vec<f32> = data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-        match values.iter().position(|v| !(v.abs() <= LARGEST)) {
-            Some(at) => Err(format!("{name}: expected numbers up to {LARGEST:e}, found {} at {at}", values[at])),
-            None => Ok(values),
-        }
+        Ok(data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect())
     };
     let mut tensors = header.shapes().into_iter().map(|(name, shape)| read(name, &shape));
     let mut next = || tensors.next().unwrap_or(Ok(Vec::new()));
@@ -129,9 +148,6 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
     let lit = read("lit_mm", &[n, 2])?;
     let shared = header.shared_maps.map(|maps| SharedBasis { maps, vectors, core });
     let offset_factors = shared.as_ref().map_or(own, SharedBasis::offset_factors);
-    if let Some(at) = offset_factors.iter().position(|v| !(v.abs() <= LARGEST)) {
-        return Err(format!("offset_maps, offset_core: expected sums up to {LARGEST:e}, found {}", offset_factors[at]));
-    }
     let shift: Vec<i16> = tensor(&file, "shift", Dtype::I16, &[n, 2])?
         .as_chunks::<2>()
         .0
@@ -149,11 +165,8 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
         shift: shift.as_chunks::<2>().0.to_vec(),
         header,
     };
-    let reach = material.header.window.map(|w| w as i32 / 2);
-    match material.shift.iter().position(|s| (0..2).any(|a| i32::from(s[a]).abs() > reach[a])) {
-        Some(at) => Err(format!("shift: row {at} is moved by {:?}, out of its window", material.shift[at])),
-        None => Ok(material),
-    }
+    material.check_values()?;
+    Ok(material)
 }
 
 fn tensor<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&'a [u8], String> {
@@ -165,7 +178,7 @@ fn tensor<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize])
 }
 
 /// Bounds that keep every later product and index in range.
-fn check_header(h: &MaterialHeader) -> Result<(), String> {
+pub(super) fn check_header(h: &MaterialHeader) -> Result<(), String> {
     let small = |v: usize| (1..=1 << 20).contains(&v);
     let sizes = [h.points, h.window, h.extended];
     if !sizes.as_flattened().iter().all(|&v| small(v)) || !small(h.terms) || h.degree.is_some_and(|p| p > 15) {

@@ -5,6 +5,7 @@
 //! - Offsets live on the common window of [`Layout`]: the measured window and the room that shifted rows need.
 //! - Stored numbers are f32; sums and polynomials are evaluated in f64.
 
+pub mod coded;
 mod exr_layers;
 mod file;
 pub mod legendre;
