@@ -59,7 +59,7 @@ def main(pipeline, path, out, terms, degree):
     clock.stage("read")
     n, e = len(R), R.shape[1] * R.shape[2]
     R = R.reshape(n, e, 3)
-    budget = terms * (1 + n + e) + n * 3 * (degree + 1) + 2 * n + 2
+    budget = terms * (1 + n + e) + n * 3 * (degree + 1) + 2
     ranks = np.arange(1, min(n, 3 * e))
     if pipeline.startswith("nmf"):
         t = ranks[3 * ranks * (n + e + 1) + 3 * e <= budget].max()

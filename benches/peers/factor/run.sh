@@ -13,4 +13,4 @@ if [ ! -x "$venv/bin/python" ]; then
     python3 -m venv "$venv"
     "$venv/bin/pip" install --quiet --requirement "$here/requirements.txt"
 fi
-"$venv/bin/python" "$here/run_all.py" "$store" "$work" "${2:-15}" "${3:-7}" $(shift 3 2>/dev/null && echo "$@")
+PYTHONDONTWRITEBYTECODE=1 "$venv/bin/python" "$here/run_all.py" "$store" "$work" "${2:-15}" "${3:-7}" $(shift 3 2>/dev/null && echo "$@")

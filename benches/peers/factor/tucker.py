@@ -267,7 +267,7 @@ def main(backend, method, path, out, terms, degree):
         f"tucker {backend} {method}",
         rel_rmse=float(np.sqrt(error / size)),
         psnr_db=psnr_db(peak, error, entries),
-        bytes_f32=4 * (s.size + Us.size + Vt.size + beta.size + rows.shift.size + 2),
+        bytes_f32=4 * (s.size + Us.size + Vt.size + beta.size + (rows.shift.size if rows.shift.any() else 0) + 2),
     )
 
 
