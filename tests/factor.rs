@@ -11,12 +11,11 @@ use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate;
 use acquire::transport::{MatrixReader, MatrixWriter, Row};
-use matrices::{fixed, noise, profile, run, write};
+use matrices::{fixed, noise, profile, run, tucker, write};
 
 #[test]
 fn a_homogeneous_gray_slab_is_one_term_and_a_straight_line() {
-    let f =
-        run(&Options::default(), [8, 8], [11, 11], |_, d, c| (profile(d, 2.0) * [1.0, 0.7, 0.4][c]) as f32).unwrap();
+    let f = run(&tucker(), [8, 8], [11, 11], |_, d, c| (profile(d, 2.0) * [1.0, 0.7, 0.4][c]) as f32).unwrap();
     assert_eq!((f.material.header.terms, f.material.header.degree), (1, Some(1)), "{}", f.choice);
     assert!(f.rel_rmse < 1e-6, "f32 rounding: {}", f.rel_rmse);
 }
@@ -39,7 +38,7 @@ fn a_noisy_homogeneous_slab_is_one_term() {
         };
         let path = folder.path().join("m.rd.zarr");
         let reader = write(&path, [12, 12], [15, 15], variance, position_sd_mm, response).unwrap();
-        let f = factor(&reader, &Options::default(), &Progress::silent()).unwrap();
+        let f = factor(&reader, &tucker(), &Progress::silent()).unwrap();
         let found = (f.material.header.terms, f.material.header.degree);
         assert_eq!(found, (1, Some(1)), "sd {sd}, position {position_sd_mm}: {}", f.choice);
     }
@@ -62,7 +61,7 @@ fn three_clear_terms_in_noise_are_three_terms() {
         },
     )
     .unwrap();
-    let options = Options { peak_shift: false, ..Options::default() };
+    let options = Options { peak_shift: false, ..tucker() };
     let f = factor(&reader, &options, &Progress::silent()).unwrap();
     assert_eq!(f.material.header.terms, 3, "{}", f.choice);
 }
@@ -74,7 +73,7 @@ fn every_back_end_gives_the_same_material() {
     };
     let of = |backend| run(&Options { backend: Some(backend), ..fixed(3, 3) }, [7, 6], [9, 9], response).unwrap();
     let full = of(Backend::Full);
-    for backend in [Backend::Gram, Backend::Subspace] {
+    for backend in [Backend::Gram, Backend::Randomized] {
         let other = of(backend);
         for i in 0..42 {
             for (a, b) in full.material.evaluate_row(i).iter().zip(other.material.evaluate_row(i)) {
@@ -126,7 +125,7 @@ fn samples_that_were_not_measured_do_not_cost_terms() {
         writer.put(i, &row).unwrap();
     }
     writer.finish().unwrap();
-    let f = factor(&MatrixReader::open(&path).unwrap(), &Options::default(), &Progress::silent()).unwrap();
+    let f = factor(&MatrixReader::open(&path).unwrap(), &tucker(), &Progress::silent()).unwrap();
     assert_eq!(f.material.header.terms, 1, "{}", f.choice);
     assert!(f.rel_rmse < 1e-6, "{}", f.rel_rmse);
 }
@@ -175,7 +174,7 @@ fn a_drifted_capture_factors_as_well_as_an_undrifted_one_to_within_one_decibel()
 #[test]
 fn a_homogeneous_slab_chooses_one_term_and_a_degree_that_ends_at_the_noise() {
     let slab = simulate::Options { grid: 12, window: 15, ..simulate::Options::default() };
-    let (_folder, _, factored) = simulated(&slab, &Options::default());
+    let (_folder, _, factored) = simulated(&slab, &tucker());
     assert_eq!(factored.material.header.terms, 1, "{}", factored.choice);
     assert!(factored.choice.contains("explains no more than noise"), "{}", factored.choice);
 }

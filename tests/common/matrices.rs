@@ -3,7 +3,7 @@
 
 use acquire::Result;
 use acquire::factor::{Factored, Options, factor};
-use acquire::material::Material;
+use acquire::material::{Material, Model};
 use acquire::progress::Progress;
 use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row};
 use rand::SeedableRng;
@@ -73,5 +73,10 @@ pub fn noise(index: usize, d: [f64; 2], c: usize) -> f64 {
 }
 
 pub fn fixed(terms: usize, degree: usize) -> Options {
-    Options { terms: Some(terms), degree: Some(degree), ..Options::default() }
+    Options { terms: Some(terms), degree: Some(degree), ..tucker() }
+}
+
+/// The paper's model, its terms and degree chosen from the noise.
+pub fn tucker() -> Options {
+    Options { model: Some(Model::Tucker), ..Options::default() }
 }
