@@ -5,6 +5,7 @@
 mod matrices;
 
 use acquire::factor::{Backend, Factored, Options, factor};
+use acquire::material::Model;
 use acquire::progress::Progress;
 use acquire::transport::MatrixReader;
 use acquire::{Error, Warning};
@@ -62,6 +63,7 @@ struct Table {
     name: String,
     entries: Vec<f64>,
     normalized: Vec<f64>,
+    plain: Vec<f64>,
 }
 
 impl Table {
@@ -78,13 +80,17 @@ impl Table {
                 name: case["name"].as_str().unwrap().into(),
                 entries: numbers(&case["entries"]),
                 normalized: numbers(&case["normalized"]),
+                plain: numbers(&case["plain"]),
             })
             .collect()
     }
 
+    fn options(&self, backend: Backend) -> Options {
+        Options { peak_shift: false, backend: Some(backend), accuracy: ACCURACY, ..fixed(8, 1) }
+    }
+
     fn factored(&self, backend: Backend) -> Factored {
-        let options = Options { peak_shift: false, backend: Some(backend), accuracy: ACCURACY, ..fixed(8, 1) };
-        run(&options, [4, 2], [3, 3], |i, d, _| self.response(i, d)).unwrap()
+        run(&self.options(backend), [4, 2], [3, 3], |i, d, _| self.response(i, d)).unwrap()
     }
 }
 
@@ -102,6 +108,41 @@ fn singular_values_are_those_of_extended_precision() {
                 let bound = held + gram_error(backend, largest, *expected);
                 let name = &table.name;
                 assert!((found - expected).abs() <= bound, "{name}, {backend:?}, {k}: {found:e} {expected:e}");
+            }
+        }
+    }
+}
+
+#[test]
+fn joint_has_the_singular_values_of_the_rows_as_they_are_measured() {
+    for table in Table::all() {
+        for backend in BACKENDS {
+            let model = Some(Model::Joint);
+            let options = Options { model, degree: None, ..table.options(backend) };
+            // Another response for every channel: 1, 2 and 4 times the row, √21 of its norm.
+            let gain = |c: usize| [1.0, 2.0, 4.0][c] * if table.name.contains("1e30") { 0.25 } else { 1.0 };
+            let response = |i: usize, d: [f64; 2], c: usize| table.response(i, d) * gain(c) as f32;
+            let f = run(&options, [4, 2], [3, 3], response).unwrap();
+            let scale = gain(0) * 21_f64.sqrt();
+            let (found, largest) = (&f.material.header.singular_values, table.plain[0] * scale);
+            for (k, (found, expected)) in found.iter().zip(&table.plain).enumerate() {
+                let expected = expected * scale;
+                let bound = 2.0 * ROUNDING * largest + gram_error(backend, largest, expected);
+                let name = &table.name;
+                assert!((found - expected).abs() <= bound, "{name}, {backend:?}, {k}: {found:e} {expected:e}");
+            }
+            // What is left is what the values that were left out hold: no row is off by more than they are.
+            let terms = f.material.header.terms;
+            let left = table.plain[terms..].iter().map(|v| v * v).sum::<f64>().sqrt() * scale;
+            let least = table.plain[terms - 1] * scale;
+            let bound =
+                left + (3.0 * ROUNDING * (terms as f64).sqrt() + 1e-7) * largest + gram_error(backend, largest, least);
+            for i in 0..8 {
+                for (k, found) in f.material.evaluate_row(i).into_iter().enumerate() {
+                    let expected = table.entries[i * 9 + k / 3] * gain(k % 3);
+                    let off = (f64::from(found) - expected).abs();
+                    assert!(off <= bound, "{}, {backend:?}, row {i}: {off:e} > {bound:e}", table.name);
+                }
             }
         }
     }
@@ -397,6 +438,36 @@ fn extremes_of_shape_and_value_give_finite_materials() {
             }
             let rows = points[0] * points[1];
             assert!((0..rows).all(|i| f.material.evaluate_row(i).iter().all(|v| v.is_finite())), "{name}");
+        }
+    }
+}
+
+#[test]
+fn every_model_takes_every_extreme_of_shape() {
+    type Case<'a> = (&'a str, [usize; 2], [usize; 2], &'a dyn Fn(usize, [f64; 2], usize) -> f32);
+    let cases: [Case<'_>; 8] = [
+        ("zeros", [3, 3], [5, 5], &|_, _, _| 0.0),
+        ("a row of zeros", [3, 3], [5, 5], &|i, d, c| {
+            if i == 4 { 0.0 } else { (1 + c) as f32 * profile(d, 1.0) as f32 }
+        }),
+        ("one entry", [3, 3], [5, 5], &|i, d, c| if i == 4 && d == [0.0; 2] { (1 + c) as f32 } else { 0.0 }),
+        ("constant rows", [4, 4], [5, 5], &|i, _, c| (1 + i) as f32 * [1.0, 0.5, 2.0][c]),
+        ("one row", [1, 1], [7, 7], &|_, d, c| (profile(d, 2.0) * [1.0, 0.7, 0.4][c]) as f32),
+        ("one offset", [5, 5], [1, 1], &|i, _, c| (1 + i) as f32 * [1.0, 0.5, 2.0][c]),
+        ("one of each", [1, 1], [1, 1], &|_, _, c| [1.0, 0.5, 2.0][c]),
+        ("a peak on the rim", [3, 3], [5, 5], &|_, d, c| (if d == [-2.0, 2.0] { 9.0 } else { 1.0 }) * (1 + c) as f32),
+    ];
+    for (name, points, window, response) in cases {
+        for model in [Model::Joint, Model::Peers2006] {
+            let options = Options { model: Some(model), terms: Some(3), ..Options::default() };
+            let f = run(&options, points, window, response).unwrap();
+            // All of them are of rank one, with entries that no rule calls negative. Peers2006 iterates to 1e-4 or better.
+            let bound = if model == Model::Joint { ONE_TERM } else { 1e-3 };
+            assert!(f.rel_rmse <= bound, "{name}, {model}: {}", f.rel_rmse);
+            for i in (0..points[0] * points[1]).filter(|&i| response(i, [0.0; 2], 0) != 0.0) {
+                let error = row_error(&f, i, |d, c| response(i, d, c));
+                assert!(error <= 4.0 * bound, "{name}, {model}, row {i}: {error:e}");
+            }
         }
     }
 }
