@@ -41,11 +41,13 @@ pub(super) fn fit(
     let mut most = options.terms.unwrap_or(options.max_terms);
     let mut start = None;
     loop {
-        let wanted = most + BEYOND;
+        // A non-negative product is fitted to a projection that holds much more than it can.
+        let wanted = if model == Model::Peers2006 { 3 * most + 20 } else { most + BEYOND };
         let low = decompose(rows, options, chosen, wanted, start.take())?;
         let exact = matches!(chosen, Backend::Full | Backend::Gram);
         let all = triplets(rows, &low, wanted, exact)?;
         let rank = all.weights.iter().take_while(|&&s| s > F32_ROUNDING * all.weights[0] && s > 0.0).count().max(1);
+        let rank = if model == Model::Peers2006 { rank.max(most) } else { rank };
         let asked = Asked { rank, most, rows, model, options };
         let plan = asked.plan(reader, &all)?;
         let enough = !plan.short || rank < most || most >= 4 * options.max_terms || most >= n.min(columns);
