@@ -42,6 +42,6 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         Format::Npz => export_npz(&material, &out)?,
     }
     let h = &material.header;
-    context.done(format_args!("{}: {} terms, colour of degree {}", out.display(), h.terms, h.degree));
+    context.done(format_args!("{}: {}", out.display(), h.describe()));
     Ok(())
 }

@@ -199,7 +199,10 @@ fn intensity_factors(
             lit_pitch_mm: header.lit_pitch_mm,
             extended: survey.layout.extended,
             terms,
-            degree: 0,
+            incident_planes: 1,
+            offset_planes: 1,
+            profile: false,
+            degree: Some(0),
             intensity_range: [0.0, 1.0],
             singular_values: low_rank.singular_values.clone(),
             noise_level: survey.noise.threshold(&low_rank.singular_values),
@@ -210,6 +213,7 @@ fn intensity_factors(
         weights: to_f32(&low_rank.singular_values[..terms]),
         incident_factors: Vec::with_capacity(header.rows() * terms),
         offset_factors: to_f32(&low_rank.vectors[..terms * columns]),
+        profile: Vec::new(),
         color_coefficients: Vec::new(),
         shift: survey.placements.iter().map(|p| p.shift).collect(),
     };
@@ -220,7 +224,7 @@ fn intensity_factors(
         let ranges: Vec<[f64; 2]> = (0..block.rows)
             .into_par_iter()
             .map(|k| {
-                let row = material.intensity_row(block.first + k);
+                let row = material.plane_row(0, block.first + k);
                 let known = row.iter().zip(&measured[k * columns..]).filter(|(_, m)| **m).map(|(v, _)| *v);
                 known.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
             })
@@ -249,7 +253,7 @@ struct Channel {
 }
 
 fn channels(material: &Material, index: usize, row: RowView<'_>) -> [Channel; 3] {
-    let intensity = material.intensity_row(index);
+    let intensity = material.plane_row(0, index);
     let [low, high] = material.header.intensity_range.map(f64::from);
     let mut out = std::array::from_fn(|_| Channel { at: Vec::new(), arguments: Vec::new(), values: Vec::new() });
     let shift = material.shift.get(index).copied().unwrap_or_default();
@@ -356,7 +360,7 @@ fn position_errors(slopes: [Vec<f64>; 2], valid: &[bool], window: [usize; 2], sd
 /// Fits β and measures what the whole material leaves: ‖R̂−R‖ / ‖R‖ over valid entries, 0 when all are zero.
 fn color(reader: &MatrixReader, material: &mut Material, degree: usize, progress: &Progress) -> Result<f64> {
     let stage = progress.stage("color", reader.header().rows());
-    material.header.degree = degree;
+    material.header.degree = Some(degree);
     let (mut error, mut size) = (0.0, 0.0);
     reader.for_each_block(|block| {
         let fits: Vec<Vec<f32>> = (0..block.rows)

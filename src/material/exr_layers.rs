@@ -11,29 +11,43 @@ use std::path::Path;
 
 type FlatLayer = Layer<AnyChannels<FlatSamples>>;
 
-/// Writes one part per map: `f_j` (points), `h_j` (offsets), `color_p` (RGB, powers of the intensity, points) and
-/// `shift` (X, Y, points). The weight g_j is multiplied into f_j.
+/// Writes one part per map: `f_j` (points; the weight g_j is multiplied into it), `h_j` (offsets), `profile` (offsets), `color_p` (RGB,
+/// powers of the intensity, points) and `shift` (X, Y, points). Maps that the channels share are Y, others RGB.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Internal`].
 pub fn export_exr(material: &Material, path: &Path) -> Result<()> {
     let h = &material.header;
-    let (terms, samples, powers) = (h.terms, h.layout().len(), h.degree + 1);
+    let (terms, samples) = (h.terms, h.layout().len());
+    let planes = |count: usize, map: &dyn Fn(usize) -> Vec<f32>| match count {
+        1 => vec![("Y", map(0))],
+        _ => ["R", "G", "B"].into_iter().enumerate().map(|(k, name)| (name, map(k))).collect(),
+    };
     let mut layers = Vec::new();
     for j in 0..terms {
         let g = material.weights[j];
-        let map = material.incident_factors.iter().skip(j).step_by(terms).map(|f| g * f).collect();
-        layers.push(layer(&format!("f_{j:02}"), h.points, vec![("Y", map)]));
+        let map = |k: usize| {
+            let plane = &material.incident_factors[k * h.rows() * terms..][..h.rows() * terms];
+            plane.iter().skip(j).step_by(terms).map(|f| g * f).collect()
+        };
+        layers.push(layer(&format!("f_{j:02}"), h.points, planes(h.incident_planes, &map)));
     }
     for j in 0..terms {
-        let map = material.offset_factors[j * samples..(j + 1) * samples].to_vec();
-        layers.push(layer(&format!("h_{j:02}"), h.extended, vec![("Y", map)]));
+        let map = |k: usize| material.offsets(k)[j * samples..(j + 1) * samples].to_vec();
+        layers.push(layer(&format!("h_{j:02}"), h.extended, planes(h.offset_planes, &map)));
     }
-    let monomials = monomial_coefficients(material);
-    for p in 0..powers {
-        let channel = |c: usize| monomials.iter().skip(c * powers + p).step_by(3 * powers).map(|&v| v as f32).collect();
-        let maps = vec![("R", channel(0)), ("G", channel(1)), ("B", channel(2))];
-        layers.push(layer(&format!("color_{p:02}"), h.points, maps));
+    if h.profile {
+        let map = |k: usize| material.profile_plane(k).unwrap_or_default().to_vec();
+        layers.push(layer("profile", h.extended, planes(h.offset_planes, &map)));
+    }
+    if let Some(degree) = h.degree {
+        let powers = degree + 1;
+        let monomials = monomial_coefficients(material);
+        for p in 0..powers {
+            let channel =
+                |c: usize| monomials.iter().skip(c * powers + p).step_by(3 * powers).map(|&v| v as f32).collect();
+            layers.push(layer(&format!("color_{p:02}"), h.points, planes(3, &channel)));
+        }
     }
     let along = |a: usize| material.shift.iter().map(|s| f32::from(s[a])).collect();
     layers.push(layer("shift", h.points, vec![("X", along(0)), ("Y", along(1))]));
@@ -50,10 +64,11 @@ pub fn write_exitance(exitance: &Exitance, path: &Path) -> Result<()> {
     write_layers(path, vec![layer("exitance", exitance.canvas.size, maps)])
 }
 
-/// β as coefficients of powers of the intensity, \[N, 3, P+1\], lowest power first.
+/// β as coefficients of powers of the intensity, \[N, 3, P+1\], lowest power first; empty without a polynomial.
 pub(super) fn monomial_coefficients(material: &Material) -> Vec<f64> {
+    let Some(degree) = material.header.degree else { return Vec::new() };
     let [low, high] = material.header.intensity_range.map(f64::from);
-    let polynomials = material.color_coefficients.chunks_exact(material.header.degree + 1);
+    let polynomials = material.color_coefficients.chunks_exact(degree + 1);
     polynomials.flat_map(|beta| legendre::monomials(beta, low, high)).collect()
 }
 

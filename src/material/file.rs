@@ -10,7 +10,7 @@ use std::collections::HashMap;
 use std::io::Write;
 use std::path::Path;
 
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 const KEY: &str = "acquire";
 /// No stored number is larger: sums of products with the basis still fit an f32.
 const LARGEST: f32 = 1e30;
@@ -39,14 +39,22 @@ impl Material {
         let f32s = |v: &[f32]| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
         let lit: Vec<f32> = self.lit_mm.iter().flatten().map(|&v| v as f32).collect();
         let shift = self.shift.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
-        let tensors: Vec<(&str, Dtype, Vec<usize>, Vec<u8>)> = vec![
-            ("weights", Dtype::F32, vec![h.terms], f32s(&self.weights)),
-            ("incident_factors", Dtype::F32, vec![n, h.terms], f32s(&self.incident_factors)),
-            ("offset_factors", Dtype::F32, vec![h.terms, h.extended[1], h.extended[0]], f32s(&self.offset_factors)),
-            ("color_coefficients", Dtype::F32, vec![n, CHANNELS, h.degree + 1], f32s(&self.color_coefficients)),
-            ("shift", Dtype::I16, vec![n, 2], shift),
-            ("lit_mm", Dtype::F32, vec![n, 2], f32s(&lit)),
+        let f32_tensors = [
+            &self.weights,
+            &self.incident_factors,
+            &self.offset_factors,
+            &self.profile,
+            &self.color_coefficients,
+            &lit,
         ];
+        let mut tensors: Vec<(&str, Dtype, Vec<usize>, Vec<u8>)> = h
+            .shapes()
+            .into_iter()
+            .zip(f32_tensors)
+            .filter(|((_, shape), _)| *shape != [0])
+            .map(|((name, shape), values)| (name, Dtype::F32, shape, f32s(values)))
+            .collect();
+        tensors.push(("shift", Dtype::I16, vec![n, 2], shift));
         let views = tensors
             .iter()
             .map(|(name, dtype, shape, data)| Ok((*name, TensorView::new(*dtype, shape.clone(), data)?)))
@@ -71,15 +79,18 @@ impl Material {
     fn check(&self) -> Result<(), (&'static str, usize, usize)> {
         let h = &self.header;
         let n = h.rows();
-        let lengths = [
-            ("lit_mm", n, self.lit_mm.len()),
-            ("weights", h.terms, self.weights.len()),
-            ("incident_factors", n * h.terms, self.incident_factors.len()),
-            ("offset_factors", h.terms * h.layout().len(), self.offset_factors.len()),
-            ("color_coefficients", n * CHANNELS * (h.degree + 1), self.color_coefficients.len()),
-            ("shift", n, self.shift.len()),
+        let found = [
+            self.weights.len(),
+            self.incident_factors.len(),
+            self.offset_factors.len(),
+            self.profile.len(),
+            self.color_coefficients.len(),
+            2 * self.lit_mm.len(),
         ];
-        match lengths.into_iter().find(|(_, expected, found)| expected != found) {
+        let lengths =
+            h.shapes().into_iter().zip(found).map(|((name, shape), found)| (name, shape.iter().product(), found));
+        let lengths = lengths.chain([("shift", n, self.shift.len())]);
+        match { lengths }.find(|(_, expected, found)| expected != found) {
             Some(wrong) => Err(wrong),
             None => Ok(()),
         }
@@ -110,14 +121,20 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
     check_header(&header)?;
     let file = SafeTensors::deserialize(bytes).map_err(|e| e.to_string())?;
     let n = header.rows();
-    let f32s = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {
-        let data = tensor(&file, name, Dtype::F32, shape)?;
+    let mut f32s = header.shapes().into_iter().map(|(name, shape)| -> Result<Vec<f32>, String> {
+        if shape == [0] {
+            return Ok(Vec::new());
+        }
+        let data = tensor(&file, name, Dtype::F32, &shape)?;
         let values: Vec<f32> = data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
         match values.iter().position(|v| !(v.abs() <= LARGEST)) {
             Some(at) => Err(format!("{name}: expected numbers up to {LARGEST:e}, found {} at {at}", values[at])),
             None => Ok(values),
         }
-    };
+    });
+    let mut next = || f32s.next().unwrap_or(Ok(Vec::new()));
+    let [weights, incident_factors, offset_factors, profile, color_coefficients, lit] =
+        [next()?, next()?, next()?, next()?, next()?, next()?];
     let shift: Vec<i16> = tensor(&file, "shift", Dtype::I16, &[n, 2])?
         .as_chunks::<2>()
         .0
@@ -125,17 +142,18 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
         .map(|b| i16::from_le_bytes(*b))
         .collect();
     let material = Material {
-        lit_mm: f32s("lit_mm", &[n, 2])?.as_chunks::<2>().0.iter().map(|p| p.map(f64::from)).collect(),
-        weights: f32s("weights", &[header.terms])?,
-        incident_factors: f32s("incident_factors", &[n, header.terms])?,
-        offset_factors: f32s("offset_factors", &[header.terms, header.extended[1], header.extended[0]])?,
-        color_coefficients: f32s("color_coefficients", &[n, CHANNELS, header.degree + 1])?,
+        lit_mm: lit.as_chunks::<2>().0.iter().map(|p| p.map(f64::from)).collect(),
+        weights,
+        incident_factors,
+        offset_factors,
+        profile,
+        color_coefficients,
         shift: shift.as_chunks::<2>().0.to_vec(),
         header,
     };
-    let layout = material.header.layout();
-    match material.shift.iter().position(|&s| layout.start(s).is_none()) {
-        Some(at) => Err(format!("shift: row {at} is moved by {:?}, outside the common window", material.shift[at])),
+    let reach = material.header.window.map(|w| w as i32 / 2);
+    match material.shift.iter().position(|s| (0..2).any(|a| i32::from(s[a]).abs() > reach[a])) {
+        Some(at) => Err(format!("shift: row {at} is moved by {:?}, out of its window", material.shift[at])),
         None => Ok(material),
     }
 }
@@ -152,19 +170,23 @@ fn tensor<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize])
 fn check_header(h: &MaterialHeader) -> Result<(), String> {
     let small = |v: usize| (1..=1 << 20).contains(&v);
     let sizes = [h.points, h.window, h.extended];
-    if !sizes.as_flattened().iter().all(|&v| small(v)) || !small(h.terms) || h.degree > 15 {
-        return Err("points, window, terms or degree are out of range".into());
+    if !sizes.as_flattened().iter().all(|&v| small(v)) || !small(h.terms) || h.degree.is_some_and(|p| p > 15) {
+        return Err("points, window, extended, terms or degree are out of range".into());
     }
-    let product = [h.points[0], h.points[1], h.terms].iter().try_fold(1_usize, |p, &v| p.checked_mul(v));
-    let offsets = [h.extended[0], h.extended[1], h.terms].iter().try_fold(1_usize, |p, &v| p.checked_mul(v));
-    if product.is_none_or(|p| p > 1 << 40) || offsets.is_none_or(|p| p > 1 << 40) {
+    let odd = h.window.iter().chain(&h.extended).all(|v| v % 2 == 1);
+    if !odd || h.window.iter().any(|&w| w / 2 > i16::MAX as usize) {
+        return Err(format!("window, extended: expected odd numbers, found {:?}, {:?}", h.window, h.extended));
+    }
+    let planes = [h.incident_planes, h.offset_planes];
+    if planes.iter().any(|p| ![1, CHANNELS].contains(p)) || (h.degree.is_some() && planes != [1, 1]) {
+        return Err(format!("incident_planes, offset_planes: expected 1 or 3, and 1 with a degree, found {planes:?}"));
+    }
+    let large = |sizes: &[usize]| {
+        let product = sizes.iter().try_fold(CHANNELS, |p, &v| p.checked_mul(v));
+        product.is_none_or(|p| p > 1 << 40)
+    };
+    if large(&[h.points[0], h.points[1], h.terms]) || large(&[h.extended[0], h.extended[1], h.terms]) {
         return Err("the factors would be larger than any memory".into());
-    }
-    for a in 0..2 {
-        let room = h.extended[a].checked_sub(h.window[a]);
-        if room.is_none_or(|r| r % 2 != 0 || r / 2 > i16::MAX as usize) {
-            return Err(format!("extended: window {:?} does not fit {:?} symmetrically", h.window, h.extended));
-        }
     }
     let lengths = [h.pitch_mm, h.lit_pitch_mm[0], h.lit_pitch_mm[1]];
     let [low, high] = h.intensity_range;
@@ -190,7 +212,10 @@ pub(crate) mod tests {
             lit_pitch_mm: [1.0, 1.5],
             extended: [7, 3],
             terms: 2,
-            degree: 2,
+            incident_planes: 1,
+            offset_planes: 1,
+            profile: false,
+            degree: Some(2),
             intensity_range: [-0.1, 1.0],
             singular_values: vec![3.0, 1.0, 1e-3],
             noise_level: 0.01,
@@ -203,6 +228,7 @@ pub(crate) mod tests {
             weights: vec![3.0, 1.0],
             incident_factors: wave(12, 0.7),
             offset_factors: wave(42, 0.3),
+            profile: Vec::new(),
             color_coefficients: wave(54, 1.1),
             shift: vec![[0, 0], [1, 0], [-1, 0], [0, 0], [1, 0], [0, 0]],
             header,
@@ -249,7 +275,7 @@ pub(crate) mod tests {
             matches!(Material::load(&path), Err(Error::BrokenMaterial { reason, .. }) if reason.contains("weights"))
         );
         let mut material = example();
-        material.shift[3] = [2, 0];
+        material.shift[3] = [3, 0];
         material.save(&path).unwrap();
         assert!(matches!(Material::load(&path), Err(Error::BrokenMaterial { reason, .. }) if reason.contains("row 3")));
         let mut material = example();

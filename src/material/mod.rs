@@ -26,19 +26,25 @@ use serde::{Deserialize, Serialize};
 const CHANNELS: usize = 3;
 
 /// Which factorization a material holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Model {
     /// Intensity by error modelling, colour by a polynomial of the intensity per incident point (`Kurt2013`).
     Tucker,
+    /// The mean profile divided out, the rest a non-negative factorization (`Peers2006`).
+    Peers2006,
+    /// One factorization of the three channels together.
+    Joint,
 }
 
 impl std::fmt::Display for Model {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Tucker => f.write_str("tucker"),
-        }
+        f.write_str(match self {
+            Self::Tucker => "tucker",
+            Self::Peers2006 => "peers2006",
+            Self::Joint => "joint",
+        })
     }
 }
 
@@ -55,15 +61,22 @@ pub struct MaterialHeader {
     pub pitch_mm: f64,
     /// Mean distance of lit points along x and y, mm.
     pub lit_pitch_mm: Point,
-    /// Samples along x and y of the window on which the offset factors live: `window` and what shifts need.
+    /// Samples along x and y of the common window, on which the offset factors live, see [`Layout`]; R̂_d is 0 outside it.
     pub extended: [usize; 2],
     /// T, the number of terms.
     pub terms: usize,
-    /// P, the degree of the colour polynomial.
-    pub degree: usize,
+    /// A: 1 when all planes share their incident factors, else 3.
+    pub incident_planes: usize,
+    /// B: 1 when all planes share their offset factors, else 3.
+    pub offset_planes: usize,
+    /// Whether there is a profile that multiplies the terms.
+    pub profile: bool,
+    /// P, the degree of the colour polynomial; `None` when there is none: then the planes are R, G and B themselves,
+    /// or the one plane is the response of all three.
+    pub degree: Option<usize>,
     /// The normalized intensities that the Legendre basis maps to −1 and 1; arguments are clamped to them.
     pub intensity_range: [f32; 2],
-    /// Leading singular values of the normalized rows, descending; more than T of them.
+    /// Leading singular values of the rows as they were factored, descending; more than T of them. Empty for [`Model::Peers2006`].
     pub singular_values: Vec<f64>,
     /// The spectral norm that noise alone would have, in the unit of `singular_values`.
     pub noise_level: f64,
@@ -73,9 +86,13 @@ pub struct MaterialHeader {
     pub provenance: serde_json::Value,
 }
 
-/// A factored material: R̂_d(x_i, d) = Σ_p β_{c,p}(x_i) L_p(Î), Î = Σ_j g_j f_j(x_i) h_j(d − shift(x_i)).
+/// A factored material.
 ///
-/// `Kurt2013`, eqs. (1)–(4), with Legendre polynomials L_p on [`MaterialHeader::intensity_range`] for the powers.
+/// Plane k at incident point i and sample e = d − shift_i of the common window is
+/// v_k(i, e) = m_k(e) Σ_j g_j f_{k,j}(i) h_{k,j}(e), where the profile m is 1 when there is none. With a colour polynomial there
+/// is one plane, the normalized intensity, and R̂_c = Σ_p β_{c,p}(i) L_p(v) with Legendre polynomials L_p on
+/// [`MaterialHeader::intensity_range`] for the powers of `Kurt2013`, eqs. (1)–(4); without one R̂_c is plane c, or the only plane.
+///
 /// Tensors are row-major with the shapes named at each; N = x × y lit points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Material {
@@ -83,13 +100,15 @@ pub struct Material {
     pub header: MaterialHeader,
     /// Where each lit point is, mm, \[N\].
     pub lit_mm: Vec<Point>,
-    /// g_j, the singular values of the terms, \[T\].
+    /// g_j, \[T\].
     pub weights: Vec<f32>,
-    /// f_j(x_i), unit norm over x_i for every j, \[N, T\].
+    /// f_{k,j}(x_i), \[A, N, T\].
     pub incident_factors: Vec<f32>,
-    /// h_j(d), unit norm over d for every j, \[T, extended y, extended x\].
+    /// h_{k,j}(d), \[B, T, extended y, extended x\].
     pub offset_factors: Vec<f32>,
-    /// β_{c,p}(x_i), mm⁻², \[N, 3, P+1\].
+    /// m_k(d), \[B, extended y, extended x\], or empty.
+    pub profile: Vec<f32>,
+    /// β_{c,p}(x_i), mm⁻², \[N, 3, P+1\], or empty.
     pub color_coefficients: Vec<f32>,
     /// Offset of each row's peak from its lit point, samples along x and y, \[N, 2\].
     pub shift: Vec<[i16; 2]>,
@@ -106,6 +125,36 @@ impl MaterialHeader {
         Layout { window: self.window, extended: self.extended }
     }
 
+    /// Model, terms and degree in a few words.
+    pub fn describe(&self) -> String {
+        let noun = if self.terms == 1 { "term" } else { "terms" };
+        let color = match self.degree {
+            Some(p) => format!(", colour of degree {p}"),
+            None if self.planes() == 1 => ", grey".to_owned(),
+            None => String::new(),
+        };
+        format!("{}, {} {noun}{color}", self.model, self.terms)
+    }
+
+    /// Planes that the factors give: 1 or 3.
+    pub fn planes(&self) -> usize {
+        self.incident_planes.max(self.offset_planes)
+    }
+
+    /// Lengths of the tensors that [`Material`] has, named after its fields.
+    pub(crate) fn shapes(&self) -> [(&'static str, Vec<usize>); 6] {
+        let (n, [ex, ey]) = (self.rows(), self.extended);
+        let profile = if self.profile { vec![self.offset_planes, ey, ex] } else { vec![0] };
+        [
+            ("weights", vec![self.terms]),
+            ("incident_factors", vec![self.incident_planes, n, self.terms]),
+            ("offset_factors", vec![self.offset_planes, self.terms, ey, ex]),
+            ("profile", profile),
+            ("color_coefficients", self.degree.map_or(vec![0], |p| vec![n, CHANNELS, p + 1])),
+            ("lit_mm", vec![n, 2]),
+        ]
+    }
+
     /// Numbers of one row: dy, dx, channel.
     pub fn row_len(&self) -> usize {
         self.window[0] * self.window[1] * CHANNELS
@@ -113,29 +162,53 @@ impl MaterialHeader {
 }
 
 impl Material {
-    /// Every stored number as 4 bytes, the papers' count: weights, factors, coefficients, shifts and the intensity
-    /// range; metadata and positions are not counted.
+    /// Every stored number as 4 bytes, the papers' count: weights, factors, profile, coefficients, the shifts when there are any, and
+    /// the intensity range when there is a polynomial; metadata and positions are not counted.
     pub fn bytes_f32(&self) -> u64 {
-        let numbers = self.weights.len()
-            + self.incident_factors.len()
-            + self.offset_factors.len()
-            + self.color_coefficients.len()
-            + 2 * self.shift.len()
-            + self.header.intensity_range.len();
-        4 * numbers as u64
+        let shifts = if self.shift.iter().any(|s| *s != [0, 0]) { 2 * self.shift.len() } else { 0 };
+        let range = if self.header.degree.is_some() { 2 } else { 0 };
+        let tensors =
+            [&self.weights, &self.incident_factors, &self.offset_factors, &self.profile, &self.color_coefficients];
+        4 * (tensors.iter().map(|t| t.len()).sum::<usize>() + shifts + range) as u64
     }
 
-    /// Normalized intensity Î of row `index` on the common window; empty when there is no such row.
-    pub fn intensity_row(&self, index: usize) -> Vec<f64> {
-        let terms = self.header.terms;
-        let Some(f) = self.incident_factors.get(index * terms..(index + 1) * terms) else { return Vec::new() };
+    /// f_{k,j} of row `index`, \[T\]; empty when there is no such row.
+    pub(crate) fn incident(&self, plane: usize, index: usize) -> &[f32] {
+        let h = &self.header;
+        let at = (plane.min(h.incident_planes - 1) * h.rows() + index) * h.terms;
+        if index < h.rows() { self.incident_factors.get(at..at + h.terms).unwrap_or_default() } else { &[] }
+    }
+
+    /// h_{k,j} on the common window, \[T, samples\].
+    pub(crate) fn offsets(&self, plane: usize) -> &[f32] {
+        let len = self.header.terms * self.header.layout().len();
+        &self.offset_factors[plane.min(self.header.offset_planes - 1) * len..][..len]
+    }
+
+    /// m_k on the common window, when there is a profile.
+    pub(crate) fn profile_plane(&self, plane: usize) -> Option<&[f32]> {
+        let len = self.header.layout().len();
+        let plane = plane.min(self.header.offset_planes - 1);
+        self.header.profile.then(|| &self.profile[plane * len..][..len])
+    }
+
+    /// Plane `plane` of row `index` on the common window; empty when there is no such row. The only plane of a material with a colour
+    /// polynomial is the normalized intensity Î.
+    pub fn plane_row(&self, plane: usize, index: usize) -> Vec<f64> {
+        let f = self.incident(plane, index);
+        if f.is_empty() {
+            return Vec::new();
+        }
         let samples = self.header.layout().len();
         let mut row = vec![0.0; samples];
-        for ((&g, &f), h) in self.weights.iter().zip(f).zip(self.offset_factors.chunks_exact(samples.max(1))) {
+        for ((&g, &f), h) in self.weights.iter().zip(f).zip(self.offsets(plane).chunks_exact(samples.max(1))) {
             let gf = f64::from(g) * f64::from(f);
             for (sum, &h) in row.iter_mut().zip(h) {
                 *sum += gf * f64::from(h);
             }
+        }
+        if let Some(profile) = self.profile_plane(plane) {
+            row.iter_mut().zip(profile).for_each(|(v, &m)| *v *= f64::from(m));
         }
         row
     }
@@ -144,19 +217,33 @@ impl Material {
     /// Empty when there is no such row.
     pub fn evaluate_row(&self, index: usize) -> Vec<f32> {
         let Some(&shift) = self.shift.get(index) else { return Vec::new() };
-        let intensity = self.intensity_row(index);
-        let [low, high] = self.header.intensity_range.map(f64::from);
-        let mut arguments = vec![0.0; self.header.window[0] * self.header.window[1]];
-        self.header.layout().for_each(shift, |k, e| arguments[k] = legendre::argument(intensity[e], low, high));
-        let columns = legendre::columns(&arguments, self.header.degree + 1);
-        let mut row = vec![0.0; self.header.row_len()];
+        let (h, layout) = (&self.header, self.header.layout());
+        let mut row = vec![0.0; h.row_len()];
+        let Some(degree) = h.degree else {
+            for plane in 0..h.planes() {
+                let values = self.plane_row(plane, index);
+                for c in if h.planes() == 1 { 0..CHANNELS } else { plane..plane + 1 } {
+                    layout.for_each(shift, |k, e| row[3 * k + c] = values[e] as f32);
+                }
+            }
+            return row;
+        };
+        let intensity = self.plane_row(0, index);
+        let [low, high] = h.intensity_range.map(f64::from);
+        let mut arguments = vec![0.0; h.window[0] * h.window[1]];
+        let mut modelled = vec![false; arguments.len()];
+        layout.for_each(shift, |k, e| {
+            (arguments[k], modelled[k]) = (legendre::argument(intensity[e], low, high), true);
+        });
+        let columns = legendre::columns(&arguments, degree + 1);
         let mut sums = arguments;
-        for (c, beta) in self.coefficients(index).into_iter().enumerate() {
+        for (c, beta) in self.coefficients(index, degree).into_iter().enumerate() {
             sums.fill(0.0);
             for (column, &b) in columns.iter().zip(beta) {
                 sums.iter_mut().zip(column).for_each(|(sum, l)| *sum += f64::from(b) * l);
             }
-            row.iter_mut().skip(c).step_by(CHANNELS).zip(&sums).for_each(|(value, &sum)| *value = sum as f32);
+            let values = row.iter_mut().skip(c).step_by(CHANNELS).zip(sums.iter().zip(&modelled));
+            values.filter(|(_, (_, m))| **m).for_each(|(value, (&sum, _))| *value = sum as f32);
         }
         row
     }
@@ -164,26 +251,36 @@ impl Material {
     /// R̂_d at one offset (samples along x and y), mm⁻²; `None` outside the window or for a row that is not there.
     pub fn response(&self, index: usize, offset: [isize; 2]) -> Option<[f32; 3]> {
         let shift = *self.shift.get(index)?;
-        let layout = self.header.layout();
+        let (h, layout) = (&self.header, self.header.layout());
         let sample = |a: usize| {
             let s = usize::try_from(offset[a] + (layout.window[a] / 2) as isize).ok()?;
             (s < layout.window[a]).then_some(s)
         };
-        let at = layout.start(shift)? + sample(0)? + sample(1)? * layout.extended[0];
-        let (terms, samples) = (self.header.terms, layout.len());
-        let f = self.incident_factors.get(index * terms..(index + 1) * terms)?;
-        let term =
-            |j: usize| f64::from(self.weights[j]) * f64::from(f[j]) * f64::from(self.offset_factors[j * samples + at]);
-        let [low, high] = self.header.intensity_range.map(f64::from);
-        let mut basis = vec![0.0; self.header.degree + 1];
-        legendre::evaluate(legendre::argument((0..terms).map(term).sum(), low, high), &mut basis);
-        let value = |beta: &[f32]| beta.iter().zip(&basis).map(|(&b, l)| f64::from(b) * l).sum::<f64>() as f32;
-        Some(self.coefficients(index).map(value))
+        let Some(at) = layout.index(shift, [sample(0)?, sample(1)?]) else { return Some([0.0; 3]) };
+        let samples = layout.len();
+        let value = |plane: usize| {
+            let terms = self.weights.iter().zip(self.incident(plane, index)).enumerate();
+            let h = self.offsets(plane);
+            let sum: f64 =
+                terms.map(|(j, (&g, &f))| f64::from(g) * f64::from(f) * f64::from(h[j * samples + at])).sum();
+            self.profile_plane(plane).map_or(sum, |m| sum * f64::from(m[at]))
+        };
+        let Some(degree) = h.degree else {
+            return Some(match h.planes() {
+                1 => [value(0) as f32; 3],
+                _ => std::array::from_fn(|c| value(c) as f32),
+            });
+        };
+        let [low, high] = h.intensity_range.map(f64::from);
+        let mut basis = vec![0.0; degree + 1];
+        legendre::evaluate(legendre::argument(value(0), low, high), &mut basis);
+        let color = |beta: &[f32]| beta.iter().zip(&basis).map(|(&b, l)| f64::from(b) * l).sum::<f64>() as f32;
+        Some(self.coefficients(index, degree).map(color))
     }
 
     /// β of row `index`, P+1 for each channel.
-    fn coefficients(&self, index: usize) -> [&[f32]; CHANNELS] {
-        let n = self.header.degree + 1;
+    pub(crate) fn coefficients(&self, index: usize, degree: usize) -> [&[f32]; CHANNELS] {
+        let n = degree + 1;
         std::array::from_fn(|c| &self.color_coefficients[(index * CHANNELS + c) * n..][..n])
     }
 }

@@ -21,18 +21,24 @@ pub fn export_npz(material: &Material, path: &Path) -> Result<()> {
 fn archive(material: &Material) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     let h = &material.header;
     let n = h.rows() as u64;
-    let powers = h.degree as u64 + 1;
-    let [width, height] = h.extended.map(|v| v as u64);
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     let pair = |v: [usize; 2]| v.map(|v| v as f64).to_vec();
     let lit: Vec<f64> = material.lit_mm.as_flattened().to_vec();
     let range: Vec<f64> = h.intensity_range.iter().map(|&v| f64::from(v)).collect();
 
-    add(&mut zip, "weights", &[h.terms as u64], &material.weights)?;
-    add(&mut zip, "incident_factors", &[n, h.terms as u64], &material.incident_factors)?;
-    add(&mut zip, "offset_factors", &[h.terms as u64, height, width], &material.offset_factors)?;
-    add(&mut zip, "color_coefficients", &[n, CHANNELS as u64, powers], &material.color_coefficients)?;
-    add(&mut zip, "color_monomials", &[n, CHANNELS as u64, powers], &monomial_coefficients(material))?;
+    let tensors = [
+        &material.weights,
+        &material.incident_factors,
+        &material.offset_factors,
+        &material.profile,
+        &material.color_coefficients,
+    ];
+    for ((name, shape), values) in h.shapes().into_iter().zip(tensors).filter(|((_, shape), _)| *shape != [0]) {
+        add(&mut zip, name, &shape.iter().map(|&n| n as u64).collect::<Vec<_>>(), values)?;
+    }
+    if let Some(degree) = h.degree {
+        add(&mut zip, "color_monomials", &[n, CHANNELS as u64, degree as u64 + 1], &monomial_coefficients(material))?;
+    }
     add(&mut zip, "shift", &[n, 2], material.shift.as_flattened())?;
     add(&mut zip, "lit_mm", &[n, 2], &lit)?;
     add(&mut zip, "points", &[2], &pair(h.points))?;
@@ -40,7 +46,9 @@ fn archive(material: &Material) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     add(&mut zip, "extended", &[2], &pair(h.extended))?;
     add(&mut zip, "pitch_mm", &[], &[h.pitch_mm])?;
     add(&mut zip, "lit_pitch_mm", &[2], &h.lit_pitch_mm)?;
-    add(&mut zip, "intensity_range", &[2], &range)?;
+    if h.degree.is_some() {
+        add(&mut zip, "intensity_range", &[2], &range)?;
+    }
     add(&mut zip, "singular_values", &[h.singular_values.len() as u64], &h.singular_values)?;
     add(&mut zip, "noise_level", &[], &[h.noise_level])?;
     let header = serde_json::to_string(h)?;

@@ -68,7 +68,7 @@ impl MaterialSummary {
         Self {
             model: header.model.to_string(),
             terms: header.terms,
-            degree: Some(header.degree),
+            degree: header.degree,
             bytes_file,
             singular_values: header.singular_values.clone(),
             noise_level: Some(header.noise_level),
