@@ -30,11 +30,8 @@ impl Material {
     /// # Errors
     /// [`Error::Io`]; [`Error::Internal`] when the material's arrays do not have the lengths its header says.
     pub fn save(&self, path: &Path) -> Result<()> {
-        self.check().map_err(|(field, expected, found)| {
-            Error::internal(format!("the material has {found} in {field}, expected {expected}"))
-        })?;
+        self.checked()?;
         let h = &self.header;
-        check_header(h).map_err(Error::internal)?;
         let n = h.rows();
         let f32s = |v: &[f32]| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
         let lit: Vec<f32> = self.lit_mm.iter().flatten().map(|&v| v as f32).collect();
@@ -73,6 +70,14 @@ impl Material {
     pub fn load(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
         decode(&bytes).map_err(|reason| Error::BrokenMaterial { path: path.to_path_buf(), reason })
+    }
+
+    /// Refuses a header out of range and arrays of other lengths than it says.
+    pub(super) fn checked(&self) -> Result<()> {
+        check_header(&self.header).map_err(Error::internal)?;
+        self.check().map_err(|(field, expected, found)| {
+            Error::internal(format!("the material has {found} in {field}, expected {expected}"))
+        })
     }
 
     /// Whether the arrays have the lengths that the header says: (field, expected, found) when not.

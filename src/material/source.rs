@@ -1,5 +1,6 @@
 //! A matrix or a material, told apart by what is on disk, and read the same way.
 
+use super::rows::Rows;
 use super::{Material, MaterialHeader};
 use crate::geometry::Point;
 use crate::transport::{MatrixReader, RowBlock};
@@ -91,9 +92,15 @@ impl Source {
         match self {
             Self::Matrix(reader) => reader.read(rows),
             Self::Material(material, _) => {
-                let evaluated: Vec<Vec<f32>> = rows.clone().into_par_iter().map(|i| material.evaluate_row(i)).collect();
-                let response = evaluated.concat();
-                let n = response.len();
+                let indices: Vec<usize> = rows.clone().collect();
+                let evaluator = Rows::new(material);
+                let (len, n) = (evaluator.window_len(), indices.len() * material.header.row_len());
+                let (mut planes, mut response) = (vec![0.0; n], vec![0.0; n]);
+                evaluator.planes(&indices, &mut planes);
+                let each = response.par_chunks_mut(3 * len).zip(planes.par_chunks(3 * len));
+                each.for_each(|(row, planes)| {
+                    row.iter_mut().enumerate().for_each(|(k, v)| *v = planes[k % 3 * len + k / 3] as f32);
+                });
                 let (variance, valid) = (vec![0.0; n], vec![1; n]);
                 Ok(RowBlock { first: rows.start, rows: rows.len(), response, variance, valid })
             }
