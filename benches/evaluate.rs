@@ -41,7 +41,8 @@ fn synthetic([points, window, terms]: [usize; 3], model: Model, reach: usize) ->
         (if j == 0 { 2.0 } else { wave(i % points / 7 + i / points / 5, j, 0) }) / points as f32
     };
     let offset = |at: usize| {
-        let (e, j, c) = (at % (extended * extended), at / (extended * extended) % terms, at / (extended * extended * terms));
+        let (e, j, c) =
+            (at % (extended * extended), at / (extended * extended) % terms, at / (extended * extended * terms));
         let d = [e % extended, e / extended].map(|v| v as f32 - (extended / 2) as f32);
         let r = d[0].hypot(d[1]);
         (-r / (2.0 + 0.7 * j as f32 + c as f32)).exp() * (j as f32 * d[1].atan2(d[0])).cos()

@@ -12,29 +12,36 @@ use rayon::prelude::*;
 use realfft::num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 type Spectrum = Vec<Complex<f64>>;
 
-/// What the parts of a relighting cost on one core, ns (AMD EPYC with AVX2, `cargo bench --bench evaluate`): a transform per sample and
-/// binary digit of their number, a term of a sample, and adding a sample of a channel to an image.
-const TRANSFORM_NS: f64 = 1.0;
-const TERM_NS: f64 = 0.15;
-const ADD_NS: f64 = 1.0;
+/// What the parts of a relighting cost on one core, ns (AMD EPYC with AVX-512, `cargo bench --bench evaluate`): a transform per sample and
+/// binary digit of their number, a term of a sample of a plane, and adding a sample of a channel to an image.
+const TRANSFORM_NS: f64 = 0.6;
+const TERM_NS: f64 = 0.05;
+const ADD_NS: f64 = 1.5;
 /// Bytes of spectra that are summed at a time: more lights are done in turn.
 const SPECTRA: usize = 1 << 29;
 
-/// Whether [`convolve`] takes less time than evaluating `rows` rows and adding them to `lights` images.
-pub(super) fn convolution_is_faster(material: &Material, rows: usize, lights: usize, canvas: &Canvas) -> bool {
+/// Whether [`convolve`] takes less time than evaluating `rows` rows and adding them to the images.
+pub(super) fn convolution_is_faster(
+    material: &Material,
+    rows: usize,
+    fluxes: &[Vec<[f64; 3]>],
+    canvas: &Canvas,
+) -> bool {
     let h = &material.header;
     if h.degree.is_some() {
         return false;
     }
-    let size = canvas.size.map(smooth);
-    let samples = (size[0] * size[1]) as f64;
-    let transforms = h.terms * (h.offset_planes + lights * CHANNELS) + lights * CHANNELS;
+    let samples = canvas.size.map(smooth).into_iter().product::<usize>() as f64;
+    let jobs = jobs(h.planes(), fluxes);
+    let impulses: BTreeSet<[usize; 3]> = jobs.iter().map(|j| j.impulses(h.incident_planes)).collect();
+    let transforms = h.terms * (h.offset_planes + impulses.len()) + jobs.len();
     let entries = (rows * h.window[0] * h.window[1]) as f64;
-    let direct = entries * ((h.terms * h.planes()) as f64 * TERM_NS + (lights * CHANNELS) as f64 * ADD_NS);
+    let direct = entries * ((h.terms * h.planes()) as f64 * TERM_NS + (fluxes.len() * CHANNELS) as f64 * ADD_NS);
     transforms as f64 * samples * samples.log2() * TRANSFORM_NS < direct
 }
 
@@ -55,6 +62,13 @@ struct Job {
     plane: usize,
     flux: usize,
     channels: Vec<usize>,
+}
+
+impl Job {
+    /// What its impulses depend on: jobs that share it share them.
+    fn impulses(&self, incident_planes: usize) -> [usize; 3] {
+        [self.light, self.plane.min(incident_planes - 1), self.flux]
+    }
 }
 
 /// Adds the rows `indices`, all shifted by `shift`, to every image.
@@ -133,7 +147,7 @@ fn add_term(
     // The impulses of the image before: planes often share them.
     let mut last: Option<([usize; 3], Spectrum)> = None;
     for (job, sum) in jobs.iter().zip(sums) {
-        let key = [job.light, job.plane.min(incident_planes - 1), job.flux];
+        let key = job.impulses(incident_planes);
         let impulses = match last.take().filter(|(k, _)| *k == key) {
             Some((_, spectrum)) => spectrum,
             None => {
@@ -301,7 +315,10 @@ mod tests {
             });
             for (a, b) in a.iter().zip(&b) {
                 for (a, b) in a.planes.iter().flatten().zip(b.planes.iter().flatten()) {
-                    assert!((a - b).abs() < 1e-13, "rounding of a transform of a few hundred samples of size 1: {a} {b}");
+                    assert!(
+                        (a - b).abs() < 1e-13,
+                        "rounding of a transform of a few hundred samples of size 1: {a} {b}"
+                    );
                 }
             }
             assert!(a[1].planes[2].iter().any(|v| v.abs() > 1e-3) || h.extended == [3, 1]);

@@ -2,9 +2,9 @@
 
 use super::sampling::{Sampled, Tree};
 use super::{CHANNELS, Material};
+use crate::Result;
 use crate::geometry::Point;
 use crate::transport::normalize::Layout;
-use crate::Result;
 
 /// Terms that are multiplied together.
 pub(super) const LANES: usize = 4;
@@ -39,6 +39,45 @@ pub struct Evaluator {
     range: [f64; 2],
     lattice: Lattice,
     tree: Tree,
+}
+
+/// Four rows at four samples of their windows.
+struct Between<'a> {
+    evaluator: &'a Evaluator,
+    lit: [(usize, f64); 4],
+    samples: [([usize; 2], f64); 4],
+}
+
+impl pulp::NullaryFnOnce for Between<'_> {
+    type Output = [f64; 3];
+
+    #[inline(always)]
+    fn call(self) -> [f64; 3] {
+        let Self { evaluator: all, lit, samples } = self;
+        let shift = all.shift[lit[0].0];
+        let places = samples.map(|(sample, weight)| (all.layout.index(shift, sample), weight));
+        if lit.iter().any(|(i, _)| all.shift[*i] != shift) || places.iter().any(|(e, _)| e.is_none()) {
+            let mut sum = [0.0; CHANNELS];
+            for (index, weight) in lit.into_iter().filter(|(_, w)| *w > 0.0) {
+                let row = all.row_between(index, &samples);
+                (0..CHANNELS).for_each(|c| sum[c] += weight * row[c]);
+            }
+            return sum;
+        }
+        // Rows that are shifted alike share what is between samples.
+        let places = places.map(|(e, weight)| (e.unwrap_or(0), weight));
+        if all.powers == 0 {
+            let plane = |k: usize| all.mixed(k, places, [lit])[0];
+            return if all.planes == [1, 1] { [plane(0); 3] } else { [plane(0), plane(1), plane(2)] };
+        }
+        let rows = all.mixed(0, places, lit.map(|(index, _)| [(index, 1.0)]));
+        let mut sum = [0.0; CHANNELS];
+        for (value, (index, weight)) in rows.into_iter().zip(lit) {
+            let color = all.color(index, [value; 3]);
+            (0..CHANNELS).for_each(|c| sum[c] += weight * color[c]);
+        }
+        sum
+    }
 }
 
 /// Lattice coordinates of a point of the slab: u = origin + from_mm · x, as the lit points are on average.
@@ -149,20 +188,16 @@ impl Evaluator {
         else {
             return [0.0; 3];
         };
-        let mut sum = [0.0; CHANNELS];
-        for (point, weight) in lit.each() {
-            let row = self.row_between(point[0] + point[1] * self.points[0], &samples);
-            (0..CHANNELS).for_each(|c| sum[c] += weight * row[c]);
-        }
-        sum.map(|v| v as f32)
+        let lit = lit.each().map(|([x, y], weight)| (x + y * self.points[0], weight));
+        pulp::Arch::new().dispatch(Between { evaluator: self, lit, samples: samples.each() }).map(|v| v as f32)
     }
 
     /// A row between samples of its window.
-    fn row_between(&self, index: usize, samples: &Corners) -> [f64; 3] {
+    fn row_between(&self, index: usize, samples: &[([usize; 2], f64); 4]) -> [f64; 3] {
         let Some(&shift) = self.shift.get(index) else { return [0.0; 3] };
         let mut planes = [0.0; CHANNELS];
         let mut outside = 0.0;
-        for (sample, weight) in samples.each() {
+        for &(sample, weight) in samples.iter().filter(|(_, w)| *w > 0.0) {
             match self.layout.index(shift, sample) {
                 Some(e) => {
                     let values = self.plane_values(index, e);
@@ -199,7 +234,7 @@ impl Evaluator {
     }
 
     /// f_{k,j} of a row, \[A, T\].
-    #[inline]
+    #[inline(always)]
     fn factors(&self, index: usize) -> &[f32] {
         let len = self.planes[0] * self.terms;
         &self.incident[index * len..][..len]
@@ -211,21 +246,56 @@ impl Evaluator {
     }
 
     /// The planes; a single one is repeated.
-    #[inline]
+    #[inline(always)]
     fn plane_values(&self, index: usize, e: usize) -> [f64; 3] {
         let ([a, b], t) = (self.planes, self.terms);
         let incident = self.factors(index);
         let offset = &self.offset[e * b * t..][..b * t];
-        let plane = |k: usize| {
-            let f = &incident[k.min(a - 1) * t..][..t];
-            let h = &offset[k.min(b - 1) * t..][..t];
-            let sum = product(&self.weights, f, h);
-            if self.profile.is_empty() { sum } else { sum * f64::from(self.profile[e * b + k.min(b - 1)]) }
-        };
-        if a == 1 && b == 1 { [plane(0); 3] } else { [plane(0), plane(1), plane(2)] }
+        let mut planes = [0.0; CHANNELS];
+        for k in 0..a.max(b) {
+            let (ka, kb) = (k.min(a - 1), k.min(b - 1));
+            let sum = product(&self.weights, &incident[ka * t..][..t], &offset[kb * t..][..t]);
+            planes[k] = if self.profile.is_empty() { sum } else { sum * f64::from(self.profile[e * b + kb]) };
+        }
+        if a.max(b) == 1 { [planes[0]; 3] } else { planes }
+    }
+
+    /// A plane at a weighted mean of samples `places` of the common window, for weighted means of rows.
+    #[inline(always)]
+    fn mixed<const N: usize, const ROWS: usize>(
+        &self,
+        k: usize,
+        places: [(usize, f64); 4],
+        rows: [[(usize, f64); N]; ROWS],
+    ) -> [f64; ROWS] {
+        let ([a, b], t) = (self.planes, self.terms);
+        let (ka, kb) = (k.min(a - 1), k.min(b - 1));
+        let offsets = places.map(|(e, _)| self.offset[(e * b + kb) * t..][..t].as_chunks::<LANES>().0);
+        let shares =
+            places.map(|(e, w)| if self.profile.is_empty() { w } else { w * f64::from(self.profile[e * b + kb]) });
+        let factors = rows.map(|r| r.map(|(i, _)| self.incident[(i * a + ka) * t..][..t].as_chunks::<LANES>().0));
+        let mut sums = [[0.0; LANES]; ROWS];
+        for (chunk, g) in self.weights.as_chunks::<LANES>().0.iter().enumerate() {
+            for lane in 0..LANES {
+                let mut h = 0.0;
+                for s in 0..4 {
+                    h += shares[s] * f64::from(offsets[s][chunk][lane]);
+                }
+                h *= g[lane];
+                for r in 0..ROWS {
+                    let mut f = 0.0;
+                    for s in 0..N {
+                        f += rows[r][s].1 * f64::from(factors[r][s][chunk][lane]);
+                    }
+                    sums[r][lane] += f * h;
+                }
+            }
+        }
+        sums.map(|s| (s[0] + s[1]) + (s[2] + s[3]))
     }
 
     /// Planes as colours.
+    #[inline(always)]
     fn color(&self, index: usize, planes: [f64; 3]) -> [f64; 3] {
         if self.powers == 0 {
             return planes;
@@ -256,7 +326,7 @@ const BONNET: [Point; MAX_DEGREE + 1] = {
 };
 
 /// Σ_j g_j f_j h_j.
-#[inline]
+#[inline(always)]
 pub(super) fn product(g: &[f64], f: &[f32], h: &[f32]) -> f64 {
     let mut sums = [0.0; LANES];
     let terms = g.as_chunks::<LANES>().0.iter().zip(f.as_chunks::<LANES>().0.iter().zip(h.as_chunks::<LANES>().0));
@@ -288,16 +358,10 @@ impl Corners {
         Some(Self { first, next, beyond: [at[0] - first[0] as f64, at[1] - first[1] as f64] })
     }
 
-    /// Those that count, with their weights.
-    fn each(&self) -> impl Iterator<Item = ([usize; 2], f64)> {
+    /// With their weights, which sum to one.
+    fn each(&self) -> [([usize; 2], f64); 4] {
         let (p, q, [x, y]) = (self.first, self.next, self.beyond);
-        let all = [
-            (p, (1.0 - x) * (1.0 - y)),
-            ([q[0], p[1]], x * (1.0 - y)),
-            ([p[0], q[1]], (1.0 - x) * y),
-            (q, x * y),
-        ];
-        all.into_iter().filter(|(_, weight)| *weight > 0.0)
+        [(p, (1.0 - x) * (1.0 - y)), ([q[0], p[1]], x * (1.0 - y)), ([p[0], q[1]], (1.0 - x) * y), (q, x * y)]
     }
 }
 
@@ -374,9 +438,8 @@ mod tests {
             }
             // Lit points 0 and 1, half way, at the offset of their own.
             let x_i = [0.5 * (m.lit_mm[0][0] + m.lit_mm[1][0]), m.lit_mm[0][1]];
-            let mean: [f32; 3] = std::array::from_fn(|c| {
-                (m.response(0, [0, 0]).unwrap()[c] + m.response(1, [0, 0]).unwrap()[c]) / 2.0
-            });
+            let mean: [f32; 3] =
+                std::array::from_fn(|c| (m.response(0, [0, 0]).unwrap()[c] + m.response(1, [0, 0]).unwrap()[c]) / 2.0);
             let found = evaluator.between(x_i, x_i);
             assert!(found.iter().zip(mean).all(|(a, b)| (a - b).abs() < 1e-5), "{found:?} {mean:?}");
             if h.degree.is_none() && h.window == [5, 3] {

@@ -134,7 +134,7 @@ pub fn relight(source: &Source, fluxes: &[Vec<[f64; 3]>], progress: &Progress) -
             let rows = Rows::new(material);
             let mut one_by_one = Vec::new();
             for (shift, group) in by_shift(material, lit) {
-                match convolution_is_faster(material, group.len(), fluxes.len(), &canvas) {
+                match convolution_is_faster(material, group.len(), fluxes, &canvas) {
                     true => {
                         stage.advance(group.len());
                         convolve(&mut out, &rows, shift, &group, &shape, fluxes)?;
@@ -190,6 +190,50 @@ mod tests {
                 .sum();
             let total: f64 = out[0].planes[c].iter().sum();
             assert!((total - expected).abs() < 1e-6 * expected.abs().max(1.0), "rows one by one are rounded to f32");
+        }
+    }
+
+    /// Many points: rows of one shift are convolved, the few of another are not.
+    #[test]
+    fn a_slab_is_relit_as_its_rows_are() {
+        let mut material = example();
+        let h = &mut material.header;
+        (h.points, h.window, h.extended) = ([40, 30], [9, 7], [13, 11]);
+        (h.degree, h.offset_planes, h.lit_pitch_mm) = (None, 3, [0.5; 2]);
+        let wave = |n: usize, f: f32| (0..n).map(|k| (f * k as f32).sin()).collect::<Vec<f32>>();
+        material.incident_factors = wave(2 * 1200, 0.7);
+        material.offset_factors = wave(3 * 2 * 143, 0.3);
+        material.color_coefficients = Vec::new();
+        material.lit_mm =
+            (0..1200).map(|k| [(k % 40) as f64 * 0.5 + 0.07 * (k as f64).sin(), (k / 40) as f64 * 0.5]).collect();
+        material.shift = (0..1200).map(|k| if k % 97 == 0 { [2, -1] } else { [0, 1] }).collect();
+        let rows: Vec<f32> = (0..1200).flat_map(|i| material.evaluate_row(i)).collect();
+        let len = rows.len();
+        let block = crate::transport::RowBlock {
+            first: 0,
+            rows: 1200,
+            response: rows,
+            variance: vec![0.0; len],
+            valid: vec![1; len],
+        };
+        let grey: Vec<[f64; 3]> = (0..1200).map(|k| [(k % 7) as f64; 3]).collect();
+        let colored: Vec<[f64; 3]> = (0..1200).map(|k| [1.0, (k % 3) as f64, 0.3]).collect();
+        for fluxes in [vec![grey.clone()], vec![colored.clone(), grey]] {
+            let canvas =
+                Canvas::covering(&Source::Material(Box::new(material.clone()), "m".into()).shape(), Path::new("m"))
+                    .unwrap();
+            let few = material.shift.iter().filter(|s| **s == [2, -1]).count();
+            let ways = [few, 1200 - few].map(|n| convolution_is_faster(&material, n, &fluxes, &canvas));
+            assert_eq!(ways, [false, true], "both ways are taken");
+            let mut expected = vec![Exitance::new(canvas); fluxes.len()];
+            let source = Source::Material(Box::new(material.clone()), "m".into());
+            splat(&mut expected, &block, &source.shape(), &fluxes);
+            let found = relight(&source, &fluxes, &Progress::silent()).unwrap();
+            for (a, b) in found.iter().zip(&expected) {
+                let pairs = a.planes.iter().flatten().zip(b.planes.iter().flatten());
+                let worst = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                assert!(worst < 1e-4, "up to 63 rows of size 10 and light of 6, rounded to f32: {worst}");
+            }
         }
     }
 

@@ -79,27 +79,56 @@ impl<'a> Rows<'a> {
 
     /// R̂_d of the rows `indices`, mm⁻², into `out`, \[rows\]\[channel\]\[dy\]\[dx\]; rows that are not there are zeros.
     pub(super) fn planes(&self, indices: &[usize], out: &mut [f64]) {
+        self.each(indices, out, |index, values, _, out| {
+            out.fill(0.0);
+            self.finish(index, values, out);
+        });
+    }
+
+    /// The same as \[rows\]\[dy\]\[dx\]\[channel\].
+    pub(super) fn interleaved(&self, indices: &[usize], out: &mut [f32]) {
+        let len = self.window_len();
+        self.each(indices, out, |index, values, planes, out| {
+            planes.resize(CHANNELS * len, 0.0);
+            planes.fill(0.0);
+            self.finish(index, values, planes);
+            let (red, rest) = planes.split_at(len);
+            let (green, blue) = rest.split_at(len);
+            for (rgb, (r, (g, b))) in out.as_chunks_mut::<3>().0.iter_mut().zip(red.iter().zip(green.iter().zip(blue)))
+            {
+                *rgb = [*r as f32, *g as f32, *b as f32];
+            }
+        });
+    }
+
+    /// Multiplies the factors of a few rows at a time, and calls `finish` with each row, its planes, a buffer and its part of `out`.
+    fn each<V: Send>(
+        &self,
+        indices: &[usize],
+        out: &mut [V],
+        finish: impl Fn(usize, &[f64], &mut Vec<f64>, &mut [V]) + Sync,
+    ) {
         let len = CHANNELS * self.window_len();
         let few = (PRODUCT / (self.material.header.planes() * self.layout.len()).max(1)).clamp(1, 64);
         let parts = out.par_chunks_mut(few * len).zip(indices.par_chunks(few));
-        parts.for_each_init(Vec::new, |product, (out, indices)| {
-            self.product(indices, product);
+        let buffers = || (Vec::new(), Vec::new(), Vec::new());
+        parts.for_each_init(buffers, |(factors, product, buffer), (out, indices)| {
+            self.product(indices, factors, product);
             let width = product.len() / indices.len();
-            for ((row, values), &index) in out.chunks_exact_mut(len).zip(product.chunks_exact(width)).zip(indices) {
-                row.fill(0.0);
-                self.finish(index, values, row);
+            for ((out, values), &index) in out.chunks_exact_mut(len).zip(product.chunks_exact(width)).zip(indices) {
+                finish(index, values, buffer, out);
             }
         });
     }
 
     /// The planes of rows on the common window, \[rows\]\[plane\]\[samples\].
-    fn product(&self, indices: &[usize], product: &mut Vec<f64>) {
+    fn product(&self, indices: &[usize], factors: &mut Vec<f64>, product: &mut Vec<f64>) {
         let h = &self.material.header;
         let (planes, samples, terms) = (h.planes(), self.layout.len(), h.terms);
-        product.clear();
         product.resize(indices.len() * planes * samples, 0.0);
         for plane in 0..planes {
-            let mut factors = vec![0.0; indices.len() * terms];
+            factors.clear();
+            factors.resize(indices.len() * terms, 0.0);
             for (row, &index) in factors.chunks_exact_mut(terms.max(1)).zip(indices) {
                 let f = self.material.incident(plane, index).iter().zip(&self.material.weights);
                 row.iter_mut().zip(f).for_each(|(v, (&f, &g))| *v = f64::from(g) * f64::from(f));
@@ -109,7 +138,7 @@ impl<'a> Rows<'a> {
             matmul(
                 all.as_mut().subcols_mut(plane * samples, samples),
                 Accum::Replace,
-                MatRef::from_row_major_slice(&factors, indices.len(), terms),
+                MatRef::from_row_major_slice(factors, indices.len(), terms),
                 MatRef::from_row_major_slice(maps, terms, samples),
                 1.0,
                 Par::Seq,
@@ -140,7 +169,13 @@ impl<'a> Rows<'a> {
         let (second, third) = rest.split_at_mut(window);
         self.layout.for_each_line(shift, |k, e, n| {
             let out = [&mut first[k..k + n], &mut second[k..k + n], &mut third[k..k + n]];
-            pulp::Arch::new().dispatch(Color { values: &values[e..e + n], low, high, coefficients: &coefficients, out });
+            pulp::Arch::new().dispatch(Color {
+                values: &values[e..e + n],
+                low,
+                high,
+                coefficients: &coefficients,
+                out,
+            });
         });
     }
 }

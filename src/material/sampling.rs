@@ -6,7 +6,7 @@
 //! and where negative samples cancel, only less close to the response.
 
 use super::Material;
-use super::evaluator::{LANES, product};
+use super::evaluator::LANES;
 use crate::transport::normalize::Layout;
 
 /// Share of the draws that are uniform over the window.
@@ -47,7 +47,8 @@ struct Part {
 
 impl Part {
     fn of(layout: Layout, shift: [i16; 2]) -> Self {
-        let first = |a: usize| (layout.extended[a] / 2) as isize - (layout.window[a] / 2) as isize - isize::from(shift[a]);
+        let first =
+            |a: usize| (layout.extended[a] / 2) as isize - (layout.window[a] / 2) as isize - isize::from(shift[a]);
         let end = |a: usize| (first(a) + layout.window[a] as isize).min(layout.extended[a] as isize);
         Self { low: [first(0).max(0), first(1).max(0)], high: [end(0), end(1)] }
     }
@@ -115,15 +116,16 @@ impl Tree {
     }
 
     /// The probabilities of the quarters of a square at level `level` + 1. The factors are those of a row, \[A, T\].
+    #[inline(always)]
     fn quarters(&self, level: usize, square: [usize; 2], part: &Part, factors: &[f32]) -> [f64; 4] {
         let Level { width, sums } = &self.levels[level];
         let records = &sums[(square[0] + square[1] * width) * 4 * factors.len()..];
         let child = |q: usize| [2 * square[0] + q % 2, 2 * square[1] + q / 2];
-        let counts: [usize; 4] = std::array::from_fn(|q| part.overlap(child(q), 1 << level));
-        let share: [f64; 4] = std::array::from_fn(|q| match counts[q] {
-            0 => 0.0,
-            _ => product(&self.weights, factors, &records[q * factors.len()..][..factors.len()]).max(0.0),
-        });
+        let counts = [0, 1, 2, 3].map(|q| part.overlap(child(q), 1 << level));
+        let mut share = products(&self.weights, factors, records);
+        for q in 0..4 {
+            share[q] = if counts[q] == 0 { 0.0 } else { share[q].max(0.0) };
+        }
         let total: f64 = share.iter().sum();
         if total > 0.0 && total.is_finite() {
             return share.map(|s| s / total);
@@ -134,6 +136,11 @@ impl Tree {
 
     /// Draws an offset for a row with these factors.
     pub(super) fn sample(&self, factors: &[f32], layout: Layout, shift: [i16; 2], random: f64) -> Option<Sampled> {
+        pulp::Arch::new().dispatch(Draw { tree: self, factors, layout, shift, random })
+    }
+
+    #[inline(always)]
+    fn draw(&self, factors: &[f32], layout: Layout, shift: [i16; 2], random: f64) -> Option<Sampled> {
         let part = Part::of(layout, shift);
         let [width, height] = part.size();
         if width * height == 0 {
@@ -178,10 +185,12 @@ impl Tree {
         };
         let (Some(x), Some(y)) = (place(0), place(1)) else { return 0.0 };
         let [width, height] = part.size();
-        mixed(self.chosen(factors, &part, [x, y]), width * height)
+        let chosen = pulp::Arch::new().dispatch(Walk { tree: self, factors, part: &part, at: [x, y] });
+        mixed(chosen, width * height)
     }
 
     /// The probability of the choices that lead to a sample of the common window.
+    #[inline(always)]
     fn chosen(&self, factors: &[f32], part: &Part, at: [usize; 2]) -> f64 {
         let mut chosen = 1.0;
         for level in (0..self.levels.len()).rev() {
@@ -193,7 +202,61 @@ impl Tree {
     }
 }
 
+/// Σ_j g_j f_j H_j of four quarters. Plain loops: what goes through a closure is not compiled for the vector instructions at hand.
+#[inline(always)]
+fn products(g: &[f64], f: &[f32], sums: &[f32]) -> [f64; 4] {
+    let (g, f) = (g.as_chunks::<LANES>().0, f.as_chunks::<LANES>().0);
+    let sums = sums.as_chunks::<LANES>().0;
+    let n = g.len().min(f.len()).min(sums.len() / 4);
+    let quarters = [&sums[..n], &sums[n..2 * n], &sums[2 * n..3 * n], &sums[3 * n..4 * n]];
+    let mut out = [[0.0; LANES]; 4];
+    for k in 0..n {
+        for lane in 0..LANES {
+            let gf = g[k][lane] * f64::from(f[k][lane]);
+            for q in 0..4 {
+                out[q][lane] += gf * f64::from(quarters[q][k][lane]);
+            }
+        }
+    }
+    out.map(|s| (s[0] + s[1]) + (s[2] + s[3]))
+}
+
 /// With the share that is uniform over `samples`.
 fn mixed(chosen: f64, samples: usize) -> f64 {
     UNIFORM / samples as f64 + (1.0 - UNIFORM) * chosen
+}
+
+/// [`Tree::sample`] with the vector instructions at hand.
+struct Draw<'a> {
+    tree: &'a Tree,
+    factors: &'a [f32],
+    layout: Layout,
+    shift: [i16; 2],
+    random: f64,
+}
+
+impl pulp::NullaryFnOnce for Draw<'_> {
+    type Output = Option<Sampled>;
+
+    #[inline(always)]
+    fn call(self) -> Option<Sampled> {
+        self.tree.draw(self.factors, self.layout, self.shift, self.random)
+    }
+}
+
+/// [`Tree::chosen`] with them: the same numbers, so that a probability is that of the draw to the last bit.
+struct Walk<'a> {
+    tree: &'a Tree,
+    factors: &'a [f32],
+    part: &'a Part,
+    at: [usize; 2],
+}
+
+impl pulp::NullaryFnOnce for Walk<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        self.tree.chosen(self.factors, self.part, self.at)
+    }
 }

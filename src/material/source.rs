@@ -5,7 +5,6 @@ use super::{Material, MaterialHeader};
 use crate::geometry::Point;
 use crate::transport::{MatrixReader, RowBlock};
 use crate::{Error, Result};
-use rayon::prelude::*;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -93,14 +92,9 @@ impl Source {
             Self::Matrix(reader) => reader.read(rows),
             Self::Material(material, _) => {
                 let indices: Vec<usize> = rows.clone().collect();
-                let evaluator = Rows::new(material);
-                let (len, n) = (evaluator.window_len(), indices.len() * material.header.row_len());
-                let (mut planes, mut response) = (vec![0.0; n], vec![0.0; n]);
-                evaluator.planes(&indices, &mut planes);
-                let each = response.par_chunks_mut(3 * len).zip(planes.par_chunks(3 * len));
-                each.for_each(|(row, planes)| {
-                    row.iter_mut().enumerate().for_each(|(k, v)| *v = planes[k % 3 * len + k / 3] as f32);
-                });
+                let n = indices.len() * material.header.row_len();
+                let mut response = vec![0.0; n];
+                Rows::new(material).interleaved(&indices, &mut response);
                 let (variance, valid) = (vec![0.0; n], vec![1; n]);
                 Ok(RowBlock { first: rows.start, rows: rows.len(), response, variance, valid })
             }

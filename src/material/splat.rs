@@ -65,9 +65,8 @@ pub(super) struct Corner {
 impl Canvas {
     /// Of the window around a lit point.
     pub(super) fn corner(&self, point: [f64; 2], window: [usize; 2]) -> Corner {
-        let corner: [f64; 2] = std::array::from_fn(|a| {
-            ((point[a] - self.origin_mm[a]) / self.pitch_mm - (window[a] / 2) as f64).max(0.0)
-        });
+        let corner: [f64; 2] =
+            std::array::from_fn(|a| ((point[a] - self.origin_mm[a]) / self.pitch_mm - (window[a] / 2) as f64).max(0.0));
         let base = corner.map(f64::floor);
         Corner { at: base.map(|b| b as usize), beyond: [corner[0] - base[0], corner[1] - base[1]] }
     }
@@ -98,7 +97,8 @@ impl Band<'_> {
         if start >= end {
             return;
         }
-        let weights = [[(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy)], [(1.0 - fx) * fy, fx * fy]].map(|w| w.map(|w| w * flux));
+        let weights =
+            [[(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy)], [(1.0 - fx) * fy, fx * fy]].map(|w| w.map(|w| w * flux));
         let read = |dy: Option<usize>, into: &mut Vec<f64>| match dy.filter(|&dy| dy < window[1]) {
             Some(dy) => line(dy, &mut into[1..=window[0]]),
             None => into.fill(0.0),

@@ -116,7 +116,9 @@ pub fn locate_rim(picture: &Radiance, segment: &RimSegment, start: Option<f64>) 
         Some(offset) => {
             let same = |place: &RimPlace| (place.offset_px - offset).abs() <= SAME_PX;
             let near = settle(&pixels, offset, SOFTNESS_PX[1]).filter(|(place, _)| same(place));
-            let near = near.and_then(|(place, _)| best(&mut softer(place.offset_px).into_iter().flatten())).filter(|(place, _)| same(place));
+            let near = near
+                .and_then(|(place, _)| best(&mut softer(place.offset_px).into_iter().flatten()))
+                .filter(|(place, _)| same(place));
             (near.or_else(|| everywhere(&[-1.0, 0.0, 1.0].map(|d| offset + d)))?, HALF_ACROSS - 1.0)
         }
         None => (everywhere(&[-2.0, -1.0, 0.0, 1.0, 2.0])?, HALF_ACROSS - 2.0),
