@@ -1,6 +1,7 @@
 use super::Context;
 use crate::Result;
 use crate::factor::{Options, factor};
+use crate::material::Model;
 use crate::transport::MatrixReader;
 use std::path::PathBuf;
 
@@ -14,9 +15,9 @@ Examples:
 pub struct Args {
     /// The matrix, a folder *.rd.zarr.
     matrix: PathBuf,
-    /// The factorization.
-    #[arg(long, value_enum, default_value_t = Model::Tucker)]
-    model: Model,
+    /// What the material is [default: tucker when --degree is given, else joint; with a target whichever serves it better].
+    #[arg(long, value_enum)]
+    model: Option<Model>,
     /// Number of terms [default: as many as exceed the measured noise].
     #[arg(long, value_name = "T")]
     terms: Option<usize>,
@@ -34,14 +35,7 @@ pub struct Args {
     out: Option<PathBuf>,
 }
 
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum Model {
-    /// Intensity by error modelling, colour by a polynomial per lit point.
-    Tucker,
-}
-
 pub fn run(args: Args, context: &Context) -> Result<()> {
-    let Model::Tucker = args.model;
     let out = args.out.unwrap_or_else(|| {
         let name = args.matrix.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         PathBuf::from(format!("{}.safetensors", name.trim_end_matches(".zarr").trim_end_matches(".rd")))
@@ -49,6 +43,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     super::check_output(&out, &[&args.matrix])?;
     let reader = MatrixReader::open(&args.matrix)?;
     let options = Options {
+        model: args.model,
         terms: args.terms,
         degree: args.degree,
         peak_shift: !args.no_peak_shift,

@@ -5,83 +5,161 @@
 //! the factorization itself, fitted to what the row measured. Iterating that is expectation maximization for
 //! probabilistic PCA with missing data (`Tipping1999`); estimates never enter the colour regression or a measure.
 
-use super::svd::LowRank;
-use faer::linalg::matmul::matmul;
-use faer::{Accum, Col, Mat, Par};
+use super::backend::LowRank;
+use super::vector::dot;
+use rayon::prelude::*;
+
+/// Which columns of a row were not measured.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Missing {
+    /// None.
+    Nothing,
+    /// Those of a pattern that many rows share, by its number.
+    Pattern(usize),
+    /// These, ascending.
+    Columns(Vec<u32>),
+}
 
 /// Profiles that a row is composed of, with how much of each to expect.
 #[derive(Debug, Clone)]
 pub struct Basis {
     /// Profiles, \[k, columns\].
     vectors: Vec<f64>,
-    /// Expected variance of each coefficient, \[k\]; infinite when nothing is known.
-    prior: Vec<f64>,
-    /// Variance of a sample's deviation from the profiles.
-    noise: f64,
+    /// What is added to the diagonal: noise variance over the expected variance of each coefficient, \[k\].
+    ridge: Vec<f64>,
     columns: usize,
+}
+
+/// A basis and the solved systems of the gaps that many rows share.
+pub(super) struct PreparedBasis<'a> {
+    basis: &'a Basis,
+    /// Products of the profiles, \[k, k\].
+    gram: Vec<f64>,
+    patterns: Vec<(&'a [u32], Cholesky)>,
 }
 
 impl Basis {
     /// The mean profile, in any amount.
-    pub fn mean(profile: Vec<f64>) -> Self {
-        Self { columns: profile.len(), vectors: profile, prior: vec![f64::INFINITY], noise: 0.0 }
+    pub fn mean(profile: &[f64]) -> Self {
+        Self { columns: profile.len(), vectors: profile.to_vec(), ridge: vec![0.0] }
     }
 
     /// The first `terms` of a factorization of `rows` rows; `noise` is the variance of one sample.
     pub fn factors(low_rank: &LowRank, terms: usize, rows: usize, columns: usize, noise: f64) -> Self {
-        let prior = low_rank.singular_values.iter().take(terms).map(|s| s * s / rows.max(1) as f64).collect();
-        let vectors = low_rank.vectors[..terms.min(low_rank.singular_values.len()) * columns].to_vec();
         // A floor that keeps the system solvable when rows are exact: a millionth of the peak.
-        Self { vectors, prior, noise: noise.max(1e-12), columns }
+        let noise = noise.max(1e-12);
+        let variance = |s: &f64| s * s / rows.max(1) as f64;
+        let ridge = low_rank.singular_values.iter().take(terms).map(|s| noise / variance(s)).collect();
+        let vectors = low_rank.vectors[..terms.min(low_rank.singular_values.len()) * columns].to_vec();
+        Self { vectors, ridge, columns }
     }
 
-    /// Replaces the samples of `row` that were not measured; a row without any measured sample stays as it is.
-    pub fn fill(&self, row: &mut [f64], measured: &[bool]) {
-        let known: Vec<usize> = (0..row.len()).filter(|&d| measured[d]).collect();
-        if known.is_empty() || known.len() == row.len() {
-            return;
-        }
-        let k = self.prior.len();
-        let profile = |j: usize| &self.vectors[j * self.columns..(j + 1) * self.columns];
-        let profiles = Mat::from_fn(known.len(), k, |i, j| profile(j)[known[i]]);
-        let values = Col::from_fn(known.len(), |i| row[known[i]]);
-        let (mut normal, mut rhs) = (Mat::<f64>::zeros(k, k), Col::<f64>::zeros(k));
-        // On one thread each: rows are filled side by side.
-        matmul(normal.as_mut(), Accum::Replace, profiles.transpose(), profiles.as_ref(), 1.0, Par::Seq);
-        matmul(rhs.as_mut(), Accum::Replace, profiles.transpose(), values.as_ref(), 1.0, Par::Seq);
+    fn profile(&self, j: usize) -> &[f64] {
+        &self.vectors[j * self.columns..(j + 1) * self.columns]
+    }
+
+    /// Solves what rows with one of these patterns of missing columns have in common.
+    pub(super) fn prepared<'a>(&'a self, patterns: &'a [([i16; 2], Vec<u32>)]) -> PreparedBasis<'a> {
+        let k = self.ridge.len();
+        let mut gram = vec![0.0; k * k];
         for a in 0..k {
-            normal[(a, a)] += if self.prior[a] > 0.0 { self.noise / self.prior[a] } else { f64::INFINITY };
+            for b in 0..=a {
+                gram[a * k + b] = dot(self.profile(a), self.profile(b));
+            }
         }
-        let normal = (0..k * k).map(|at| normal[(at / k, at % k)]).collect();
-        let rhs = rhs.iter().copied().collect();
-        let Some(coefficients) = solve(normal, rhs) else { return };
-        for (d, value) in row.iter_mut().enumerate().filter(|(d, _)| !measured[*d]) {
-            *value = coefficients.iter().enumerate().map(|(j, c)| c * profile(j)[d]).sum();
-        }
+        let mut prepared = PreparedBasis { basis: self, gram, patterns: Vec::new() };
+        let solved = patterns.par_iter().map(|(_, columns)| (columns.as_slice(), prepared.solved(columns)));
+        prepared.patterns = solved.collect();
+        prepared
     }
 }
 
-/// Solves a symmetric positive definite system (lower half given) by Cholesky; a pivot that is not positive, or not
-/// finite, drops its unknown. `None` when the result is not finite.
-fn solve(mut a: Vec<f64>, mut b: Vec<f64>) -> Option<Vec<f64>> {
-    let k = b.len();
-    for j in 0..k {
-        let pivot = a[j * k + j] - (0..j).map(|p| a[j * k + p] * a[j * k + p]).sum::<f64>();
-        let usable = pivot.is_finite() && pivot > 1e-14 * a[j * k + j];
-        let root = if usable { pivot.sqrt() } else { f64::INFINITY };
-        a[j * k + j] = root;
-        for i in j + 1..k {
-            let dot: f64 = (0..j).map(|p| a[i * k + p] * a[j * k + p]).sum();
-            a[i * k + j] = (a[i * k + j] - dot) / root;
+impl PreparedBasis<'_> {
+    /// The system of a row that misses `columns`, factored.
+    fn solved(&self, columns: &[u32]) -> Cholesky {
+        let k = self.basis.ridge.len();
+        let mut normal = self.gram.clone();
+        let mut at = vec![0.0; k];
+        for &d in columns {
+            (0..k).for_each(|j| at[j] = self.basis.vectors[j * self.basis.columns + d as usize]);
+            for a in 0..k {
+                for b in 0..=a {
+                    normal[a * k + b] -= at[a] * at[b];
+                }
+            }
         }
+        for (j, ridge) in self.basis.ridge.iter().enumerate() {
+            normal[j * k + j] += ridge;
+        }
+        Cholesky::new(normal, k)
     }
-    for i in 0..k {
-        b[i] = (b[i] - (0..i).map(|p| a[i * k + p] * b[p]).sum::<f64>()) / a[i * k + i];
+
+    /// Replaces the samples that were not measured in a block of rows; a row without any measured sample stays as it is.
+    pub fn fill(&self, values: &mut [f32], missing: &[Missing]) {
+        let rows = values.par_chunks_mut(self.basis.columns.max(1)).zip(missing);
+        rows.for_each(|(row, missing)| match missing {
+            Missing::Nothing => {}
+            Missing::Pattern(k) => {
+                if let Some((columns, cholesky)) = self.patterns.get(*k) {
+                    self.fill_row(row, columns, cholesky);
+                }
+            }
+            Missing::Columns(columns) => self.fill_row(row, columns, &self.solved(columns)),
+        });
     }
-    for i in (0..k).rev() {
-        b[i] = (b[i] - (i + 1..k).map(|p| a[p * k + i] * b[p]).sum::<f64>()) / a[i * k + i];
+
+    fn fill_row(&self, row: &mut [f32], columns: &[u32], cholesky: &Cholesky) {
+        if columns.is_empty() || columns.len() == row.len() {
+            return;
+        }
+        columns.iter().for_each(|&d| row[d as usize] = 0.0);
+        let known: Vec<f64> = row.iter().map(|&v| f64::from(v)).collect();
+        let mut amounts: Vec<f64> = (0..self.basis.ridge.len()).map(|j| dot(self.basis.profile(j), &known)).collect();
+        if !cholesky.solve(&mut amounts) {
+            return;
+        }
+        let mut filled = vec![0.0; columns.len()];
+        for (j, &amount) in amounts.iter().enumerate() {
+            let profile = self.basis.profile(j);
+            filled.iter_mut().zip(columns).for_each(|(v, &d)| *v += amount * profile[d as usize]);
+        }
+        filled.iter().zip(columns).for_each(|(&v, &d)| row[d as usize] = v as f32);
     }
-    b.iter().all(|v| v.is_finite()).then_some(b)
+}
+
+/// The lower triangular factor of a symmetric positive definite matrix; a pivot that is not positive, or not finite, drops its unknown.
+struct Cholesky {
+    lower: Vec<f64>,
+    k: usize,
+}
+
+impl Cholesky {
+    /// From the lower half of a row-major \[k, k\] matrix.
+    fn new(mut a: Vec<f64>, k: usize) -> Self {
+        for j in 0..k {
+            let pivot = a[j * k + j] - (0..j).map(|p| a[j * k + p] * a[j * k + p]).sum::<f64>();
+            let usable = pivot.is_finite() && pivot > 1e-14 * a[j * k + j];
+            let root = if usable { pivot.sqrt() } else { f64::INFINITY };
+            a[j * k + j] = root;
+            for i in j + 1..k {
+                let dot: f64 = (0..j).map(|p| a[i * k + p] * a[j * k + p]).sum();
+                a[i * k + j] = (a[i * k + j] - dot) / root;
+            }
+        }
+        Self { lower: a, k }
+    }
+
+    /// Whether the solution, in place of `b`, is finite.
+    fn solve(&self, b: &mut [f64]) -> bool {
+        let (a, k) = (&self.lower, self.k);
+        for i in 0..k {
+            b[i] = (b[i] - (0..i).map(|p| a[i * k + p] * b[p]).sum::<f64>()) / a[i * k + i];
+        }
+        for i in (0..k).rev() {
+            b[i] = (b[i] - (i + 1..k).map(|p| a[p * k + i] * b[p]).sum::<f64>()) / a[i * k + i];
+        }
+        b.iter().all(|v| v.is_finite())
+    }
 }
 
 /// Extends a profile into samples that no row measured: each takes the nearest measured sample of its line, and
@@ -106,30 +184,38 @@ pub fn extend_edges(values: &mut [f64], measured: &[bool], size: [usize; 2]) {
 mod tests {
     use super::*;
 
+    fn filled(basis: &Basis, row: &[f32], missing: &[u32]) -> Vec<f32> {
+        let mut own = row.to_vec();
+        basis.prepared(&[]).fill(&mut own, &[Missing::Columns(missing.to_vec())]);
+        let mut shared = row.to_vec();
+        basis.prepared(&[([0, 0], missing.to_vec())]).fill(&mut shared, &[Missing::Pattern(0)]);
+        assert_eq!(own, shared);
+        own
+    }
+
     #[test]
     fn a_row_of_the_mean_profile_is_completed_exactly() {
-        let basis = Basis::mean(vec![1.0, 4.0, 2.0, 0.5]);
-        let mut row = vec![0.0, 8.0, 4.0, 0.0];
-        basis.fill(&mut row, &[false, true, true, false]);
-        assert_eq!(row, [2.0, 8.0, 4.0, 1.0]);
+        let basis = Basis::mean(&[1.0, 4.0, 2.0, 0.5]);
+        assert_eq!(filled(&basis, &[0.0, 8.0, 4.0, 0.0], &[0, 3]), [2.0, 8.0, 4.0, 1.0]);
     }
 
     #[test]
     fn a_row_of_two_terms_is_completed_to_the_ridge() {
-        let low = LowRank { singular_values: vec![3.0, 1.0], vectors: vec![0.5, 0.5, 0.5, 0.5, 0.5, -0.5, 0.5, -0.5] };
-        let basis = Basis::factors(&low, 2, 4, 4, 0.0);
-        let mut row = vec![3.0, 1.0, 0.0, 0.0];
-        basis.fill(&mut row, &[true, true, false, false]);
-        // The ridge of 1e-12 against a variance of 0.25 biases by 1e-11.
-        assert!((row[2] - 3.0).abs() < 1e-10 && (row[3] - 1.0).abs() < 1e-10, "{row:?}");
+        let low = LowRank::new(vec![3.0, 1.0], vec![0.5, 0.5, 0.5, 0.5, 0.5, -0.5, 0.5, -0.5]);
+        let row = filled(&Basis::factors(&low, 2, 4, 4, 0.0), &[3.0, 1.0, 0.0, 0.0], &[2, 3]);
+        // The ridge of 1e-12 against a variance of 0.25 biases by 1e-11; rows are f32.
+        assert!((row[2] - 3.0).abs() < 1e-6 && (row[3] - 1.0).abs() < 1e-6, "{row:?}");
     }
 
     #[test]
     fn profiles_that_cannot_be_told_apart_still_give_finite_numbers() {
-        let low = LowRank { singular_values: vec![1.0, 0.0], vectors: vec![1.0, 0.0, 0.0, 1.0] };
-        let mut row = vec![2.0, 0.0];
-        Basis::factors(&low, 2, 3, 2, 0.0).fill(&mut row, &[true, false]);
-        assert_eq!(row, [2.0, 0.0]);
+        let low = LowRank::new(vec![1.0, 0.0], vec![1.0, 0.0, 0.0, 1.0]);
+        assert_eq!(filled(&Basis::factors(&low, 2, 3, 2, 0.0), &[2.0, 0.0], &[1]), [2.0, 0.0]);
+    }
+
+    #[test]
+    fn a_row_without_any_sample_stays_as_it_is() {
+        assert_eq!(filled(&Basis::mean(&[1.0, 2.0]), &[0.0, 0.0], &[0, 1]), [0.0, 0.0]);
     }
 
     #[test]

@@ -1,11 +1,243 @@
 //! Factor: the matrix, streamed, to a compact material.
+//!
+//! All models go the same way: a survey places the rows, what is factored of them (intensity, grey, three channels) is decomposed into
+//! terms (singular triplets or a non-negative product), and where the model has one a colour polynomial is fitted to every row.
 
+mod backend;
+mod choose;
 mod color;
 mod fill;
 mod noise;
+mod nonnegative;
+mod regression;
+mod rows;
 mod survey;
-mod svd;
-mod tucker;
+mod terms;
+mod vector;
 
-pub use svd::Backend;
-pub use tucker::{Factored, Options, factor};
+pub use backend::Backend;
+pub use choose::Goal;
+pub use color::MOST_DEGREE;
+
+use crate::material::{Material, Model};
+use crate::progress::Progress;
+use crate::transport::MatrixReader;
+use crate::{Error, Result};
+use rows::{Content, PreparedRows};
+
+/// How to factor.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Options {
+    /// The model; `None`: `tucker` when a degree is asked for, else `joint`, or with a goal whichever of the two serves it better.
+    pub model: Option<Model>,
+    /// For `peers2006`: the intensity is factored and the colour of each row a polynomial of it, as in `tucker`.
+    pub color_regression: bool,
+    /// T; `None`: as the goal says. Never more than the matrix has.
+    pub terms: Option<usize>,
+    /// P, 0 to 15; `None`: as the goal says.
+    pub degree: Option<usize>,
+    /// What decides on T, P and the model where they are not given.
+    pub goal: Goal,
+    /// Whether rows are moved so that their peaks coincide; the paper does.
+    pub peak_shift: bool,
+    /// How far a peak may be from its lit point, in samples; `None`: a quarter of the window. Beyond it the brightest
+    /// sample is rather another dot or noise than where this dot's light leaves.
+    pub max_shift: Option<usize>,
+    /// The most terms that the noise may choose; 40, well above the paper's 15. A goal may choose up to four times as many.
+    pub max_terms: usize,
+    /// The highest degree that is chosen when not given; 15, twice the paper's 7.
+    pub max_degree: usize,
+    /// How often samples that a row did not measure are estimated anew from the factors; 2, after which the
+    /// spectrum above the noise no longer changes visibly. Not used when nothing is missing.
+    pub fill_rounds: usize,
+    /// How the truncated SVD is computed; `None`: by size and `accuracy`.
+    pub backend: Option<Backend>,
+    /// What singular values may be off by, relative to the largest; 1e-5, a tenth of what the most careful capture can tell.
+    pub accuracy: f64,
+    /// Bytes that the rows may take in memory; beyond it they are read from the store at every pass. `None`: half of the machine's.
+    pub memory_bytes: Option<u64>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            model: None,
+            color_regression: false,
+            terms: None,
+            degree: None,
+            goal: Goal::Noise,
+            peak_shift: true,
+            max_shift: None,
+            max_terms: 40,
+            max_degree: MOST_DEGREE,
+            fill_rounds: 2,
+            backend: None,
+            accuracy: 1e-5,
+            memory_bytes: None,
+        }
+    }
+}
+
+/// A material and what the factorization says about itself.
+#[derive(Debug, Clone)]
+pub struct Factored {
+    /// The material.
+    pub material: Material,
+    /// ‖R̂−R‖ / ‖R‖ over the valid entries of the matrix it was made from.
+    pub rel_rmse: f64,
+    /// `psnr_db` of `docs/metrics.md` on the same entries; `None` when nothing is left or nothing was there.
+    pub psnr_db: Option<f64>,
+    /// Why it has the terms and the degree that it has, and how they were computed, one line.
+    pub choice: String,
+    /// How the SVD was computed.
+    pub backend: Backend,
+}
+
+/// Squared errors of a fit and what they are measured by.
+#[derive(Debug, Clone, Copy)]
+struct Misfit {
+    /// Σ (R̂−R)².
+    error: f64,
+    /// Σ R².
+    energy: f64,
+    peak: f64,
+    entries: u64,
+}
+
+impl Misfit {
+    fn rel_rmse(&self) -> f64 {
+        if self.energy > 0.0 { (self.error / self.energy).sqrt() } else { 0.0 }
+    }
+
+    fn psnr_db(&self) -> Option<f64> {
+        let rmse = (self.error / self.entries.max(1) as f64).sqrt();
+        (self.peak > 0.0 && rmse > 0.0).then(|| 20.0 * (self.peak / rmse).log10())
+    }
+}
+
+/// Factors a matrix.
+///
+/// Reads the store twice where its rows (as they are factored) fit into `memory_bytes`; otherwise once for the survey and once for each
+/// pass of the back end, so that memory is bounded by a block of rows, the factors, and what the back end keeps of columns (their square
+/// with [`Backend::Gram`], all rows with [`Backend::Full`]).
+///
+/// # Errors
+/// [`Error::Setting`] for options out of range; those of the reader; [`Error::NotFinite`] when a response is so
+/// large that a coefficient does not fit an f32.
+pub fn factor(reader: &MatrixReader, options: &Options, progress: &Progress) -> Result<Factored> {
+    options.check()?;
+    let one = |model| factor_as(reader, model, options, progress);
+    match (options.model, options.degree, options.goal) {
+        (Some(model), ..) => one(model),
+        (None, Some(_), _) => one(Model::Tucker),
+        (None, None, Goal::Noise) => one(Model::Joint),
+        (None, None, goal) => {
+            let (joint, tucker) = (one(Model::Joint)?, one(Model::Tucker)?);
+            Ok(if goal.prefers(&tucker, &joint) { tucker } else { joint })
+        }
+    }
+}
+
+fn factor_as(reader: &MatrixReader, model: Model, options: &Options, progress: &Progress) -> Result<Factored> {
+    let window = reader.header().window;
+    let limit: [usize; 2] = match options.peak_shift {
+        true => std::array::from_fn(|a| options.max_shift.unwrap_or(window[a] / 4).min(window[a] / 2).min(30_000)),
+        false => [0, 0],
+    };
+    let memory = options.memory_bytes.unwrap_or_else(half_of_memory);
+    let regression = model == Model::Tucker || (model == Model::Peers2006 && options.color_regression);
+    let colored = if regression { Content::Intensity } else { Content::Channels };
+    let prepared = |content| PreparedRows::new(reader, content, limit, memory, progress);
+    let grey = options.degree.is_none() && choose::looks_grey(reader)?;
+    let mut rows = prepared(if grey { Content::Grey } else { colored })?;
+    if grey && !rows.survey.grey {
+        rows = prepared(colored)?;
+    }
+    let mut fit = terms::fit(reader, &mut rows, model, options)?;
+    let mut why_degree = String::new();
+    if rows.content == Content::Intensity {
+        let degree = match (options.degree, fit.degree) {
+            (Some(p), _) => (p, "as asked".to_owned()),
+            (None, Some(p)) => (p, "as the goal asks".to_owned()),
+            (None, None) => choose::degree_by_noise(reader, &fit.material, options.max_degree)?,
+        };
+        why_degree = format!("; degree {}: {}", degree.0, degree.1);
+        let survey = &rows.survey;
+        let error = regression::color(reader, &mut fit.material, degree.0, progress)?;
+        fit.misfit = Misfit { error, energy: survey.energy, peak: survey.peak, entries: survey.entries };
+    }
+    let terms = fit.material.header.terms;
+    let grey =
+        if rows.content == Content::Grey { ", no colour: the channels differ by no more than noise" } else { "" };
+    let choice = format!("{model}, terms {terms}: {}{why_degree}{grey}; {}", fit.why, fit.how);
+    let (rel_rmse, psnr_db) = (fit.misfit.rel_rmse(), fit.misfit.psnr_db());
+    let mut material = fit.material;
+    check_finite(reader, &material)?;
+    material.header.provenance = serde_json::json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "options": options,
+        "backend": fit.backend,
+        "choice": choice,
+        "rel_rmse": rel_rmse,
+        "matrix": reader.header().provenance,
+    });
+    Ok(Factored { material, rel_rmse, psnr_db, choice, backend: fit.backend })
+}
+
+/// Half of the machine's memory; 4 GiB where the system does not tell.
+fn half_of_memory() -> u64 {
+    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let total =
+        text.lines().find_map(|l| l.strip_prefix("MemTotal:")?.trim().strip_suffix("kB")?.trim().parse::<u64>().ok());
+    total.map_or(4 << 30, |kib| kib * 512)
+}
+
+/// Refuses a material that holds what no file may.
+fn check_finite(reader: &MatrixReader, material: &Material) -> Result<()> {
+    let tensors = [
+        ("weights", &material.weights),
+        ("incident_factors", &material.incident_factors),
+        ("offset_factors", &material.offset_factors),
+        ("profile", &material.profile),
+        ("color_coefficients", &material.color_coefficients),
+    ];
+    for (field, values) in tensors {
+        if let Some(at) = values.iter().position(|v| !v.is_finite()) {
+            let (found, at) = (f64::from(values[at]), format!("number {at}"));
+            return Err(Error::NotFinite { path: reader.path().to_path_buf(), field, found, at });
+        }
+    }
+    Ok(())
+}
+
+impl Options {
+    /// Refuses values that make no material.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] naming the option as typed.
+    pub fn check(&self) -> Result<()> {
+        let refuse =
+            |setting, expected: &str, found: String| Err(Error::Setting { setting, expected: expected.into(), found });
+        let degree = "0 to 15";
+        match self {
+            Self { terms: Some(0), .. } => refuse("--terms", "at least 1", "0".into()),
+            Self { max_terms: 0, .. } => refuse("--max-terms", "at least 1", "0".into()),
+            Self { degree: Some(p), .. } if *p > MOST_DEGREE => refuse("--degree", degree, p.to_string()),
+            Self { max_degree: p, .. } if *p > MOST_DEGREE => refuse("--max-degree", degree, p.to_string()),
+            Self { degree: Some(p), model: Some(Model::Joint), .. } => {
+                refuse("--degree", "none, the model joint has no colour polynomial", p.to_string())
+            }
+            Self { degree: Some(p), model: Some(Model::Peers2006), color_regression: false, .. } => {
+                refuse("--degree", "none without --color-regression", p.to_string())
+            }
+            Self { accuracy: a, .. } if !(*a > 0.0 && *a < 1.0) => {
+                refuse("--accuracy", "above 0 and below 1", a.to_string())
+            }
+            Self { goal: Goal::Psnr(db), .. } if !(*db > 0.0 && *db <= 150.0) => {
+                refuse("--target-psnr", "above 0 and up to 150 dB", db.to_string())
+            }
+            Self { goal: Goal::Bytes(0), .. } => refuse("--max-bytes", "at least 1", "0".into()),
+            _ => Ok(()),
+        }
+    }
+}

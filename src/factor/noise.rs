@@ -1,30 +1,28 @@
 //! How large the singular values of noise alone would be, and so how many terms the measurement supports.
 
-use crate::transport::{
-    normalize::Placement,
-    rows::{RowView, gradient, intensity},
-};
+use super::rows::Content;
+use crate::transport::rows::{RowView, gradient, intensity};
 
 /// Half a unit in the last place of an f32, relative: what storing the rows as f32 leaves undetermined.
 pub(super) const F32_ROUNDING: f64 = 1.0 / (1 << 24) as f64;
 
-/// Variance of one row's normalized intensity, split by cause.
+/// Variance of one row as it is factored, split by cause.
 #[derive(Debug, Clone)]
 pub struct RowNoise {
-    /// Independent from sample to sample (photons, read noise, rounding), \[window\].
+    /// Independent from sample to sample (photons, read noise, rounding), \[plane, window\].
     pub independent: Vec<f64>,
     /// Σ_d of the variance that the uncertain place of the lit point causes; fully correlated along the row.
     pub registration: f64,
 }
 
-/// Splits the variance of a row.
+/// Splits the variance of a row, in the unit of the factored rows over `scale`.
 ///
 /// The matrix's `variance` holds both parts, the second as sd² |∇R|²: it is subtracted here, channel by channel,
 /// because channels share it, whereas their photon noise averages out.
-pub fn row_noise(row: RowView<'_>, placement: &Placement, window: [usize; 2], position_sd_px: f64) -> RowNoise {
+pub fn row_noise(row: RowView<'_>, content: Content, scale: f64, window: [usize; 2], position_sd_px: f64) -> RowNoise {
     let n = window[0] * window[1];
-    let mut independent = vec![0.0; n];
-    if placement.scale <= 0.0 {
+    let mut independent = vec![0.0; n * content.planes()];
+    if row.variance.is_empty() || !scale.is_finite() {
         return RowNoise { independent, registration: 0.0 };
     }
     let position = position_sd_px * position_sd_px;
@@ -32,23 +30,43 @@ pub fn row_noise(row: RowView<'_>, placement: &Placement, window: [usize; 2], po
         let [gx, gy] = gradient(values, measured, window);
         gx.iter().zip(&gy).map(|(x, y)| x * x + y * y).collect()
     };
+    let mut registration = 0.0;
     for c in 0..3 {
-        let channel: Vec<f64> = row.response.iter().skip(c).step_by(3).map(|&v| f64::from(v)).collect();
-        let valid: Vec<bool> = row.valid.iter().skip(c).step_by(3).map(|&v| v != 0).collect();
-        let steep = if position > 0.0 { slope(&channel, &valid) } else { vec![0.0; n] };
-        for k in 0..n {
-            independent[k] += (f64::from(row.variance[3 * k + c]) - position * steep[k]).max(0.0) / 9.0;
+        let steep = (position > 0.0).then(|| {
+            let channel: Vec<f64> = row.response.iter().skip(c).step_by(3).map(|&v| f64::from(v)).collect();
+            let valid: Vec<bool> = row.valid.iter().skip(c).step_by(3).map(|&v| v != 0).collect();
+            slope(&channel, &valid)
+        });
+        let channels = content == Content::Channels;
+        let (to, share) = if channels { (c * n, 1.0) } else { (0, 1.0 / 9.0) };
+        for (k, v) in row.variance.iter().skip(c).step_by(3).enumerate() {
+            let common = steep.as_ref().map_or(0.0, |s| position * s[k]);
+            independent[to + k] += (f64::from(*v) - common).max(0.0) * share;
+        }
+        if channels {
+            registration += steep.iter().flatten().sum::<f64>() * position;
         }
     }
-    let (values, measured) = intensity(row);
-    let scale2 = placement.scale * placement.scale;
-    for k in 0..n {
-        let rounding = F32_ROUNDING * values[k];
-        independent[k] = if measured[k] { (independent[k] + rounding * rounding / 3.0) / scale2 } else { 0.0 };
+    let mut finish = |at: usize, value: f64, measured: bool| {
+        let rounding = F32_ROUNDING * value;
+        let variance = (independent[at] + rounding * rounding / 3.0) / (scale * scale);
+        independent[at] = if measured { variance } else { 0.0 };
+    };
+    if content == Content::Channels {
+        for (s, (&value, &valid)) in row.response.iter().zip(row.valid).enumerate() {
+            finish(s % 3 * n + s / 3, f64::from(value), valid != 0);
+        }
+    } else {
+        for (k, (rgb, valid)) in row.response.chunks_exact(3).zip(row.valid.chunks_exact(3)).enumerate() {
+            let value = rgb.iter().map(|&v| f64::from(v)).sum::<f64>() / 3.0;
+            finish(k, value, valid.iter().all(|&v| v != 0));
+        }
+        if position > 0.0 {
+            let (values, measured) = intensity(row);
+            registration = position * slope(&values, &measured).iter().sum::<f64>();
+        }
     }
-    let registration =
-        if position > 0.0 { position * slope(&values, &measured).iter().sum::<f64>() / scale2 } else { 0.0 };
-    RowNoise { independent, registration }
+    RowNoise { independent, registration: registration / (scale * scale) }
 }
 
 /// Sums of the noise over rows and over columns.
@@ -77,6 +95,13 @@ impl Noise {
         (independent * independent + self.registration).sqrt()
     }
 
+    /// For rows that are divided by `unit`.
+    pub fn divide(&mut self, unit: f64) {
+        for v in [&mut self.largest_row, &mut self.largest_column, &mut self.registration, &mut self.mean] {
+            *v /= unit * unit;
+        }
+    }
+
     /// [`Self::level`], or what rounding rows to f32 hides when that is more.
     pub fn threshold(&self, singular_values: &[f64]) -> f64 {
         self.level().max(F32_ROUNDING * singular_values.first().copied().unwrap_or(0.0))
@@ -91,7 +116,7 @@ impl Noise {
 
 #[cfg(test)]
 mod tests {
-    use super::super::svd::{Backend, low_rank, tests::InMemory};
+    use super::super::backend::{Backend, low_rank, tests::InMemory};
     use super::*;
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
@@ -112,8 +137,8 @@ mod tests {
         let row = (0..n).map(|i| (0..m).map(|d| v(i, d)).sum::<f64>()).fold(0.0, f64::max);
         let column = (0..m).map(|d| (0..n).map(|i| v(i, d)).sum::<f64>()).fold(0.0, f64::max);
         let noise = Noise { largest_row: row, largest_column: column, ..Default::default() };
-        let rows = InMemory { values, columns: m, block: 50 };
-        let first = low_rank(&rows, 1, Backend::Full).unwrap().singular_values[0];
+        let rows = InMemory::new(&values, m, 50);
+        let first = low_rank(&rows, 1, Backend::Full, 0.0, None).unwrap().singular_values[0];
         // The bound is on the expectation; fluctuations of the norm are of the order of one entry's sd, 1 in 20.
         assert!(first < noise.level(), "{first} against {}", noise.level());
         assert!(first > 0.6 * noise.level(), "{first} against {}", noise.level());
@@ -130,7 +155,7 @@ mod tests {
         let steep: Vec<f64> = gx.iter().zip(&gy).map(|(x, y)| sd * sd * (x * x + y * y)).collect();
         let variance: Vec<f32> = steep.iter().flat_map(|&v| [(v + 3e-4) as f32; 3]).collect();
         let row = RowView { response: &response, variance: &variance, valid: &[1; 75] };
-        let noise = row_noise(row, &Placement { scale: 1.0, ..Default::default() }, window, sd);
+        let noise = row_noise(row, Content::Intensity, 1.0, window, sd);
         // f32 storage of the variance: 1e-7 relative
         assert!(noise.independent.iter().all(|v| (v - 1e-4).abs() < 1e-8), "{:?}", noise.independent);
         assert!((noise.registration - steep.iter().sum::<f64>()).abs() < 1e-9);

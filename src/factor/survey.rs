@@ -1,14 +1,16 @@
-//! The first pass over a matrix: where every row goes, how noisy it is, and the mean profile; then the normalized
-//! rows themselves, as often as they are wanted.
+//! The first pass over a matrix: where every row goes, how noisy it is, and the mean profile.
 
-use super::fill::{Basis, extend_edges};
-use super::noise::{Noise, RowNoise, row_noise};
-use super::svd::Rows;
-use super::tucker::Options;
-use crate::transport::normalize::{Layout, Placement, layout, normalized, place};
+use super::fill::extend_edges;
+use super::noise::{Noise, row_noise};
+use super::rows::{Content, RawRows};
+use crate::progress::Progress;
+use crate::transport::normalize::{Layout, Placement, layout, place};
 use crate::transport::{MatrixReader, RowBlock};
-use crate::{Error, Result, Warning, progress::Stage};
+use crate::{Result, Warning};
 use rayon::prelude::*;
+
+/// Rows whose sums are taken together, whatever the number of threads: sums are then the same for any.
+const GROUP: usize = 64;
 
 /// What the first pass finds.
 #[derive(Debug, Clone)]
@@ -17,67 +19,129 @@ pub struct Survey {
     pub placements: Vec<Placement>,
     /// The common window.
     pub layout: Layout,
-    /// Mean normalized row on the common window.
+    /// Mean row on the common window, \[plane, y, x\], in the unit of the factored rows.
     pub mean: Vec<f64>,
-    /// Noise of the normalized rows.
+    /// Noise of the factored rows.
     pub noise: Noise,
     /// Whether every row measured the whole common window.
     pub complete: bool,
+    /// The largest response, mm⁻²; 0 when none is positive.
+    pub peak: f64,
+    /// Valid entries of the matrix, all channels.
+    pub entries: u64,
+    /// Σ R² over them.
+    pub energy: f64,
+    /// Whether the channels differ by no more than noise.
+    pub grey: bool,
     /// Findings.
     pub warnings: Vec<Warning>,
+}
+
+impl Survey {
+    /// Columns that a row with this shift cannot have measured, ascending.
+    pub(super) fn outside(&self, shift: [i16; 2], planes: usize) -> Vec<u32> {
+        let samples = self.layout.len();
+        let mut inside = vec![false; samples];
+        self.layout.for_each(shift, |_, e| inside[e] = true);
+        let columns = (0..planes).flat_map(|p| (0..samples).map(move |e| (p, e)));
+        columns.filter(|(_, e)| !inside[*e]).map(|(p, e)| (p * samples + e) as u32).collect()
+    }
+}
+
+/// What divides a row before it is factored; 0 for one that has nothing.
+pub(super) fn scale(content: Content, placement: Option<&Placement>) -> f64 {
+    match content {
+        // An infinite scale makes the row zero.
+        Content::Intensity => placement.map(|p| p.scale).filter(|&s| s > 0.0).unwrap_or(f64::INFINITY),
+        _ => 1.0,
+    }
 }
 
 /// Sums over rows on a window large enough for any shift.
 struct Sums {
     layout: Layout,
     value: Vec<f64>,
-    count: Vec<usize>,
     noise: Vec<f64>,
+    count: Vec<u32>,
+    live: u32,
+    entries: u64,
+    energy: f64,
+    peak: f64,
+    /// Σ of squared differences of channels over what noise alone would give, and how many.
+    difference: f64,
+    differences: u64,
+    /// Whether somewhere channels differ where nothing but rounding may.
+    colored: bool,
 }
 
-/// Reads the matrix once.
+/// Reads the matrix once; what is factored goes to `keep`, if that is wanted.
 ///
 /// # Errors
 /// Those of the reader.
-pub fn survey(reader: &MatrixReader, options: &Options, stage: &Stage<'_>) -> Result<Survey> {
+pub(super) fn survey(
+    reader: &MatrixReader,
+    content: Content,
+    limit: [usize; 2],
+    mut keep: Option<&mut Vec<RawRows>>,
+    progress: &Progress,
+) -> Result<Survey> {
     let header = reader.header();
     let window = header.window;
-    let limit: [usize; 2] = match options.peak_shift {
-        true => std::array::from_fn(|a| options.max_shift.unwrap_or(window[a] / 4).min(window[a] / 2).min(30_000)),
-        false => [0, 0],
-    };
+    let stage = progress.stage("survey", header.rows());
     let widest = Layout { window, extended: std::array::from_fn(|a| window[a] + 2 * limit[a]) };
-    let n = widest.len();
-    let mut sums = Sums { layout: widest, value: vec![0.0; n], count: vec![0; n], noise: vec![0.0; n] };
+    let mut sums = Sums::new(widest, content.planes());
     let mut placements = Vec::with_capacity(header.rows());
     let mut noise = Noise::default();
     reader.for_each_block(|block| {
-        let found: Vec<(Placement, RowNoise)> = (0..block.rows)
+        let found: Vec<Placement> =
+            (0..block.rows).into_par_iter().map(|k| place(block.view(k), window, limit)).collect();
+        let raw = RawRows::extract(&block, content, |k| scale(content, Some(&found[k])));
+        let groups: Vec<(Sums, Noise)> = (0..block.rows.div_ceil(GROUP))
             .into_par_iter()
-            .map(|k| {
-                let row = block.view(k);
-                let sd_px = header.position_sd_mm[block.first + k] / header.pitch_mm;
-                let placement = place(row, window, limit);
-                let noise = row_noise(row, &placement, window, if sd_px.is_finite() { sd_px } else { 0.0 });
-                (placement, noise)
+            .map(|g| {
+                let mut sums = Sums::new(widest, content.planes());
+                let mut noise = Noise::default();
+                for k in g * GROUP..((g + 1) * GROUP).min(block.rows) {
+                    let sd_px = header.position_sd_mm[block.first + k] / header.pitch_mm;
+                    sums.add(
+                        &block,
+                        &raw,
+                        k,
+                        &found[k],
+                        content,
+                        if sd_px.is_finite() { sd_px } else { 0.0 },
+                        &mut noise,
+                    );
+                }
+                (sums, noise)
             })
             .collect();
-        for (k, (placement, row_noise)) in found.into_iter().enumerate() {
-            noise.largest_row = noise.largest_row.max(row_noise.independent.iter().sum());
+        for (group, row_noise) in groups {
+            sums.join(&group);
+            noise.largest_row = noise.largest_row.max(row_noise.largest_row);
             noise.registration += row_noise.registration;
-            sums.add(&block, k, &placement, &row_noise.independent);
-            placements.push(placement);
+        }
+        placements.extend(found);
+        if let Some(keep) = keep.as_deref_mut() {
+            keep.push(raw);
         }
         stage.advance(block.rows);
         Ok(())
     })?;
     noise.largest_column = sums.noise.iter().copied().fold(0.0, f64::max);
-    noise.mean = sums.noise.iter().sum::<f64>() / sums.count.iter().sum::<usize>().max(1) as f64;
+    let counted: u64 = sums.count.iter().map(|&c| u64::from(c)).sum();
+    noise.mean = sums.noise.iter().sum::<f64>() / counted.max(1) as f64;
     let layout = layout(window, &placements);
-    let live = placements.iter().filter(|p| p.scale > 0.0).count();
-    let (mean, complete) = sums.mean(&layout, live);
+    let (mut mean, complete) = sums.mean(&layout, content.planes());
+    let unit = if content == Content::Intensity || !(sums.peak > 0.0) { 1.0 } else { sums.peak };
+    mean.iter_mut().for_each(|m| *m /= unit);
+    noise.divide(unit);
     let warnings = findings(&placements, limit);
-    Ok(Survey { placements, layout, mean, noise, complete, warnings })
+    // Noise alone gives 1 with a standard deviation of √(2/n); rows share little else than their noise.
+    let spread = 5.0 * (2.0 / sums.differences.max(1) as f64).sqrt();
+    let grey = !sums.colored && (sums.differences == 0 || sums.difference / sums.differences as f64 <= 1.0 + spread);
+    let (peak, entries, energy) = (sums.peak, sums.entries, sums.energy);
+    Ok(Survey { placements, layout, mean, noise, complete, peak, entries, energy, grey, warnings })
 }
 
 fn findings(placements: &[Placement], limit: [usize; 2]) -> Vec<Warning> {
@@ -94,83 +158,120 @@ fn findings(placements: &[Placement], limit: [usize; 2]) -> Vec<Warning> {
 }
 
 impl Sums {
-    fn add(&mut self, block: &RowBlock, k: usize, placement: &Placement, noise: &[f64]) {
-        if placement.scale <= 0.0 {
-            return;
+    fn new(layout: Layout, planes: usize) -> Self {
+        let n = layout.len() * planes;
+        Self {
+            layout,
+            value: vec![0.0; n],
+            noise: vec![0.0; n],
+            count: vec![0; n],
+            live: 0,
+            entries: 0,
+            energy: 0.0,
+            peak: 0.0,
+            difference: 0.0,
+            differences: 0,
+            colored: false,
         }
-        let (values, measured) = crate::transport::rows::intensity(block.view(k));
-        self.layout.for_each(placement.shift, |k, e| {
-            if measured[k] {
-                self.value[e] += values[k] / placement.scale;
-                self.noise[e] += noise[k];
-                self.count[e] += 1;
-            }
-        });
     }
 
-    /// The mean on the smaller window, its unmeasured rim extended, and whether all `live` rows measured all of it.
-    fn mean(&self, to: &Layout, live: usize) -> (Vec<f64>, bool) {
+    #[expect(clippy::too_many_arguments, reason = "the inner loop of survey, split off for its length")]
+    fn add(
+        &mut self,
+        block: &RowBlock,
+        raw: &RawRows,
+        k: usize,
+        placement: &Placement,
+        content: Content,
+        sd_px: f64,
+        noise: &mut Noise,
+    ) {
+        let row = block.view(k);
+        for (&v, _) in row.response.iter().zip(row.valid).filter(|(_, v)| **v != 0) {
+            let v = f64::from(v);
+            self.entries += 1;
+            self.energy += v * v;
+            self.peak = self.peak.max(v);
+        }
+        self.compare_channels(row);
+        let planes = content.planes();
+        let (window, samples) = (self.layout.window[0] * self.layout.window[1], self.layout.len());
+        if content == Content::Intensity && placement.scale <= 0.0 {
+            return;
+        }
+        self.live += 1;
+        let row_noise = row_noise(row, content, scale(content, Some(placement)), self.layout.window, sd_px);
+        noise.largest_row = noise.largest_row.max(row_noise.independent.iter().sum());
+        noise.registration += row_noise.registration;
+        let values = &raw.values[k * planes * window..(k + 1) * planes * window];
+        let measured = raw.measured[k].as_deref();
+        for p in 0..planes {
+            self.layout.for_each_line(placement.shift, |w, e, n| {
+                let (from, to) = (p * window + w, p * samples + e);
+                for x in 0..n {
+                    if measured.is_none_or(|m| m[from + x]) {
+                        self.value[to + x] += f64::from(values[from + x]);
+                        self.noise[to + x] += row_noise.independent[from + x];
+                        self.count[to + x] += 1;
+                    }
+                }
+            });
+        }
+    }
+
+    /// Adds what tells colour from grey: differences of green from red and from blue.
+    fn compare_channels(&mut self, row: crate::transport::rows::RowView<'_>) {
+        if self.colored {
+            return;
+        }
+        let largest = row.response.iter().fold(0.0_f32, |a, v| a.max(v.abs()));
+        let entries = row.response.chunks_exact(3).zip(row.variance.chunks_exact(3)).zip(row.valid.chunks_exact(3));
+        for ((r, v), m) in entries {
+            for c in [0, 2] {
+                if m[1] == 0 || m[c] == 0 {
+                    continue;
+                }
+                let (difference, variance) = (f64::from(r[c]) - f64::from(r[1]), f64::from(v[c]) + f64::from(v[1]));
+                if variance > 0.0 {
+                    self.difference += difference * difference / variance;
+                    self.differences += 1;
+                } else if difference.abs() > 1e-6 * f64::from(largest) {
+                    self.colored = true;
+                }
+            }
+        }
+    }
+
+    fn join(&mut self, other: &Self) {
+        self.value.iter_mut().zip(&other.value).for_each(|(a, b)| *a += b);
+        self.noise.iter_mut().zip(&other.noise).for_each(|(a, b)| *a += b);
+        self.count.iter_mut().zip(&other.count).for_each(|(a, b)| *a += b);
+        self.live += other.live;
+        self.entries += other.entries;
+        self.energy += other.energy;
+        self.peak = self.peak.max(other.peak);
+        self.difference += other.difference;
+        self.differences += other.differences;
+        self.colored |= other.colored;
+    }
+
+    /// The mean on the smaller window, its unmeasured rim extended, and whether all rows measured all of it.
+    fn mean(&self, to: &Layout, planes: usize) -> (Vec<f64>, bool) {
         let margin: [usize; 2] = std::array::from_fn(|a| (self.layout.extended[a] - to.extended[a]) / 2);
         let from = |k: usize| {
             let (x, y) = (k % to.extended[0] + margin[0], k / to.extended[0] + margin[1]);
             x + y * self.layout.extended[0]
         };
-        let count: Vec<usize> = (0..to.len()).map(|k| self.count[from(k)]).collect();
-        let mut mean: Vec<f64> =
-            (0..to.len()).map(|k| self.value[from(k)] / self.count[from(k)].max(1) as f64).collect();
-        let measured: Vec<bool> = count.iter().map(|&c| c > 0).collect();
-        extend_edges(&mut mean, &measured, to.extended);
-        (mean, count.iter().all(|&c| c == live))
-    }
-}
-
-/// The normalized rows of a matrix, their missing samples filled.
-pub struct Normalized<'a> {
-    /// The matrix.
-    pub reader: &'a MatrixReader,
-    /// Where its rows go.
-    pub survey: &'a Survey,
-    /// What fills the gaps.
-    pub basis: Basis,
-    /// Told of every row.
-    pub stage: &'a Stage<'a>,
-}
-
-impl Normalized<'_> {
-    /// One block of rows on the common window, row-major, and where each sample was measured.
-    pub fn block(&self, block: &RowBlock) -> Result<(Vec<f64>, Vec<bool>)> {
-        let samples = self.survey.layout.len();
-        let mut values = vec![0.0; block.rows * samples];
-        let mut measured = vec![false; block.rows * samples];
-        let placements = self
-            .survey
-            .placements
-            .get(block.first..block.first + block.rows)
-            .ok_or_else(|| Error::internal("more rows than were surveyed"))?;
-        values
-            .par_chunks_mut(samples.max(1))
-            .zip(measured.par_chunks_mut(samples.max(1)))
-            .zip(placements)
-            .enumerate()
-            .for_each(|(k, ((values, measured), placement))| {
-                normalized(block.view(k), placement, &self.survey.layout, values, measured);
-                self.basis.fill(values, measured);
-            });
-        Ok((values, measured))
-    }
-}
-
-impl Rows for Normalized<'_> {
-    fn shape(&self) -> (usize, usize) {
-        (self.survey.placements.len(), self.survey.layout.len())
-    }
-
-    fn for_each(&self, each: &mut dyn FnMut(usize, &[f64]) -> Result<()>) -> Result<()> {
-        self.reader.for_each_block(|block| {
-            let (values, _) = self.block(&block)?;
-            each(block.first, &values)?;
-            self.stage.advance(block.rows);
-            Ok(())
-        })
+        let (mut all, mut complete) = (Vec::with_capacity(planes * to.len()), true);
+        for p in 0..planes {
+            let at = |k: usize| p * self.layout.len() + from(k);
+            let mut mean: Vec<f64> =
+                (0..to.len()).map(|k| self.value[at(k)] / f64::from(self.count[at(k)].max(1))).collect();
+            let measured: Vec<bool> = (0..to.len()).map(|k| self.count[at(k)] > 0).collect();
+            complete &= (0..to.len()).all(|k| self.count[at(k)] == self.live);
+            extend_edges(&mut mean, &measured, to.extended);
+            all.extend(mean);
+        }
+        (all, complete)
     }
 }

@@ -13,7 +13,7 @@ use std::path::Path;
 const FORMAT: u32 = 2;
 const KEY: &str = "acquire";
 /// No stored number is larger: sums of products with the basis still fit an f32.
-const LARGEST: f32 = 1e30;
+const LARGEST: f32 = 1e36;
 /// No slab is larger, and no length is smaller than one over it, mm.
 const LARGEST_MM: f64 = 1e9;
 
@@ -284,7 +284,7 @@ pub(crate) mod tests {
         material.save(&path).unwrap();
         assert!(matches!(Material::load(&path), Err(Error::BrokenMaterial { reason, .. }) if reason.contains("row 3")));
         let mut material = example();
-        material.color_coefficients[7] = 1e31;
+        material.color_coefficients[7] = 1e37;
         material.save(&path).unwrap();
         let refused = Material::load(&path);
         assert!(matches!(refused, Err(Error::BrokenMaterial { reason, .. }) if reason.contains("color_coefficients")));

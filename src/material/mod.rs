@@ -35,6 +35,8 @@ const CHANNELS: usize = 3;
 /// Which factorization a material holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
+#[derive(clap::ValueEnum)]
+#[value(rename_all = "lower")]
 #[non_exhaustive]
 pub enum Model {
     /// Intensity by error modelling, colour by a polynomial of the intensity per incident point (`Kurt2013`).
@@ -218,6 +220,36 @@ impl Material {
             row.iter_mut().zip(profile).for_each(|(v, &m)| *v *= f64::from(m));
         }
         row
+    }
+
+    /// Plane `plane` of consecutive rows on the common window, \[row, y, x\], by one product in f64: steep polynomials of it magnify
+    /// what f32 would round.
+    pub(crate) fn plane_block(&self, plane: usize, rows: std::ops::Range<usize>) -> Vec<f64> {
+        let (terms, samples) = (self.header.terms, self.header.layout().len());
+        let amount = |(&f, &g): (&f32, &f32)| f64::from(f) * f64::from(g);
+        let amounts: Vec<f64> =
+            rows.clone().flat_map(|i| self.incident(plane, i).iter().zip(&self.weights).map(amount)).collect();
+        let offsets: Vec<f64> = self.offsets(plane).iter().map(|&h| f64::from(h)).collect();
+        let mut out = vec![0.0; rows.len() * samples];
+        faer::linalg::matmul::matmul(
+            faer::MatMut::from_row_major_slice_mut(&mut out, rows.len(), samples),
+            faer::Accum::Replace,
+            faer::MatRef::from_row_major_slice(&amounts, rows.len(), terms),
+            faer::MatRef::from_row_major_slice(&offsets, terms, samples),
+            1.0,
+            faer::get_global_parallelism(),
+        );
+        if let Some(profile) = self.profile_plane(plane) {
+            out.chunks_exact_mut(samples)
+                .for_each(|row| row.iter_mut().zip(profile).for_each(|(v, &m)| *v *= f64::from(m)));
+        }
+        out
+    }
+
+    /// What one more term adds to [`Self::bytes_f32`].
+    pub(crate) fn bytes_f32_per_term(&self) -> u64 {
+        let h = &self.header;
+        4 * (1 + h.incident_planes * h.rows() + h.offset_planes * h.layout().len()) as u64
     }
 
     /// R̂_d of row `index` on its measured window, \[dy\]\[dx\]\[channel\], mm⁻², put back where it was measured.

@@ -13,7 +13,7 @@ const BLOCK_BYTES: usize = 16 << 20;
 pub struct RowView<'a> {
     /// R_d, mm⁻²; 0 where not measured.
     pub response: &'a [f32],
-    /// Its variance, mm⁻⁴.
+    /// Its variance, mm⁻⁴; empty when it was not read.
     pub variance: &'a [f32],
     /// 1 where measured.
     pub valid: &'a [u8],
@@ -26,7 +26,7 @@ impl RowBlock {
         let range = if k < self.rows { k * len..(k + 1) * len } else { 0..0 };
         RowView {
             response: &self.response[range.clone()],
-            variance: &self.variance[range.clone()],
+            variance: self.variance.get(range.clone()).unwrap_or_default(),
             valid: &self.valid[range],
         }
     }
@@ -63,6 +63,13 @@ pub fn intensity(row: RowView<'_>) -> (Vec<f64>, Vec<bool>) {
     let measured: Vec<bool> = row.valid.chunks_exact(3).map(|v| v.iter().all(|&v| v != 0)).collect();
     let values = row.response.chunks_exact(3).zip(&measured).map(|(rgb, &m)| if m { value(rgb) } else { 0.0 });
     (values.collect(), measured)
+}
+
+/// Intensity of one row over `scale`; whatever it has where it was not measured.
+pub fn intensity_into(row: RowView<'_>, scale: f64, out: &mut [f32]) {
+    for (o, rgb) in out.iter_mut().zip(row.response.as_chunks::<3>().0) {
+        *o = ((f64::from(rgb[0]) + f64::from(rgb[1]) + f64::from(rgb[2])) / 3.0 / scale) as f32;
+    }
 }
 
 /// Slope of a window along x and y at every sample, per sample; central differences, one-sided beside samples that

@@ -37,6 +37,8 @@ type BoxedError = Box<dyn std::error::Error + Send + Sync>;
 const CHANNELS: usize = 3;
 /// A chunk holds about this many bytes of responses: large enough for the disk, small enough to stream.
 const CHUNK_BYTES: usize = 4 << 20;
+/// Numbers that one thread looks through at a time.
+const CHECKED: usize = 1 << 16;
 /// Fast, and measured noise compresses no better at higher levels.
 const ZSTD_LEVEL: i32 = 1;
 
@@ -509,25 +511,60 @@ impl MatrixReader {
     /// [`Error::BrokenMatrix`] when a chunk is missing or damaged, [`Error::NotFinite`] for NaN or infinity,
     /// [`Error::Internal`] for rows that the matrix has not.
     pub fn read(&self, rows: std::ops::Range<usize>) -> Result<RowBlock> {
+        self.read_parts(rows, true)
+    }
+
+    /// [`Self::read`] without the variance, which is half of the bytes.
+    ///
+    /// # Errors
+    /// Those of [`Self::read`].
+    pub fn read_responses(&self, rows: std::ops::Range<usize>) -> Result<RowBlock> {
+        self.read_parts(rows, false)
+    }
+
+    fn read_parts(&self, rows: std::ops::Range<usize>, variance: bool) -> Result<RowBlock> {
         if rows.end > self.header.rows() || rows.start > rows.end {
             return Err(Error::internal(format_args!("rows {rows:?} of a matrix of {}", self.header.rows())));
         }
         let nx = self.header.points[0];
-        let lines = rows.start / nx..rows.end.div_ceil(nx);
-        // A line is a chunk or more: decoded side by side.
-        let parts = lines.into_par_iter().map(|y| {
-            let part = subset(&self.header, rows.start.max(y * nx)..rows.end.min((y + 1) * nx));
-            let (response, variance) =
-                rayon::join(|| self.part::<f32>(&self.response, &part), || self.part::<f32>(&self.variance, &part));
-            Ok((response?, variance?, self.part::<u8>(&self.valid, &part)?))
-        });
-        let mut block =
-            RowBlock { first: rows.start, rows: rows.len(), response: vec![], variance: vec![], valid: vec![] };
-        for (response, variance, valid) in parts.collect::<Result<Vec<_>>>()? {
-            block.response.extend(response);
-            block.variance.extend(variance);
-            block.valid.extend(valid);
+        let n = rows.len() * self.header.row_len();
+        let mut block = RowBlock {
+            first: rows.start,
+            rows: rows.len(),
+            response: vec![0.0; n],
+            variance: vec![0.0; if variance { n } else { 0 }],
+            valid: vec![0; n],
+        };
+        // Chunks are decoded side by side, each into its place.
+        let mut parts = Vec::new();
+        let (mut response, mut variances, mut valid) =
+            (block.response.as_mut_slice(), block.variance.as_mut_slice(), block.valid.as_mut_slice());
+        let mut at = rows.start;
+        while at < rows.end {
+            let end = rows.end.min((at / nx + 1) * nx);
+            let end = end.min(at - at % nx + (at % nx / chunk_rows(&self.header) + 1) * chunk_rows(&self.header));
+            let n = (end - at) * self.header.row_len();
+            let (response_here, rest) = std::mem::take(&mut response).split_at_mut(n);
+            response = rest;
+            let (valid_here, rest) = std::mem::take(&mut valid).split_at_mut(n);
+            valid = rest;
+            let (variance_here, rest) = std::mem::take(&mut variances).split_at_mut(if variance { n } else { 0 });
+            variances = rest;
+            parts.push((subset(&self.header, at..end), response_here, variance_here, valid_here));
+            at = end;
         }
+        parts.into_par_iter().try_for_each(|(part, response, variances, valid)| -> Result<()> {
+            let read = |array: &Array<FilesystemStore>, out: &mut [f32]| -> Result<()> {
+                if !out.is_empty() {
+                    out.copy_from_slice(&self.part::<f32>(array, &part)?);
+                }
+                Ok(())
+            };
+            let (a, b) = rayon::join(|| read(&self.response, response), || read(&self.variance, variances));
+            a.and(b)?;
+            valid.copy_from_slice(&self.part::<u8>(&self.valid, &part)?);
+            Ok(())
+        })?;
         self.check(&block)?;
         Ok(block)
     }
@@ -543,12 +580,16 @@ impl MatrixReader {
     }
 
     fn check(&self, block: &RowBlock) -> Result<()> {
-        if block.valid.iter().any(|&v| v > 1) {
+        if block.valid.par_chunks(CHECKED).any(|part| part.iter().fold(false, |bad, &v| bad | (v > 1))) {
             let reason =
                 format!("array valid: a chunk of rows {} to {} is missing", block.first, block.first + block.rows);
             return Err(Error::BrokenMatrix { path: self.path.clone(), reason });
         }
         for (field, values) in [("response", &block.response), ("variance", &block.variance)] {
+            // Without a way out of the loop it is a matter of vector instructions; where is looked for only when there is something.
+            if values.par_chunks(CHECKED).all(|part| part.iter().fold(true, |good, v| good & v.is_finite())) {
+                continue;
+            }
             if let Some(at) = values.iter().position(|v| !v.is_finite()) {
                 let (n, wx) = (self.header.row_len(), self.header.window[0]);
                 let (row, sample) = (block.first + at / n, at % n / CHANNELS);

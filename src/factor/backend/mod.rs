@@ -1,0 +1,342 @@
+//! Leading singular values and right singular vectors of rows that come in blocks.
+//!
+//! Error modelling (`Bilgili2011`, `Kurt2013`) takes the best rank-1 term, then the best rank-1 term of what that
+//! leaves, and so on. The best rank-1 term in least squares is the leading singular triplet, and deflating by it
+//! leaves the other triplets as they are (`Eckart1936`): T steps of it are the truncated SVD. [`Backend::Deflation`] takes the steps one
+//! by one; the others compute the same at once.
+
+mod deflation;
+mod dense;
+mod randomized;
+
+use super::rows::Rows;
+use crate::{Error, Result};
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat, MatRef, Side, get_global_parallelism};
+use rayon::prelude::*;
+
+/// How a truncated SVD is computed. Errors are of singular values, relative to the largest.
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize, clap::ValueEnum,
+)]
+#[serde(rename_all = "kebab-case")]
+pub enum Backend {
+    /// The whole matrix in memory, bidiagonalized in f64: 1e-14.
+    Full,
+    /// Eigenvectors of the Gram matrix over columns in f64, one pass: σ_k to 1e-16 σ_1/σ_k, so that those below 1e-8 σ_1 are lost.
+    Gram,
+    /// Block Krylov subspace from a random start (`Musco2015`), products in f32, as many passes as the asked accuracy needs: down to
+    /// 1e-6 for values that stand out, less where the spectrum is flat.
+    Randomized,
+    /// One term after the other by power iteration on what the earlier ones leave, as the papers describe it, in f32: slow, 1e-4 to 1e-6.
+    Deflation,
+}
+
+impl std::fmt::Display for Backend {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Full => "full",
+            Self::Gram => "gram",
+            Self::Randomized => "randomized",
+            Self::Deflation => "deflation",
+        })
+    }
+}
+
+/// Leading singular triplets without their left vectors, which a second pass gives.
+#[derive(Debug, Clone)]
+pub struct LowRank {
+    /// Descending.
+    pub singular_values: Vec<f64>,
+    /// One unit row for each, \[k, columns\]; its largest entry in magnitude is positive.
+    pub vectors: Vec<f64>,
+    /// Passes over the rows that it took.
+    pub passes: usize,
+    /// ‖AᵀA v − σ² v‖ / (2 σ_1 σ), the largest of all triplets: what their singular values are off by, over σ_1, or less.
+    pub residual: f64,
+}
+
+/// Multiplications of a full SVD that are still quick (about two seconds).
+const FULL_WORK: usize = 1_000_000_000;
+/// Columns up to which the Gram matrix and its eigenvectors are affordable (0.7 GiB and ten seconds on two cores).
+const GRAM_COLUMNS: usize = 4500;
+/// What products in f32 can still tell, relative to the largest singular value.
+const F32_ACCURACY: f64 = 1e-6;
+
+/// The back end for rows of this shape: the quickest that reaches `accuracy`.
+pub fn choose(rows: usize, columns: usize, accuracy: f64) -> Backend {
+    let work = rows.saturating_mul(columns).saturating_mul(rows.min(columns));
+    if work <= FULL_WORK {
+        Backend::Full
+    } else if accuracy >= F32_ACCURACY {
+        Backend::Randomized
+    } else if columns <= GRAM_COLUMNS {
+        Backend::Gram
+    } else {
+        Backend::Full
+    }
+}
+
+/// The `k` leading singular values and right vectors, fewer when the matrix is smaller than that. `start` are right vectors to begin
+/// with, \[any, columns\], for back ends that iterate.
+///
+/// # Errors
+/// Those of the source; [`Error::Internal`] when a decomposition does not converge.
+pub fn low_rank(
+    rows: &dyn Rows,
+    k: usize,
+    backend: Backend,
+    accuracy: f64,
+    start: Option<&LowRank>,
+) -> Result<LowRank> {
+    let (n, m) = rows.shape();
+    let k = k.min(n).min(m);
+    let mut low = match backend {
+        Backend::Full => dense::full(rows, k)?,
+        Backend::Gram => dense::gram(rows, k)?,
+        Backend::Randomized => randomized::block_krylov(rows, k, accuracy, start)?,
+        Backend::Deflation => deflation::one_by_one(rows, k, accuracy)?,
+    };
+    for vector in low.vectors.chunks_exact_mut(m.max(1)) {
+        let largest = vector.iter().copied().fold(0.0_f64, |a, b| if b.abs() > a.abs() { b } else { a });
+        if largest < 0.0 {
+            vector.iter_mut().for_each(|v| *v = -*v);
+        }
+    }
+    Ok(low)
+}
+
+/// The factors of the first `terms` triplets.
+#[derive(Debug, Clone)]
+pub struct Triplets {
+    /// g_j, \[terms\].
+    pub weights: Vec<f64>,
+    /// f_j, unit norm over rows (zeros where the weight is zero), \[rows, terms\].
+    pub left: Vec<f64>,
+    /// h_j, \[terms, columns\].
+    pub right: Vec<f64>,
+}
+
+/// A last pass: left vectors A v_j / σ_j. Weights are their lengths, which are right to the square of what the right vectors are off by;
+/// for approximate right vectors both sides are rotated to singular vectors of the projected rows.
+///
+/// # Errors
+/// Those of the source.
+pub fn triplets(rows: &dyn Rows, low: &LowRank, terms: usize, exact: bool) -> Result<Triplets> {
+    let (n, m) = rows.shape();
+    let terms = terms.min(low.singular_values.len());
+    let mut left = vec![0.0; n * terms];
+    let vectors = &low.vectors[..terms * m];
+    let narrow: Vec<f32> = vectors.iter().map(|&v| v as f32).collect();
+    rows.for_each(&mut |first, block| {
+        let count = block.len() / m.max(1);
+        let out = &mut left[first * terms..(first + count) * terms];
+        if exact {
+            let wide = widened(block);
+            product(
+                MatRef::from_row_major_slice(&wide, count, m),
+                MatRef::from_row_major_slice(vectors, terms, m),
+                out,
+            );
+        } else {
+            let mut part = vec![0.0_f32; count * terms];
+            let v = MatRef::from_row_major_slice(&narrow, terms, m);
+            product(MatRef::from_row_major_slice(block, count, m), v, &mut part);
+            out.iter_mut().zip(&part).for_each(|(o, &p)| *o = f64::from(p));
+        }
+        Ok(())
+    })?;
+    // Singular vectors of the projected rows, whose Gram matrix is nearly diagonal.
+    let projected = MatRef::from_row_major_slice(&left, n, terms);
+    let small = gram_of(projected);
+    let (values, rotation) = eigen(small.as_ref(), terms)?;
+    let rotated = projected * &rotation;
+    let mut right = vec![0.0; terms * m];
+    matmul(
+        faer::MatMut::from_row_major_slice_mut(&mut right, terms, m),
+        Accum::Replace,
+        rotation.transpose(),
+        MatRef::from_row_major_slice(vectors, terms, m),
+        1.0,
+        get_global_parallelism(),
+    );
+    let mut out = Triplets { weights: values, left: vec![0.0; n * terms], right };
+    for (j, h) in out.right.chunks_exact_mut(m.max(1)).enumerate() {
+        let largest = h.iter().copied().fold(0.0_f64, |a, b| if b.abs() > a.abs() { b } else { a });
+        let sign = if largest < 0.0 { -1.0 } else { 1.0 };
+        h.iter_mut().for_each(|v| *v *= sign);
+        let sigma = out.weights[j];
+        if sigma > 0.0 {
+            (0..n).for_each(|i| out.left[i * terms + j] = sign * rotated[(i, j)] / sigma);
+        }
+    }
+    Ok(out)
+}
+
+/// `out` (row-major) = a bᵀ.
+fn product<T: faer::traits::ComplexField>(a: MatRef<'_, T>, b: MatRef<'_, T>, out: &mut [T]) {
+    let out = faer::MatMut::from_row_major_slice_mut(out, a.nrows(), b.nrows());
+    matmul(out, Accum::Replace, a, b.transpose(), T::one_impl(), get_global_parallelism());
+}
+
+fn widened(block: &[f32]) -> Vec<f64> {
+    let mut wide = vec![0.0; block.len()];
+    wide.par_chunks_mut(1 << 16).zip(block.par_chunks(1 << 16)).for_each(|(to, from)| {
+        to.iter_mut().zip(from).for_each(|(t, &f)| *t = f64::from(f));
+    });
+    wide
+}
+
+/// AᵀA, both halves.
+fn gram_of(a: MatRef<'_, f64>) -> Mat<f64> {
+    a.transpose() * a
+}
+
+fn transposed(v: MatRef<'_, f64>, k: usize) -> Vec<f64> {
+    (0..k).flat_map(|j| (0..v.nrows()).map(move |i| v[(i, j)])).collect()
+}
+
+/// Eigenvectors of a symmetric matrix (lower half) for its `k` largest eigenvalues; square roots of those, descending.
+fn eigen(gram: MatRef<'_, f64>, k: usize) -> Result<(Vec<f64>, Mat<f64>)> {
+    let eigen = gram
+        .self_adjoint_eigen(Side::Lower)
+        .map_err(|e| Error::internal(format!("the eigendecomposition did not converge: {e:?}")))?;
+    let n = gram.nrows();
+    let values = eigen.S().column_vector();
+    let roots = (0..k).map(|j| values[n - 1 - j].max(0.0).sqrt()).collect();
+    Ok((roots, Mat::from_fn(n, k, |i, j| eigen.U()[(i, n - 1 - j)])))
+}
+
+impl LowRank {
+    /// Triplets that need no iteration.
+    pub fn new(singular_values: Vec<f64>, vectors: Vec<f64>) -> Self {
+        Self { singular_values, vectors, passes: 1, residual: 0.0 }
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+
+    pub struct InMemory {
+        values: Vec<f32>,
+        columns: usize,
+        block: usize,
+    }
+
+    impl InMemory {
+        pub fn new(values: &[f64], columns: usize, block: usize) -> Self {
+            Self { values: values.iter().map(|&v| v as f32).collect(), columns, block }
+        }
+    }
+
+    impl Rows for InMemory {
+        fn shape(&self) -> (usize, usize) {
+            (self.values.len() / self.columns, self.columns)
+        }
+        fn for_each(&self, each: &mut dyn FnMut(usize, &[f32]) -> Result<()>) -> Result<()> {
+            for (k, block) in self.values.chunks(self.block * self.columns).enumerate() {
+                each(k * self.block, block)?;
+            }
+            Ok(())
+        }
+    }
+
+    const ALL: [Backend; 4] = [Backend::Full, Backend::Gram, Backend::Randomized, Backend::Deflation];
+
+    /// Random rows with these singular values, rounded to f32.
+    fn with_spectrum(n: usize, m: usize, sigma: impl Fn(usize) -> f64) -> InMemory {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(7);
+        let mut next = || f64::from(random.next_u32()) / f64::from(u32::MAX) - 0.5;
+        let r = m.min(n);
+        let u = Mat::from_fn(n, r, |_, _| next()).qr().compute_thin_Q();
+        let v = Mat::from_fn(m, r, |_, _| next()).qr().compute_thin_Q();
+        let s = Mat::from_fn(r, r, |i, j| if i == j { sigma(i) } else { 0.0 });
+        let a = u * s * v.transpose();
+        let values: Vec<f64> = (0..n).flat_map(|i| (0..m).map(move |j| (i, j))).map(|at| a[at]).collect();
+        InMemory::new(&values, m, 7)
+    }
+
+    fn residual(rows: &InMemory, t: &Triplets) -> f64 {
+        let terms = t.weights.len();
+        let mut sum = 0.0;
+        for (i, row) in rows.values.chunks(rows.columns).enumerate() {
+            for (d, value) in row.iter().enumerate() {
+                let fit: f64 =
+                    (0..terms).map(|j| t.weights[j] * t.left[i * terms + j] * t.right[j * rows.columns + d]).sum();
+                sum += (f64::from(*value) - fit).powi(2);
+            }
+        }
+        sum.sqrt()
+    }
+
+    #[test]
+    fn every_back_end_leaves_the_residual_that_eckart_and_young_prescribe() {
+        for (n, m) in [(40, 25), (25, 40), (60, 60), (5, 3), (1, 9), (9, 1)] {
+            let sigma = |i: usize| 0.5_f64.powf(i as f64 / 2.0);
+            let rows = with_spectrum(n, m, sigma);
+            for backend in ALL {
+                let low = low_rank(&rows, 12, backend, 1e-6, None).unwrap();
+                let exact = matches!(backend, Backend::Full | Backend::Gram);
+                let t = triplets(&rows, &low, 12, exact).unwrap();
+                assert_eq!(t.weights.len(), 12.min(n).min(m));
+                for (j, s) in t.weights.iter().enumerate() {
+                    // Rows are rounded to f32 (6e-8), products of some back ends too; deflation stops at 1e-6.
+                    let tolerance = if exact { 2e-7 } else { 3e-6 };
+                    assert!((s - sigma(j)).abs() < tolerance, "{backend:?} {n}×{m} σ_{j} = {s}, {}", sigma(j));
+                }
+                let left_over: f64 = (t.weights.len()..n.min(m)).map(|j| 0.5_f64.powf(j as f64)).sum::<f64>().sqrt();
+                assert!((residual(&rows, &t) - left_over).abs() < 1e-5, "{backend:?} {n}×{m}");
+            }
+        }
+    }
+
+    #[test]
+    fn values_are_right_to_the_stated_error_whether_the_spectrum_decays_fast_slowly_or_not_at_all() {
+        let (n, m) = (300, 120);
+        type Spectrum = (&'static str, fn(usize) -> f64);
+        let spectra: [Spectrum; 3] = [
+            ("fast", |i| 0.5_f64.powi(i as i32)),
+            ("slow", |i| 1.0 / (1.0 + i as f64)),
+            ("flat", |i| 1.0 - 1e-4 * i as f64),
+        ];
+        for (name, sigma) in spectra {
+            let rows = with_spectrum(n, m, sigma);
+            for (backend, tolerance) in
+                [(Backend::Full, 1e-7), (Backend::Gram, 1e-7), (Backend::Randomized, 1e-4), (Backend::Deflation, 1e-2)]
+            {
+                let low = low_rank(&rows, 15, backend, 1e-6, None).unwrap();
+                let t = triplets(&rows, &low, 15, false).unwrap();
+                let worst = (0..15).map(|j| (t.weights[j] - sigma(j)).abs()).fold(0.0, f64::max);
+                // The f32 rows themselves are off by about 1e-7; a flat spectrum has no vectors to converge to, but values.
+                assert!(worst < tolerance, "{name} {backend:?}: {worst:e} after {} passes", low.passes);
+            }
+        }
+    }
+
+    #[test]
+    fn a_matrix_of_zeros_has_zero_values_and_finite_vectors() {
+        let rows = InMemory::new(&[0.0; 24], 4, 5);
+        for backend in ALL {
+            let low = low_rank(&rows, 3, backend, 1e-6, None).unwrap();
+            assert!(low.singular_values.iter().all(|&s| s == 0.0), "{backend:?} {:?}", low.singular_values);
+            assert!(low.vectors.iter().all(|v| v.is_finite()), "{backend:?}");
+            let t = triplets(&rows, &low, 3, true).unwrap();
+            assert!(t.left.iter().all(|&v| v == 0.0));
+        }
+    }
+
+    #[test]
+    fn fewer_terms_than_asked_for_are_found_in_rows_of_low_rank() {
+        let values: Vec<f64> =
+            (0..200).flat_map(|i| (0..50).map(move |d| (1 + i % 3) as f64 * (-0.1 * d as f64).exp())).collect();
+        let rows = InMemory::new(&values, 50, 64);
+        for backend in ALL {
+            let low = low_rank(&rows, 8, backend, 1e-6, None).unwrap();
+            let t = triplets(&rows, &low, 8, true).unwrap();
+            // One term, the others rounding of f32 products.
+            assert!(t.weights[1..].iter().all(|s| *s < 3e-7 * t.weights[0]), "{backend:?} {:?}", t.weights);
+        }
+    }
+}

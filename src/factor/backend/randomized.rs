@@ -1,0 +1,167 @@
+//! Block Krylov iteration from a random start (`Musco2015`): every pass over the rows multiplies the newest block by AᵀA, and the
+//! leading triplets are taken from the span of all blocks (Rayleigh–Ritz). A power iteration forgets the earlier blocks, and needs
+//! about the square of the passes for the same accuracy.
+
+use super::{LowRank, Rows, product};
+use crate::{Error, Result};
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat, MatRef, Side, get_global_parallelism};
+use rand::{Rng, SeedableRng};
+
+/// Columns of a block beyond the triplets asked for.
+const OVERSAMPLING: usize = 8;
+/// Passes after which a spectrum is taken to be as flat as it looks.
+const MOST_PASSES: usize = 12;
+/// What products in f32 leave of a residual, over σ_1².
+const F32_RESIDUAL: f64 = 3e-7;
+
+pub(super) fn block_krylov(rows: &dyn Rows, k: usize, accuracy: f64, start: Option<&LowRank>) -> Result<LowRank> {
+    let (n, m) = rows.shape();
+    let width = (k + OVERSAMPLING).min(n).min(m);
+    // The start is random but the same every time: the result is a function of the matrix alone.
+    let mut random = rand_pcg::Pcg64::seed_from_u64(0);
+    let mut next = move || f64::from(random.next_u32()) / f64::from(u32::MAX) - 0.5;
+    let given = start.map_or(0, |s| s.singular_values.len().min(width));
+    let mut block = Mat::from_fn(m, width, |i, j| match start {
+        Some(s) if j < given => s.vectors[j * m + i],
+        _ => next(),
+    });
+    block = block.qr().compute_thin_Q();
+    let (mut basis, mut image) = (Mat::<f64>::zeros(m, 0), Mat::<f64>::zeros(m, 0));
+    for pass in 1.. {
+        let multiplied = gram_times(rows, block.as_ref())?;
+        basis = beside(&basis, &block);
+        image = beside(&image, &multiplied);
+        let ritz = Ritz::new(&basis, &image, k)?;
+        let room = m - basis.ncols();
+        if pass == MOST_PASSES || room == 0 || ritz.converged(accuracy) {
+            return Ok(ritz.low_rank(pass));
+        }
+        let newest = multiplied.subcols(0, width.min(room)).to_owned();
+        match orthonormal_rest(&basis, newest, ritz.largest(), &mut next) {
+            Some(rest) => block = rest,
+            None => return Ok(ritz.low_rank(pass)),
+        }
+    }
+    Err(Error::internal("the Krylov iteration ended without a result"))
+}
+
+/// Leading eigenpairs of AᵀA within a subspace.
+struct Ritz {
+    /// Descending.
+    values: Vec<f64>,
+    vectors: Mat<f64>,
+    /// ‖AᵀA v − θ v‖ of each.
+    residuals: Vec<f64>,
+}
+
+impl Ritz {
+    fn new(basis: &Mat<f64>, image: &Mat<f64>, k: usize) -> Result<Self> {
+        let projected = basis.transpose() * image;
+        let s = projected.nrows();
+        // Symmetric but for rounding.
+        let symmetric = Mat::from_fn(s, s, |i, j| (projected[(i, j)] + projected[(j, i)]) / 2.0);
+        let eigen = symmetric
+            .self_adjoint_eigen(Side::Lower)
+            .map_err(|e| Error::internal(format!("the eigendecomposition did not converge: {e:?}")))?;
+        let all = eigen.S().column_vector();
+        let k = k.min(s);
+        let values: Vec<f64> = (0..k).map(|j| all[s - 1 - j].max(0.0)).collect();
+        let rotation = Mat::from_fn(s, k, |i, j| eigen.U()[(i, s - 1 - j)]);
+        let vectors = basis * &rotation;
+        let images = image * &rotation;
+        let residual = |j: usize| {
+            let off = |i: usize| images[(i, j)] - values[j] * vectors[(i, j)];
+            (0..vectors.nrows()).map(|i| off(i) * off(i)).sum::<f64>().sqrt()
+        };
+        let residuals = (0..k).map(residual).collect();
+        Ok(Self { values, vectors, residuals })
+    }
+
+    fn largest(&self) -> f64 {
+        self.values.first().copied().unwrap_or(0.0)
+    }
+
+    /// Whether every singular value is right to `accuracy` σ_1: |σ − √θ| ≤ residual / (2 √θ), or as well as f32 can tell.
+    fn converged(&self, accuracy: f64) -> bool {
+        let largest = self.largest();
+        let most = |theta: f64| (2.0 * accuracy * (largest * theta).sqrt()).max(F32_RESIDUAL * largest);
+        self.values.iter().zip(&self.residuals).all(|(&theta, &r)| r <= most(theta))
+    }
+
+    fn low_rank(self, passes: usize) -> LowRank {
+        let largest = self.largest().sqrt();
+        let error = |(&theta, &r): (&f64, &f64)| if r > 0.0 { (r / (2.0 * theta.sqrt())).min(r.sqrt()) } else { 0.0 };
+        let worst = self.values.iter().zip(&self.residuals).map(error).fold(0.0, f64::max);
+        LowRank {
+            singular_values: self.values.iter().map(|v| v.sqrt()).collect(),
+            vectors: super::transposed(self.vectors.as_ref(), self.values.len()),
+            passes,
+            residual: if largest > 0.0 { worst / largest } else { 0.0 },
+        }
+    }
+}
+
+/// AᵀA times a block of columns, one pass: products in f32, sums over blocks of rows in f64.
+pub(super) fn gram_times(rows: &dyn Rows, block: MatRef<'_, f64>) -> Result<Mat<f64>> {
+    let (m, width) = (block.nrows(), block.ncols());
+    let par = get_global_parallelism();
+    // [width, m], row-major: what products with rows want.
+    let narrow: Vec<f32> = (0..width).flat_map(|j| (0..m).map(move |i| (i, j))).map(|at| block[at] as f32).collect();
+    let narrow = MatRef::from_row_major_slice(&narrow, width, m);
+    let mut sum = Mat::<f64>::zeros(m, width);
+    let mut part = Mat::<f32>::zeros(m, width);
+    rows.for_each(&mut |_, values| {
+        let count = values.len() / m.max(1);
+        let a = MatRef::from_row_major_slice(values, count, m);
+        let mut projected = vec![0.0_f32; count * width];
+        product(a, narrow, &mut projected);
+        let projected = MatRef::from_row_major_slice(&projected, count, width);
+        matmul(part.as_mut(), Accum::Replace, a.transpose(), projected, 1.0, par);
+        for j in 0..width {
+            for i in 0..m {
+                sum[(i, j)] += f64::from(part[(i, j)]);
+            }
+        }
+        Ok(())
+    })?;
+    Ok(sum)
+}
+
+fn beside(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
+    let left = a.ncols();
+    Mat::from_fn(b.nrows(), left + b.ncols(), |i, j| if j < left { a[(i, j)] } else { b[(i, j - left)] })
+}
+
+/// An orthonormal basis of what `block` has outside the span of `basis`; columns that have nothing there but rounding become random.
+/// `None` when none has.
+fn orthonormal_rest(
+    basis: &Mat<f64>,
+    mut block: Mat<f64>,
+    largest: f64,
+    next: &mut impl FnMut() -> f64,
+) -> Option<Mat<f64>> {
+    let remove = |block: &mut Mat<f64>| {
+        let along = basis.transpose() * &*block;
+        *block -= basis * along;
+    };
+    remove(&mut block);
+    let mut left = 0;
+    for j in 0..block.ncols() {
+        let norm = block.col(j).norm_l2();
+        if norm > F32_RESIDUAL * largest {
+            left += 1;
+            (0..block.nrows()).for_each(|i| block[(i, j)] /= norm);
+        } else {
+            (0..block.nrows()).for_each(|i| block[(i, j)] = next());
+        }
+    }
+    if left == 0 {
+        return None;
+    }
+    for _ in 0..2 {
+        remove(&mut block);
+        block = block.qr().compute_thin_Q();
+    }
+    Some(block)
+}

@@ -1,0 +1,124 @@
+//! Non-negative factorization (`Peers2006`): rows ≈ m ∘ (F H) with F, H ≥ 0, m the mean profile.
+//!
+//! Weights are m²: the error of R / m counts as what it is in R, so the sum that falls is that of least squares in R, as for the other models
+//! (the paper does not give its weights). Hierarchical alternating least squares (`Cichocki2009`): one factor at a
+//! time has a closed solution. The rows are first projected to many more singular triplets than there are terms: what that leaves out is
+//! small beside what a non-negative factorization leaves, and an iteration then costs nothing of the rows' length.
+
+use super::backend::Triplets;
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat, MatRef, get_global_parallelism};
+use rand::{Rng, SeedableRng};
+
+/// Iterations at the most; the error of the last hundred falls by less than a per mille.
+const ROUNDS: usize = 400;
+/// Relative fall of the error over ten iterations below which it is taken to have ended.
+const SETTLED: f64 = 1e-5;
+
+/// Factors of one plane.
+pub struct NonNegative {
+    /// \[rows, terms\].
+    pub left: Vec<f64>,
+    /// \[terms, samples\], before the profile.
+    pub right: Vec<f64>,
+}
+
+/// Factors the columns `first .. first + profile.len()` of the projected rows.
+pub fn factorize(projected: &Triplets, columns: usize, first: usize, profile: &[f64], terms: usize) -> NonNegative {
+    let (rank, m) = (projected.weights.len(), profile.len());
+    let n = projected.left.len() / rank.max(1);
+    // A = Y Vᵀ, n × m: least squares in R is that of A itself against F (H m).
+    let y = Mat::from_fn(n, rank, |i, j| projected.left[i * rank + j] * projected.weights[j]);
+    let v = Mat::from_fn(m, rank, |d, j| projected.right[j * columns + first + d]);
+    let mut random = rand_pcg::Pcg64::seed_from_u64(0);
+    let mut next = || f64::from(random.next_u32()) / f64::from(u32::MAX);
+    // Every term starts as the mean profile, unevenly.
+    let mut right = Mat::from_fn(m, terms, |d, _| profile[d].max(0.0) * (0.2 + next()));
+    let mut left = Mat::from_fn(n, terms, |_, _| 0.2 + next());
+    let energy = squared(&(y.transpose() * &y), &(v.transpose() * &v));
+    let mut before = f64::INFINITY;
+    for round in 0..ROUNDS {
+        let (products, gram) = (multiply(&y, &(v.transpose() * &right)), right.transpose() * &right);
+        update(&mut left, &products, &gram);
+        let (products, gram) = (multiply(&v, &(y.transpose() * &left)), left.transpose() * &left);
+        update(&mut right, &products, &gram);
+        if round % 10 == 9 {
+            let cross: f64 = (0..terms).map(|j| (0..m).map(|d| products[(d, j)] * right[(d, j)]).sum::<f64>()).sum();
+            let error = (energy - 2.0 * cross + squared(&gram, &(right.transpose() * &right))).max(0.0);
+            if !(before - error > SETTLED * error) {
+                break;
+            }
+            before = error;
+        }
+    }
+    NonNegative {
+        left: (0..n).flat_map(|i| (0..terms).map(move |j| (i, j))).map(|at| left[at]).collect(),
+        right: (0..terms)
+            .flat_map(|j| (0..m).map(move |d| (d, j)))
+            .map(|(d, j)| if profile[d] > 0.0 { right[(d, j)] / profile[d] } else { 0.0 })
+            .collect(),
+    }
+}
+
+fn multiply(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
+    let mut out = Mat::zeros(a.nrows(), b.ncols());
+    matmul(out.as_mut(), Accum::Replace, a.as_ref(), b.as_ref(), 1.0, get_global_parallelism());
+    out
+}
+
+/// Σ of the products of two symmetric matrices' entries: ‖F H‖² from their Gram matrices.
+fn squared(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
+    (0..a.ncols()).map(|j| (0..a.nrows()).map(|i| a[(i, j)] * b[(i, j)]).sum::<f64>()).sum()
+}
+
+/// One sweep: every column in turn takes its best non-negative values, given the others. `products` is the data times the other
+/// side, `gram` the other side's products with itself.
+fn update(factor: &mut Mat<f64>, products: &Mat<f64>, gram: &Mat<f64>) {
+    for j in 0..factor.ncols() {
+        let own = gram[(j, j)];
+        if !(own > 0.0) {
+            continue;
+        }
+        let others: Mat<f64> = multiply_column(factor.as_ref(), gram, j);
+        for i in 0..factor.nrows() {
+            factor[(i, j)] = (factor[(i, j)] + (products[(i, j)] - others[(i, 0)]) / own).max(0.0);
+        }
+    }
+}
+
+fn multiply_column(factor: MatRef<'_, f64>, gram: &Mat<f64>, j: usize) -> Mat<f64> {
+    let mut out = Mat::zeros(factor.nrows(), 1);
+    matmul(out.as_mut(), Accum::Replace, factor, gram.as_ref().subcols(j, 1), 1.0, get_global_parallelism());
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::backend::{Backend, low_rank, tests::InMemory, triplets};
+    use super::*;
+
+    #[test]
+    fn rows_that_are_a_non_negative_product_are_recovered_by_one() {
+        let (n, m, terms) = (60, 40, 3);
+        let f = |i: usize, j: usize| ((i * (j + 2) + 3 * j) % 7) as f64 / 7.0;
+        let h = |j: usize, d: usize| (-(d as f64 - 10.0 * j as f64).abs() / 6.0).exp();
+        let values: Vec<f64> =
+            (0..n).flat_map(|i| (0..m).map(move |d| (0..terms).map(|j| f(i, j) * h(j, d)).sum())).collect();
+        let rows = InMemory::new(&values, m, 16);
+        let low = low_rank(&rows, 12, Backend::Full, 0.0, None).unwrap();
+        let projected = triplets(&rows, &low, 12, true).unwrap();
+        let mean: Vec<f64> = (0..m).map(|d| (0..n).map(|i| values[i * m + d]).sum::<f64>() / n as f64).collect();
+        let found = factorize(&projected, m, 0, &mean, terms);
+        assert!(found.left.iter().chain(&found.right).all(|&v| v >= 0.0));
+        let (mut error, mut size) = (0.0, 0.0);
+        for i in 0..n {
+            for d in 0..m {
+                let fit: f64 = (0..terms).map(|j| found.left[i * terms + j] * found.right[j * m + d]).sum();
+                error += (fit * mean[d] - values[i * m + d]).powi(2);
+                size += values[i * m + d].powi(2);
+            }
+        }
+        // Alternating least squares ends near the exact factors, not at them.
+        assert!(error < 1e-4 * size, "{}", (error / size).sqrt());
+    }
+}

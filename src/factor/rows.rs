@@ -1,0 +1,272 @@
+//! The rows that are factored, as often as they are wanted: shifted, scaled, their gaps filled; kept in memory when they fit, else read
+//! from the store again.
+
+use super::fill::{Basis, Missing};
+use super::survey::{Survey, survey};
+use crate::Result;
+use crate::progress::Progress;
+use crate::transport::normalize::Placement;
+use crate::transport::rows::{RowView, intensity_into};
+use crate::transport::{MatrixReader, RowBlock};
+use rayon::prelude::*;
+
+/// What of the matrix is factored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Content {
+    /// Intensity of each row over its largest: one plane.
+    Intensity,
+    /// Intensity as it was measured: one plane, for matrices without colour.
+    Grey,
+    /// R, G and B as they were measured: three planes.
+    Channels,
+}
+
+impl Content {
+    /// Planes of a row.
+    pub fn planes(self) -> usize {
+        if self == Self::Channels { 3 } else { 1 }
+    }
+
+    /// Planes `[plane][dy][dx]` of a row over `scale`, 0 where not measured; where they were measured, `None` when everywhere.
+    pub(super) fn extract(self, row: RowView<'_>, scale: f64, out: &mut [f32]) -> Option<Box<[bool]>> {
+        let samples = row.valid.len() / 3;
+        let complete = row.valid.iter().all(|&v| v != 0);
+        if self == Self::Channels {
+            for (c, plane) in out.chunks_exact_mut(samples.max(1)).enumerate() {
+                let values = row.response.iter().skip(c).step_by(3);
+                plane.iter_mut().zip(values).for_each(|(o, &v)| *o = (f64::from(v) / scale) as f32);
+            }
+        } else {
+            intensity_into(row, scale, out);
+        }
+        if complete {
+            return None;
+        }
+        let measured = |plane: usize, k: usize| match self {
+            Self::Channels => row.valid[3 * k + plane] != 0,
+            _ => row.valid[3 * k..3 * k + 3].iter().all(|&v| v != 0),
+        };
+        let planes = (0..self.planes()).flat_map(|p| (0..samples).map(move |k| (p, k)));
+        let measured: Box<[bool]> = planes.map(|(p, k)| measured(p, k)).collect();
+        out.iter_mut().zip(&measured).filter(|(_, m)| !**m).for_each(|(o, _)| *o = 0.0);
+        Some(measured)
+    }
+}
+
+/// A matrix of f32 that comes in blocks of consecutive rows, the same each time.
+pub trait Rows {
+    /// Number of rows and columns.
+    fn shape(&self) -> (usize, usize);
+
+    /// Calls `each(first_row, block)`, blocks row-major, in order.
+    ///
+    /// # Errors
+    /// Those of the source and of `each`.
+    fn for_each(&self, each: &mut dyn FnMut(usize, &[f32]) -> Result<()>) -> Result<()>;
+}
+
+/// Consecutive rows on their measured windows, `[row][plane][dy][dx]`.
+#[derive(Debug)]
+pub(super) struct RawRows {
+    pub first: usize,
+    pub rows: usize,
+    pub values: Vec<f32>,
+    /// Where each row was measured; `None` when everywhere.
+    pub measured: Vec<Option<Box<[bool]>>>,
+}
+
+impl RawRows {
+    /// Takes what is factored out of a block; `scale(k)` divides row `k` of the block.
+    pub fn extract(block: &RowBlock, content: Content, scale: impl Fn(usize) -> f64 + Sync) -> Self {
+        let len = block.response.len() / block.rows.max(1) / 3 * content.planes();
+        let mut values = vec![0.0; block.rows * len];
+        let measured = values
+            .par_chunks_mut(len.max(1))
+            .enumerate()
+            .map(|(k, out)| content.extract(block.view(k), scale(k), out))
+            .collect();
+        Self { first: block.first, rows: block.rows, values, measured }
+    }
+}
+
+/// Consecutive rows on the common window, `[row][plane][y][x]`, and what of them was estimated.
+#[derive(Debug)]
+struct Chunk {
+    first: usize,
+    values: Vec<f32>,
+    missing: Vec<Missing>,
+}
+
+/// The rows of a matrix, prepared for factoring.
+pub struct PreparedRows<'a> {
+    reader: &'a MatrixReader,
+    progress: &'a Progress,
+    /// What the first pass found.
+    pub survey: Survey,
+    /// What is factored.
+    pub content: Content,
+    /// What fills the gaps of rows that are read again.
+    basis: Basis,
+    /// All rows, when they fit in memory.
+    cache: Option<Vec<Chunk>>,
+    /// Missing columns of complete rows, per shift.
+    patterns: Vec<([i16; 2], Vec<u32>)>,
+}
+
+impl<'a> PreparedRows<'a> {
+    /// Reads the matrix once: places rows, keeps them when they take at most `memory` bytes, and fills gaps with the mean profile.
+    ///
+    /// # Errors
+    /// Those of the reader.
+    pub fn new(
+        reader: &'a MatrixReader,
+        content: Content,
+        limit: [usize; 2],
+        memory: u64,
+        progress: &'a Progress,
+    ) -> Result<Self> {
+        let header = reader.header();
+        let bytes = |samples: usize| (4 * header.rows() * samples * content.planes()) as u64;
+        let mut raw = Vec::new();
+        let keep = bytes(header.window_len()) <= memory;
+        let survey = survey(reader, content, limit, keep.then_some(&mut raw), progress)?;
+        let mut patterns: Vec<[i16; 2]> = survey.placements.iter().map(|p| p.shift).collect();
+        patterns.sort_unstable();
+        patterns.dedup();
+        let patterns = patterns.into_iter().map(|shift| (shift, survey.outside(shift, content.planes()))).collect();
+        let basis = Basis::mean(&survey.mean);
+        let mut rows = Self { reader, progress, survey, content, basis, cache: None, patterns };
+        if keep && bytes(rows.survey.layout.len()) <= memory {
+            let basis = rows.basis.prepared(&rows.patterns);
+            let chunks = raw.into_iter().map(|raw| {
+                let mut chunk = rows.place(raw);
+                basis.fill(&mut chunk.values, &chunk.missing);
+                chunk
+            });
+            rows.cache = Some(chunks.collect());
+        }
+        Ok(rows)
+    }
+
+    /// Whether a row has gaps that [`Self::refill`] would estimate anew.
+    pub fn has_gaps(&self) -> bool {
+        !self.survey.complete
+    }
+
+    /// Whether the rows are in memory: a pass then costs no reading.
+    pub fn in_memory(&self) -> bool {
+        self.cache.is_some()
+    }
+
+    /// Estimates what was not measured from `basis`, from now on.
+    pub fn refill(&mut self, basis: Basis) {
+        let prepared = basis.prepared(&self.patterns);
+        for chunk in self.cache.iter_mut().flatten() {
+            prepared.fill(&mut chunk.values, &chunk.missing);
+        }
+        self.basis = basis;
+    }
+
+    /// Calls `each(first_row, values, missing)` for blocks of rows `[row][plane][y][x]` whose gaps are filled.
+    ///
+    /// # Errors
+    /// Those of the reader and of `each`.
+    pub fn for_each_chunk(
+        &self,
+        stage: &str,
+        each: &mut dyn FnMut(usize, &[f32], &[Missing]) -> Result<()>,
+    ) -> Result<()> {
+        if let Some(chunks) = &self.cache {
+            return chunks.iter().try_for_each(|c| each(c.first, &c.values, &c.missing));
+        }
+        let stage = self.progress.stage(stage, self.reader.header().rows());
+        let basis = self.basis.prepared(&self.patterns);
+        for range in self.reader.blocks() {
+            let block = self.reader.read_responses(range)?;
+            let raw = RawRows::extract(&block, self.content, |k| self.scale(block.first + k));
+            let mut chunk = self.place(raw);
+            basis.fill(&mut chunk.values, &chunk.missing);
+            each(chunk.first, &chunk.values, &chunk.missing)?;
+            stage.advance(block.rows);
+        }
+        Ok(())
+    }
+
+    /// Columns of a row that were not measured.
+    pub fn missing<'m>(&'m self, missing: &'m Missing) -> &'m [u32] {
+        match missing {
+            Missing::Nothing => &[],
+            Missing::Pattern(k) => self.patterns.get(*k).map_or(&[], |(_, columns)| columns),
+            Missing::Columns(columns) => columns,
+        }
+    }
+
+    /// What the factored rows are to be multiplied by; 1 for normalized ones.
+    pub fn unit(&self) -> f64 {
+        if self.content == Content::Intensity || !(self.survey.peak > 0.0) { 1.0 } else { self.survey.peak }
+    }
+
+    fn scale(&self, index: usize) -> f64 {
+        super::survey::scale(self.content, self.survey.placements.get(index))
+    }
+
+    /// Moves rows to their places on the common window and to their unit.
+    fn place(&self, raw: RawRows) -> Chunk {
+        let layout = &self.survey.layout;
+        let (window, samples, planes) = (layout.window[0] * layout.window[1], layout.len(), self.content.planes());
+        let unit = self.unit();
+        let mut values = vec![0.0; raw.rows * planes * samples];
+        let missing = values
+            .par_chunks_mut((planes * samples).max(1))
+            .enumerate()
+            .map(|(k, out)| {
+                let placement: &Placement = &self.survey.placements[raw.first + k];
+                let row = &raw.values[k * planes * window..(k + 1) * planes * window];
+                for p in 0..planes {
+                    layout.for_each_line(placement.shift, |w, e, n| {
+                        let to = &mut out[p * samples + e..][..n];
+                        to.copy_from_slice(&row[p * window + w..][..n]);
+                        if unit != 1.0 {
+                            to.iter_mut().for_each(|v| *v = (f64::from(*v) / unit) as f32);
+                        }
+                    });
+                }
+                self.missing_of(placement, raw.measured[k].as_deref())
+            })
+            .collect();
+        Chunk { first: raw.first, values, missing }
+    }
+
+    fn missing_of(&self, placement: &Placement, measured: Option<&[bool]>) -> Missing {
+        let pattern = self.patterns.binary_search_by_key(&placement.shift, |(shift, _)| *shift);
+        let (Some(measured), Ok(k)) = (measured, pattern) else {
+            return match pattern {
+                Ok(k) if !self.patterns[k].1.is_empty() => Missing::Pattern(k),
+                _ => Missing::Nothing,
+            };
+        };
+        let layout = &self.survey.layout;
+        let (window, samples) = (layout.window[0] * layout.window[1], layout.len());
+        let mut columns = self.patterns[k].1.clone();
+        for p in 0..self.content.planes() {
+            layout.for_each(placement.shift, |w, e| {
+                if !measured[p * window + w] {
+                    columns.push((p * samples + e) as u32);
+                }
+            });
+        }
+        columns.sort_unstable();
+        Missing::Columns(columns)
+    }
+}
+
+impl Rows for PreparedRows<'_> {
+    fn shape(&self) -> (usize, usize) {
+        (self.survey.placements.len(), self.survey.layout.len() * self.content.planes())
+    }
+
+    fn for_each(&self, each: &mut dyn FnMut(usize, &[f32]) -> Result<()>) -> Result<()> {
+        self.for_each_chunk("factor", &mut |first, values, _| each(first, values))
+    }
+}

@@ -1,0 +1,353 @@
+//! The terms of a material: singular triplets of the rows, or a non-negative product.
+
+use super::backend::{self, Backend, LowRank, Triplets, low_rank, triplets};
+use super::choose::{self, Goal};
+use super::fill::Basis;
+use super::noise::F32_ROUNDING;
+use super::nonnegative::factorize;
+use super::rows::{Content, PreparedRows, Rows};
+use super::{Misfit, Options};
+use crate::material::{Material, MaterialHeader, Model};
+use crate::transport::MatrixReader;
+use crate::{Error, Result};
+use rayon::prelude::*;
+
+/// Singular values computed beyond those that may be used: the report's plot shows how they go on.
+const BEYOND: usize = 5;
+/// Singular values below this share of the largest do not estimate missing samples: back ends that multiply in f32 cannot tell them yet.
+const FILL_ABOVE: f64 = 1e-3;
+
+/// A material without its colour polynomial, and why it is as it is.
+pub(super) struct TermsFit {
+    pub material: Material,
+    pub why: String,
+    pub how: String,
+    pub backend: Backend,
+    /// What is left, when there is no colour polynomial to come.
+    pub misfit: Misfit,
+    /// The degree that the goal asks for.
+    pub degree: Option<usize>,
+}
+
+/// Factors rows into terms.
+pub(super) fn fit(
+    reader: &MatrixReader,
+    rows: &mut PreparedRows<'_>,
+    model: Model,
+    options: &Options,
+) -> Result<TermsFit> {
+    let (n, columns) = rows.shape();
+    let chosen = options.backend.unwrap_or_else(|| backend::choose(n, columns, options.accuracy));
+    let mut most = options.terms.unwrap_or(options.max_terms);
+    let mut start = None;
+    loop {
+        let wanted = most + BEYOND;
+        let low = decompose(rows, options, chosen, wanted, start.take())?;
+        let exact = matches!(chosen, Backend::Full | Backend::Gram);
+        let all = triplets(rows, &low, wanted, exact)?;
+        let rank = all.weights.iter().take_while(|&&s| s > F32_ROUNDING * all.weights[0] && s > 0.0).count().max(1);
+        let asked = Asked { rank, most, rows, model, options };
+        let plan = asked.plan(reader, &all)?;
+        let enough = !plan.short || rank < most || most >= 4 * options.max_terms || most >= n.min(columns);
+        if enough {
+            let how = format!(
+                "{chosen}, {} {}{}{}",
+                low.passes,
+                if low.passes == 1 { "pass" } else { "passes" },
+                if low.residual > 0.0 { format!(", singular values to {:.0e}", low.residual) } else { String::new() },
+                if rows.in_memory() { "" } else { ", streamed from the store" },
+            );
+            return asked.finish(reader, &all, plan, chosen, how);
+        }
+        most *= 2;
+        start = Some(low);
+    }
+}
+
+/// The truncated SVD of the rows, repeated while missing samples are estimated from it.
+fn decompose(
+    rows: &mut PreparedRows<'_>,
+    options: &Options,
+    backend: Backend,
+    wanted: usize,
+    mut start: Option<LowRank>,
+) -> Result<LowRank> {
+    let (n, columns) = rows.shape();
+    let rounds = if rows.has_gaps() { options.fill_rounds } else { 0 };
+    let mut passes = 0;
+    for round in 0..=rounds {
+        let mut low = low_rank(rows, wanted, backend, options.accuracy, start.as_ref())?;
+        passes += low.passes;
+        low.passes = passes;
+        if round == rounds {
+            return Ok(low);
+        }
+        let largest = low.singular_values.first().copied().unwrap_or(0.0);
+        let visible = low.singular_values.iter().take_while(|&&s| s > FILL_ABOVE * largest).count().max(1);
+        let most = if matches!(backend, Backend::Full | Backend::Gram) {
+            low.singular_values.iter().take_while(|&&s| s > F32_ROUNDING * largest).count().max(1)
+        } else {
+            visible
+        };
+        let terms =
+            options.terms.unwrap_or_else(|| rows.survey.noise.terms(&low.singular_values)).min(options.max_terms);
+        let noise = rows.survey.noise.mean;
+        rows.refill(Basis::factors(&low, terms.min(most), n, columns, noise));
+        start = Some(low);
+    }
+    Err(Error::internal("the factorization ended without a result"))
+}
+
+/// What is known when terms are chosen.
+struct Asked<'r, 'a> {
+    /// Terms that the rows have.
+    rank: usize,
+    /// Terms that were looked for.
+    most: usize,
+    rows: &'r PreparedRows<'a>,
+    model: Model,
+    options: &'r Options,
+}
+
+/// What was chosen.
+struct Plan {
+    terms: usize,
+    degree: Option<usize>,
+    why: String,
+    /// Whether the goal would have more terms.
+    short: bool,
+}
+
+impl Asked<'_, '_> {
+    fn plan(&self, reader: &MatrixReader, all: &Triplets) -> Result<Plan> {
+        let (options, noise) = (self.options, &self.rows.survey.noise);
+        let most = self.rank.min(self.most);
+        if let Some(asked) = options.terms {
+            let why = match asked > self.rank {
+                true => format!("{asked} were asked for and the rows have no more"),
+                false => "as asked".to_owned(),
+            };
+            return Ok(Plan { terms: asked.min(self.rank), degree: None, why, short: false });
+        }
+        match options.goal {
+            Goal::Noise => {
+                let terms = noise.terms(&all.weights).min(most);
+                let level = noise.threshold(&all.weights);
+                let why = match all.weights.get(terms) {
+                    Some(&next) if next > level => format!(
+                        "the most allowed, singular values {} … are still above the noise ({next:.3e} > {level:.3e})",
+                        terms + 1
+                    ),
+                    Some(&next) => {
+                        format!("singular values {} … are below the noise ({next:.3e} < {level:.3e})", terms + 1)
+                    }
+                    None => format!("the rows have no more, noise {level:.3e}"),
+                };
+                Ok(Plan { terms, degree: None, why, short: false })
+            }
+            goal if self.rows.content == Content::Intensity => {
+                let material = self.material(reader, all, most);
+                let chosen = choose::terms_and_degree(reader, &material, &self.rows.survey, goal, options)?;
+                let short = chosen.terms >= most && chosen.short;
+                Ok(Plan { terms: chosen.terms, degree: Some(chosen.degree), why: chosen.why, short })
+            }
+            goal => {
+                let unit = self.rows.unit();
+                let left = |terms: usize| {
+                    let kept: f64 = all.weights[..terms].iter().map(|s| s * s).sum();
+                    (self.energy() / (unit * unit) - kept).max(0.0) * unit * unit
+                };
+                let material = self.material(reader, all, 1);
+                let per_term = material.bytes_f32_per_term();
+                let fixed = material.bytes_f32() - per_term;
+                Ok(self.plan_for(goal, most, left, fixed, per_term))
+            }
+        }
+    }
+
+    /// Σ of squares of the rows as they are factored, mm⁻⁴, as far as they were measured.
+    fn energy(&self) -> f64 {
+        // Grey rows are factored once for three channels.
+        if self.rows.content == Content::Grey { self.rows.survey.energy / 3.0 } else { self.rows.survey.energy }
+    }
+
+    fn plan_for(&self, goal: Goal, most: usize, left: impl Fn(usize) -> f64, fixed: u64, per_term: u64) -> Plan {
+        let survey = &self.rows.survey;
+        let planes = if self.rows.content == Content::Grey { 3.0 } else { 1.0 };
+        let psnr = |terms: usize| {
+            let misfit = Misfit {
+                error: planes * left(terms),
+                energy: survey.energy,
+                peak: survey.peak,
+                entries: survey.entries,
+            };
+            misfit.psnr_db().unwrap_or(f64::INFINITY)
+        };
+        match goal {
+            Goal::Psnr(db) => match (1..=most).find(|&t| psnr(t) >= db) {
+                Some(terms) => {
+                    Plan { terms, degree: None, why: format!("the fewest that reach {db} dB"), short: false }
+                }
+                None => Plan {
+                    terms: most,
+                    degree: None,
+                    why: format!("{db} dB are not reached with the most that there are"),
+                    short: true,
+                },
+            },
+            Goal::Bytes(bytes) => {
+                let room = bytes.saturating_sub(fixed) / per_term.max(1);
+                let terms = usize::try_from(room).unwrap_or(usize::MAX).clamp(1, most);
+                let why = match room {
+                    0 => format!("one term takes more than {bytes} bytes"),
+                    _ => format!("as many as {bytes} bytes hold"),
+                };
+                Plan { terms, degree: None, why, short: room as usize > most }
+            }
+            Goal::Noise => Plan { terms: 1, degree: None, why: String::new(), short: false },
+        }
+    }
+
+    /// The first `terms` triplets as a material.
+    fn material(&self, reader: &MatrixReader, all: &Triplets, terms: usize) -> Material {
+        let header = reader.header();
+        let survey = &self.rows.survey;
+        let planes = self.rows.content.planes();
+        let (columns, rank, n) = (self.rows.shape().1, all.weights.len(), header.rows());
+        let unit = self.rows.unit();
+        let left: Vec<f32> =
+            (0..n).flat_map(|i| all.left[i * rank..i * rank + terms].iter().map(|&v| v as f32)).collect();
+        let samples = columns / planes;
+        let plane = |p: usize| {
+            (0..terms).flat_map(move |j| &all.right[j * columns + p * samples..j * columns + (p + 1) * samples])
+        };
+        let right: Vec<f32> = (0..planes).flat_map(plane).map(|&v| v as f32).collect();
+        let weights = all.weights[..terms].iter().map(|&g| (g * unit) as f32).collect();
+        Material {
+            header: MaterialHeader {
+                model: self.model,
+                points: header.points,
+                window: header.window,
+                pitch_mm: header.pitch_mm,
+                lit_pitch_mm: header.lit_pitch_mm,
+                extended: survey.layout.extended,
+                terms,
+                incident_planes: 1,
+                offset_planes: planes,
+                profile: false,
+                degree: None,
+                intensity_range: [0.0, 1.0],
+                singular_values: all.weights.iter().map(|g| g * unit).collect(),
+                noise_level: survey.noise.threshold(&all.weights) * unit,
+                warnings: header.warnings.iter().chain(&survey.warnings).cloned().collect(),
+                provenance: serde_json::Value::Null,
+            },
+            lit_mm: header.lit_mm.clone(),
+            weights,
+            incident_factors: left,
+            offset_factors: right,
+            profile: Vec::new(),
+            color_coefficients: Vec::new(),
+            shift: survey.placements.iter().map(|p| p.shift).collect(),
+        }
+    }
+
+    /// The mean profile and non-negative factors for each plane.
+    fn non_negative(&self, reader: &MatrixReader, all: &Triplets, terms: usize) -> Material {
+        let mut material = self.material(reader, all, 1);
+        let (planes, columns) = (self.rows.content.planes(), self.rows.shape().1);
+        let samples = columns / planes;
+        let unit = self.rows.unit();
+        let h = &mut material.header;
+        (h.terms, h.incident_planes, h.offset_planes, h.profile) = (terms, planes, planes, true);
+        h.singular_values.clear();
+        material.weights = vec![1.0; terms];
+        (material.incident_factors, material.offset_factors) = (Vec::new(), Vec::new());
+        for p in 0..planes {
+            let profile: Vec<f64> =
+                self.rows.survey.mean[p * samples..(p + 1) * samples].iter().map(|&m| m.max(0.0)).collect();
+            let found = factorize(all, columns, p * samples, &profile, terms);
+            material.incident_factors.extend(found.left.iter().map(|&v| v as f32));
+            material.offset_factors.extend(found.right.iter().map(|&v| v as f32));
+            material.profile.extend(profile.iter().map(|&m| (m * unit) as f32));
+        }
+        material
+    }
+
+    fn finish(
+        &self,
+        reader: &MatrixReader,
+        all: &Triplets,
+        plan: Plan,
+        backend: Backend,
+        how: String,
+    ) -> Result<TermsFit> {
+        let Plan { terms, degree, why, .. } = plan;
+        let material = match self.model {
+            Model::Peers2006 => self.non_negative(reader, all, terms),
+            _ => self.material(reader, all, terms),
+        };
+        let survey = &self.rows.survey;
+        let mut misfit = Misfit { error: 0.0, energy: survey.energy, peak: survey.peak, entries: survey.entries };
+        if self.rows.content != Content::Intensity {
+            misfit.error = self.residual(reader, &material)?;
+        }
+        Ok(TermsFit { material, why, how, backend, misfit, degree })
+    }
+
+    /// Σ (R̂−R)² over the valid entries of the matrix, of a material without a colour polynomial.
+    fn residual(&self, reader: &MatrixReader, material: &Material) -> Result<f64> {
+        if self.rows.content == Content::Grey {
+            return residual_of_rows(reader, material);
+        }
+        let (planes, columns) = (self.rows.content.planes(), self.rows.shape().1);
+        let samples = columns / planes;
+        let unit = self.rows.unit();
+        let mut error = 0.0;
+        self.rows.for_each_chunk("measure", &mut |first, values, missing| {
+            let fits: Vec<Vec<f64>> =
+                (0..planes).map(|p| material.plane_block(p, first..first + missing.len())).collect();
+            let errors: Vec<f64> = missing
+                .par_iter()
+                .enumerate()
+                .map(|(k, gaps)| {
+                    let row = &values[k * columns..(k + 1) * columns];
+                    let mut sum = 0.0;
+                    let mut gaps = self.rows.missing(gaps).iter().peekable();
+                    for p in 0..planes {
+                        for (e, fit) in fits[p][k * samples..(k + 1) * samples].iter().enumerate() {
+                            let column = p * samples + e;
+                            if gaps.peek() == Some(&&(column as u32)) {
+                                gaps.next();
+                                continue;
+                            }
+                            sum += (fit / unit - f64::from(row[column])).powi(2);
+                        }
+                    }
+                    sum
+                })
+                .collect();
+            error += errors.iter().sum::<f64>();
+            Ok(())
+        })?;
+        Ok(error * unit * unit)
+    }
+}
+
+/// The same for any material, by evaluating it: one pass over the store.
+fn residual_of_rows(reader: &MatrixReader, material: &Material) -> Result<f64> {
+    let mut error = 0.0;
+    for range in reader.blocks() {
+        let block = reader.read_responses(range)?;
+        let errors: Vec<f64> = (0..block.rows)
+            .into_par_iter()
+            .map(|k| {
+                let (fit, row) = (material.evaluate_row(block.first + k), block.view(k));
+                let entries = fit.iter().zip(row.response).zip(row.valid).filter(|(_, v)| **v != 0);
+                entries.map(|((&a, &b), _)| (f64::from(a) - f64::from(b)).powi(2)).sum()
+            })
+            .collect();
+        error += errors.iter().sum::<f64>();
+    }
+    Ok(error)
+}
