@@ -45,6 +45,9 @@ pub mod factor;
 // Measures of a matrix or a material against a matrix.
 pub mod evaluate;
 
+// What speed, bytes and accuracy cost each other on one matrix.
+pub mod tradeoff;
+
 // A capture without a rig, and its truth.
 pub mod simulate;
 

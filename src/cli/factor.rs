@@ -1,8 +1,9 @@
 use super::Context;
-use crate::Result;
-use crate::factor::{Backend, Goal, Options, factor};
-use crate::material::Model;
+use crate::factor::{Backend, Factored, Goal, Options, factor};
+use crate::material::coded::{self, Quality, encode};
+use crate::material::{Model, Precision};
 use crate::transport::MatrixReader;
+use crate::{Error, Result};
 use std::path::PathBuf;
 
 /// Factor a matrix into a compact material.
@@ -12,6 +13,7 @@ Examples:
   acquire factor slab.rd.zarr                            as many terms as the noise supports
   acquire factor slab.rd.zarr --target-psnr 45           the fewest bytes that reach it
   acquire factor slab.rd.zarr --max-bytes 250kB          the best in so many bytes
+  acquire factor slab.rd.zarr --target-psnr 45 --out slab.acq    the same, coded: far fewer bytes
   acquire factor slab.rd.zarr --terms 15 --degree 7      the paper's model and setting
   acquire factor slab.rd.zarr --model peers2006 --terms 13
   acquire factor slab.rd.zarr --memory 2GiB --backend gram")]
@@ -36,6 +38,12 @@ pub struct Args {
     /// With --model peers2006: factor the intensity, and make colour a polynomial of it as tucker does.
     #[arg(long)]
     color_regression: bool,
+    /// How numbers are stored: f32 or f16 in a .safetensors, or coded in a .acq [default: f32, coded when --out ends in .acq].
+    #[arg(long, value_enum)]
+    precision: Option<Precision>,
+    /// With --precision coded: the error that coding may add, relative to the material [default: 0.003, or what a target leaves].
+    #[arg(long, value_name = "SHARE")]
+    added_error: Option<f64>,
     /// How singular values are computed [default: the quickest for the size that reaches --accuracy].
     #[arg(long, value_enum)]
     backend: Option<Backend>,
@@ -56,21 +64,48 @@ pub struct Args {
     out: Option<PathBuf>,
 }
 
+/// How much better than a target the factors are before they are coded, dB: a fifth of the squared error is then the coder's.
+const ROOM_DB: f64 = 1.0;
+/// The error that coding adds when nothing else is asked.
+const ADDED_ERROR: f64 = 3e-3;
+
+/// The error that coding may add, relative to the material, so that the target is met.
+fn room(factored: &Factored, target_psnr: Option<f64>) -> f64 {
+    let (Some(target), Some(reached)) = (target_psnr, factored.psnr_db) else { return ADDED_ERROR };
+    let allowed = factored.rel_rmse * 10.0_f64.powf((reached - target) / 20.0);
+    // A little less: what is added is not quite orthogonal to what was left.
+    0.98 * (allowed * allowed - factored.rel_rmse * factored.rel_rmse).max(0.0).sqrt()
+}
+
 pub fn run(args: Args, context: &Context) -> Result<()> {
     let out = args.out.unwrap_or_else(|| {
         let name = args.matrix.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        PathBuf::from(format!("{}.safetensors", name.trim_end_matches(".zarr").trim_end_matches(".rd")))
+        let end = if args.precision == Some(Precision::Coded) { "acq" } else { "safetensors" };
+        PathBuf::from(format!("{}.{end}", name.trim_end_matches(".zarr").trim_end_matches(".rd")))
     });
+    let coded = out.extension().is_some_and(|e| e == "acq");
+    let precision = args.precision.unwrap_or(if coded { Precision::Coded } else { Precision::F32 });
+    if args.added_error.is_some() && precision != Precision::Coded {
+        return Err(Error::Setting {
+            setting: "--added-error",
+            expected: "--precision coded beside it".into(),
+            found: format!("--precision {precision}"),
+        });
+    }
     super::check_output(&out, &[&args.matrix])?;
     let reader = MatrixReader::open(&args.matrix)?;
     let options = Options {
         model: args.model,
         terms: args.terms,
         degree: args.degree,
-        goal: match (args.target_psnr, args.max_bytes) {
-            (Some(db), _) => Goal::Psnr(db),
-            (None, Some(bytes)) => Goal::Bytes(bytes),
-            (None, None) => Goal::Noise,
+        goal: match (args.target_psnr, args.max_bytes, precision) {
+            // Coding needs room of its own.
+            (Some(db), _, Precision::Coded) => Goal::Psnr(db + ROOM_DB),
+            (Some(db), ..) => Goal::Psnr(db),
+            // As many terms as the noise supports, and the coder decides what they are worth.
+            (None, Some(_), Precision::Coded) | (None, None, _) => Goal::Noise,
+            (None, Some(bytes), Precision::F16) => Goal::Bytes(bytes.saturating_mul(2)),
+            (None, Some(bytes), Precision::F32) => Goal::Bytes(bytes),
         },
         color_regression: args.color_regression,
         backend: args.backend,
@@ -83,12 +118,29 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let before = reader.header().warnings.len();
     let factored = factor(&reader, &options, &context.progress)?;
     factored.material.header.warnings.iter().skip(before).for_each(|w| context.warn(w));
-    factored.material.save(&out)?;
+    let stored = match precision {
+        Precision::F32 => factored.material.save(&out).map(|()| String::new())?,
+        Precision::F16 => factored.material.save_half(&out).map(|()| ", stored as f16".to_owned())?,
+        Precision::Coded => {
+            let quality = match (args.max_bytes, args.target_psnr) {
+                (Some(bytes), _) => Quality::MaxBytes(bytes),
+                (None, target) => Quality::AddedError(args.added_error.unwrap_or_else(|| room(&factored, target))),
+            };
+            let coded = encode(&factored.material, &coded::Options { quality, ..coded::Options::default() })?;
+            coded.save(&out)?;
+            let total = factored.rel_rmse.hypot(coded.added_error);
+            format!(
+                ", coded in {} bytes, which adds {:.5} (about {total:.5} in all)",
+                coded.bytes.len(),
+                coded.added_error
+            )
+        }
+    };
     let matrix_bytes = 4 * (reader.header().rows() * reader.header().row_len()) as u64;
     let bytes = factored.material.bytes_f32();
     context.done(&factored.choice);
     context.done(format_args!(
-        "{}: {} bytes of f32, 1/{:.0} of the matrix, rel_rmse {:.5}{}",
+        "{}: {} bytes of f32, 1/{:.0} of the matrix, rel_rmse {:.5}{}{stored}",
         out.display(),
         bytes,
         matrix_bytes as f64 / bytes as f64,
@@ -99,7 +151,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
 }
 
 /// A number of bytes as people write it: `250kB`, `1.5 MiB`, `4096`.
-fn bytes(text: &str) -> std::result::Result<u64, String> {
+pub(super) fn bytes(text: &str) -> std::result::Result<u64, String> {
     let text = text.trim();
     let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
     let (number, unit) = text.split_at(end);

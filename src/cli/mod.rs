@@ -10,6 +10,7 @@ mod patterns;
 mod relight;
 mod run;
 mod simulate;
+mod tradeoff;
 
 use crate::{Error, Result, progress::Progress};
 use clap::{Parser, Subcommand};
@@ -54,6 +55,7 @@ enum Command {
     Factor(factor::Args),
     Evaluate(evaluate::Args),
     Relight(relight::Args),
+    Tradeoff(tradeoff::Args),
     Export(export::Args),
     Run(run::Args),
 }
@@ -157,6 +159,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Factor(args) => factor::run(args, &context),
         Command::Evaluate(args) => evaluate::run(args, &context),
         Command::Relight(args) => relight::run(args, &context),
+        Command::Tradeoff(args) => tradeoff::run(args, &context),
         Command::Export(args) => export::run(args, &context),
         Command::Run(args) => run::run(args, &context),
     }

@@ -22,6 +22,30 @@ const SAMPLE_ROWS: usize = 1024;
 /// Those of h are common to all rows and do not average out, so that they must stay well below it.
 const STORED_ROUNDINGS: f64 = 4.0;
 
+/// Condition numbers of the colour fits of a `tucker` material, up to each degree: the median and the largest over sampled rows, as the
+/// ratio of the pivots of the Legendre columns' triangular factor (a lower bound of the 2-norm's, of its size).
+///
+/// # Errors
+/// Those of the reader.
+pub fn regression_conditions(reader: &MatrixReader, material: &Material, most: usize) -> Result<Vec<[f64; 2]>> {
+    let mut found: Vec<Vec<f64>> = vec![Vec::new(); most + 1];
+    for range in spread(reader, GREY_ROWS) {
+        let block = reader.read_responses(range)?;
+        let rows = regression::rows(material, &block, |channels| {
+            let of = |degree| PolynomialBasis::new(&channels[1].arguments, degree).condition();
+            (0..=most).map(of).collect::<Vec<f64>>()
+        });
+        rows.into_iter().for_each(|row| row.into_iter().zip(&mut found).for_each(|(c, all)| all.push(c)));
+    }
+    Ok(found
+        .into_iter()
+        .map(|mut all| {
+            all.sort_by(f64::total_cmp);
+            [all.get(all.len() / 2).copied().unwrap_or(1.0), all.last().copied().unwrap_or(1.0)]
+        })
+        .collect())
+}
+
 /// What decides on T, P and the model where they are not given.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]

@@ -17,7 +17,7 @@ mod terms;
 mod vector;
 
 pub use backend::Backend;
-pub use choose::Goal;
+pub use choose::{Goal, regression_conditions};
 pub use color::MOST_DEGREE;
 
 use crate::material::{Material, Model};

@@ -20,28 +20,81 @@ const LARGEST_MM: f64 = 1e9;
 #[derive(Serialize, Deserialize)]
 struct Metadata {
     format: u32,
+    /// For tensors in half precision, in the order of [`MaterialHeader::shapes`]: numbers are to be multiplied by 2 to this power.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    half_exponents: Option<Vec<i32>>,
     #[serde(flatten)]
     header: MaterialHeader,
 }
 
+/// How a material's numbers are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// As they are, 4 bytes each.
+    F32,
+    /// Rounded to 11 bits, 2 bytes each; every tensor scaled by a power of two so that its largest number is near 2¹⁵.
+    F16,
+    /// Transformed, quantized and entropy coded, see [`super::coded`].
+    Coded,
+}
+
+impl std::fmt::Display for Precision {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::F32 => "f32",
+            Self::F16 => "f16",
+            Self::Coded => "coded",
+        })
+    }
+}
+
+/// The power of two by which numbers are divided before they are rounded to half precision.
+fn half_exponent(values: &[f32]) -> i32 {
+    let largest = values.iter().fold(0.0_f32, |a, v| a.max(v.abs()));
+    if largest > 0.0 { largest.log2().floor() as i32 - 14 } else { 0 }
+}
+
 impl Material {
+    /// [`Self::save`] with tensors in half precision; each number is off by 2⁻¹² of itself at most, those below 1e-9 of their tensor's
+    /// largest by more.
+    ///
+    /// # Errors
+    /// Those of [`Self::save`].
+    pub fn save_half(&self, path: &Path) -> Result<()> {
+        self.write(path, true)
+    }
+
     /// Writes the file beside its name and renames it when complete, replacing an older one.
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Internal`] when the material's arrays do not have the lengths its header says.
     pub fn save(&self, path: &Path) -> Result<()> {
+        self.write(path, false)
+    }
+
+    fn write(&self, path: &Path, half: bool) -> Result<()> {
         self.check_lengths()?;
         let h = &self.header;
         let n = h.rows();
         let f32s = |v: &[f32]| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+        let exponents: Vec<i32> = self.stored().iter().map(|values| half_exponent(values)).collect();
+        let f16s = |v: &[f32], e: i32| {
+            let scaled = v.iter().map(|&v| half::f16::from_f64(f64::from(v) * 2.0_f64.powi(-e)));
+            scaled.flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>()
+        };
         let lit: Vec<f32> = self.lit_mm.iter().flatten().map(|&v| v as f32).collect();
         let shift = self.shift.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
         let mut tensors: Vec<(&str, Dtype, Vec<usize>, Vec<u8>)> = h
             .shapes()
             .into_iter()
             .zip(self.stored())
-            .filter(|((_, shape), _)| *shape != [0])
-            .map(|((name, shape), values)| (name, Dtype::F32, shape, f32s(values)))
+            .zip(&exponents)
+            .filter(|(((_, shape), _), _)| *shape != [0])
+            .map(|(((name, shape), values), &e)| match half {
+                true => (name, Dtype::F16, shape, f16s(values, e)),
+                false => (name, Dtype::F32, shape, f32s(values)),
+            })
             .collect();
         tensors.push(("lit_mm", Dtype::F32, vec![n, 2], f32s(&lit)));
         tensors.push(("shift", Dtype::I16, vec![n, 2], shift));
@@ -50,7 +103,7 @@ impl Material {
             .map(|(name, dtype, shape, data)| Ok((*name, TensorView::new(*dtype, shape.clone(), data)?)))
             .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
             .map_err(Error::internal)?;
-        let metadata = Metadata { format: FORMAT, header: h.clone() };
+        let metadata = Metadata { format: FORMAT, half_exponents: half.then_some(exponents), header: h.clone() };
         let text = serde_json::to_string(&metadata).map_err(Error::internal)?;
         let bytes = serialize(views, Some(HashMap::from([(KEY.to_owned(), text)]))).map_err(Error::internal)?;
         write_whole(path, &bytes)
@@ -127,25 +180,33 @@ pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
 fn decode(bytes: &[u8]) -> Result<Material, String> {
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| e.to_string())?;
     let text = metadata.metadata().as_ref().and_then(|m| m.get(KEY)).ok_or("no metadata of acquire")?;
-    let Metadata { format, header } = serde_json::from_str(text).map_err(|e| format!("metadata: {e}"))?;
+    let Metadata { format, half_exponents, header } =
+        serde_json::from_str(text).map_err(|e| format!("metadata: {e}"))?;
     if format != FORMAT {
         return Err(format!("format: expected {FORMAT}, found {format}"));
     }
     check_header(&header)?;
     let file = SafeTensors::deserialize(bytes).map_err(|e| e.to_string())?;
     let n = header.rows();
-    let read = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {
+    let exponents = half_exponents.unwrap_or_default();
+    let read = |name: &str, shape: &[usize], exponent: Option<&i32>| -> Result<Vec<f32>, String> {
         if shape == [0] {
             return Ok(Vec::new());
         }
-        let data = tensor(&file, name, Dtype::F32, shape)?;
-        Ok(data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect())
+        let Some(&exponent) = exponent else {
+            let data = tensor(&file, name, Dtype::F32, shape)?;
+            return Ok(data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect());
+        };
+        let scale = 2.0_f64.powi(exponent.clamp(-200, 200));
+        let data = tensor(&file, name, Dtype::F16, shape)?.as_chunks::<2>().0;
+        Ok(data.iter().map(|b| (half::f16::from_le_bytes(*b).to_f64() * scale) as f32).collect())
     };
-    let mut tensors = header.shapes().into_iter().map(|(name, shape)| read(name, &shape));
+    let shapes = header.shapes().into_iter().enumerate();
+    let mut tensors = shapes.map(|(at, (name, shape))| read(name, &shape, exponents.get(at)));
     let mut next = || tensors.next().unwrap_or(Ok(Vec::new()));
     let [weights, incident_factors, own, vectors, core, profile, color_coefficients] =
         [next()?, next()?, next()?, next()?, next()?, next()?, next()?];
-    let lit = read("lit_mm", &[n, 2])?;
+    let lit = read("lit_mm", &[n, 2], None)?;
     let shared = header.shared_maps.map(|maps| SharedBasis { maps, vectors, core });
     let offset_factors = shared.as_ref().map_or(own, SharedBasis::offset_factors);
     let shift: Vec<i16> = tensor(&file, "shift", Dtype::I16, &[n, 2])?
@@ -260,6 +321,24 @@ pub(crate) mod tests {
         material.save(&b).unwrap();
         assert_eq!(Material::load(&a).unwrap(), material);
         assert_eq!(std::fs::read(&a).unwrap(), std::fs::read(&b).unwrap());
+    }
+
+    #[test]
+    fn half_precision_is_right_to_eleven_bits_over_many_decades() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.safetensors");
+        let mut material = example();
+        material.weights = vec![3e20, 1e17];
+        material.color_coefficients.iter_mut().for_each(|b| *b *= 1e-25);
+        material.save_half(&path).unwrap();
+        let loaded = Material::load(&path).unwrap();
+        for (a, b) in material.stored().iter().zip(loaded.stored()) {
+            assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() <= a.abs() / 2048.0), "half a unit in the last place");
+        }
+        assert_eq!((loaded.shift, loaded.lit_mm), (material.shift.clone(), material.lit_mm.clone()));
+        let (whole, half) = (folder.path().join("w.safetensors"), std::fs::metadata(&path).unwrap().len());
+        material.save(&whole).unwrap();
+        assert!(half < std::fs::metadata(&whole).unwrap().len());
     }
 
     #[test]

@@ -6,20 +6,28 @@
 //! - Stored numbers are f32; sums and polynomials are evaluated in f64.
 
 pub mod coded;
+mod convolve;
+mod evaluator;
 mod exr_layers;
 mod file;
 pub mod legendre;
 pub mod light;
 mod npz;
 mod relight;
+mod rows;
+mod sampling;
 mod source;
+mod splat;
 
+pub use evaluator::Evaluator;
 pub use exr_layers::{export_exr, write_exitance, write_png};
+pub use file::Precision;
 pub use light::{FIXED_SET, Light, LightImage};
 pub use npz::export_npz;
-pub(crate) use relight::splat;
 pub use relight::{Canvas, Exitance, relight};
+pub use sampling::Sampled;
 pub use source::{Shape, Source};
+pub(crate) use splat::splat;
 
 use crate::{Warning, geometry::Point, transport::normalize::Layout};
 use serde::{Deserialize, Serialize};

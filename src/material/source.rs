@@ -1,10 +1,10 @@
 //! A matrix or a material, told apart by what is on disk, and read the same way.
 
+use super::rows::Rows;
 use super::{Material, MaterialHeader};
 use crate::geometry::Point;
 use crate::transport::{MatrixReader, RowBlock};
 use crate::{Error, Result};
-use rayon::prelude::*;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -91,9 +91,10 @@ impl Source {
         match self {
             Self::Matrix(reader) => reader.read(rows),
             Self::Material(material, _) => {
-                let evaluated: Vec<Vec<f32>> = rows.clone().into_par_iter().map(|i| material.evaluate_row(i)).collect();
-                let response = evaluated.concat();
-                let n = response.len();
+                let indices: Vec<usize> = rows.clone().collect();
+                let n = indices.len() * material.header.row_len();
+                let mut response = vec![0.0; n];
+                Rows::new(material).interleaved(&indices, &mut response);
                 let (variance, valid) = (vec![0.0; n], vec![1; n]);
                 Ok(RowBlock { first: rows.start, rows: rows.len(), response, variance, valid })
             }

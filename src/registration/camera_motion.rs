@@ -17,8 +17,12 @@ const HALF_ALONG: f64 = 6.0;
 const HALF_ACROSS: f64 = 5.0;
 /// Softness of the rim that is tried besides the pixel's own width, scale of a logistic distribution, px.
 const SOFTNESS_PX: [f64; 4] = [0.05, 0.15, 0.3, 0.5];
+/// Further from the rim than so many softnesses light is that of one side to 1e-9: less than an f32 can say.
+const SATURATED: f64 = 20.0;
 /// A step counts when it is this many times its standard deviation.
 const STEP_SIGMA: f64 = 10.0;
+/// A rim that is found no further than this from where it was is not looked for elsewhere, px: the other starts are 1 px away.
+const SAME_PX: f64 = 0.7;
 /// Segments whose step has grown or shrunk by more than this are left out.
 const GLOW: f64 = 1.5;
 /// What glow on one side of a rim moves it by, px for each unit by which the rim's step has changed. On simulated marble up to twice as
@@ -101,14 +105,25 @@ pub fn rim_segments(view: &CameraView, size_mm: Point, size_px: [usize; 2]) -> V
 /// Light on either side may differ from segment to segment and change along and across the sample's side: near dots it glows.
 pub fn locate_rim(picture: &Radiance, segment: &RimSegment, start: Option<f64>) -> Option<RimPlace> {
     let pixels = pixels(picture, segment)?;
-    let starts: Vec<f64> = match start {
-        Some(offset) => [-1.0, 0.0, 1.0].map(|d| offset + d).to_vec(),
-        None => (-2..=2).map(f64::from).collect(),
+    let best = |found: &mut dyn Iterator<Item = (RimPlace, f64)>| found.min_by(|a, b| a.1.total_cmp(&b.1));
+    // From a place that is nearly right every softness settles in a step or two; from afar each must be tried from several starts.
+    let softer = |from: f64| SOFTNESS_PX.map(|soft| settle(&pixels, from, soft));
+    let everywhere = |starts: &[f64]| {
+        let all = starts.iter().flat_map(|&s| SOFTNESS_PX.map(|soft| settle(&pixels, s, soft)));
+        best(&mut all.flatten())
     };
-    let settled = starts.iter().flat_map(|&s| SOFTNESS_PX.map(|soft| settle(&pixels, s, soft)));
-    let best = settled.flatten().min_by(|a, b| a.1.total_cmp(&b.1))?;
-    let limit = start.map_or(HALF_ACROSS - 2.0, |_| HALF_ACROSS - 1.0);
-    (best.0.offset_px.abs() <= limit).then_some(best.0)
+    let (found, limit) = match start {
+        Some(offset) => {
+            let same = |place: &RimPlace| (place.offset_px - offset).abs() <= SAME_PX;
+            let near = settle(&pixels, offset, SOFTNESS_PX[1]).filter(|(place, _)| same(place));
+            let near = near
+                .and_then(|(place, _)| best(&mut softer(place.offset_px).into_iter().flatten()))
+                .filter(|(place, _)| same(place));
+            (near.or_else(|| everywhere(&[-1.0, 0.0, 1.0].map(|d| offset + d)))?, HALF_ACROSS - 1.0)
+        }
+        None => (everywhere(&[-2.0, -1.0, 0.0, 1.0, 2.0])?, HALF_ACROSS - 2.0),
+    };
+    (found.0.offset_px.abs() <= limit).then_some(found.0)
 }
 
 /// A pixel: across and along the rim, light, variance.
@@ -138,6 +153,7 @@ fn pixels(picture: &Radiance, segment: &RimSegment) -> Option<Vec<Pixel>> {
 /// Gauss and Newton on the offset; the rest is linear. Also the mean square that is left.
 fn settle(pixels: &[Pixel], start: f64, softness_px: f64) -> Option<(RimPlace, f64)> {
     const TERMS: usize = 7;
+    let across_pixel = (1.0 / softness_px).exp();
     let mut offset = start;
     for _ in 0..12 {
         let (mut matrix, mut right) = ([[0.0; TERMS]; TERMS], [0.0; TERMS]);
@@ -145,8 +161,14 @@ fn settle(pixels: &[Pixel], start: f64, softness_px: f64) -> Option<(RimPlace, f
         for p in pixels {
             // A soft step averaged over a pixel, and its derivative; light on both sides, sloping on either.
             let far = p.across - offset;
-            let [(a, la), (b, lb)] = [far + 0.5, far - 0.5].map(|x| softened(x / softness_px));
-            let (step, slope) = (softness_px * (a - b), la - lb);
+            let (step, slope) = if far.abs() > 0.5 + SATURATED * softness_px {
+                (f64::from(u8::from(far > 0.0)), 0.0)
+            } else {
+                // The difference of two `softened`: with exponents of 40 at most nothing overflows.
+                let near = ((far - 0.5) / softness_px).exp();
+                let (a, b) = (1.0 + across_pixel * near, 1.0 + near);
+                (softness_px * (a / b).ln(), 1.0 / b - 1.0 / a)
+            };
             let row = [step, slope, 1.0, step * far, (1.0 - step) * far, p.along, (1.0 - step) * far * far];
             for i in 0..TERMS {
                 (0..=i).for_each(|j| matrix[i][j] += row[i] * row[j]);

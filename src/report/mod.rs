@@ -3,7 +3,7 @@
 //! Data in, files out: [`write()`] takes plain data ([`ReportInput`]) and knows nothing of how it was made. [`Survey`] reads the matrix once
 //! and picks the rows that the page shows.
 
-mod chart;
+pub(crate) mod chart;
 mod color;
 mod figures;
 mod maps;
@@ -11,7 +11,7 @@ mod page;
 mod picture;
 mod rows;
 mod survey;
-mod text;
+pub(crate) mod text;
 
 pub use survey::{RowView, Survey};
 

@@ -1,0 +1,98 @@
+use super::Context;
+use crate::output::NewFolder;
+use crate::tradeoff::{self, Options, Tradeoff, tradeoff};
+use crate::transport::MatrixReader;
+use crate::{Error, Result};
+use std::io::Write;
+use std::path::PathBuf;
+
+/// Measure what time, memory, bytes and accuracy cost each other on a matrix.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  acquire tradeoff slab.rd.zarr                        every model, back end, T, P and precision
+  acquire tradeoff slab.rd.zarr --quick                a block of 24 × 24 lit points, under a minute
+  acquire tradeoff slab.rd.zarr --quick --json | jq '.measured[] | select(.pareto)'
+
+Writes tradeoff.html (opens offline), tradeoff.csv and tradeoff.json into a folder; prints the front: what nothing else beats in both
+bytes and psnr_db.")]
+pub struct Args {
+    /// The matrix, a folder *.rd.zarr.
+    matrix: PathBuf,
+    /// The folder to make [default: the matrix's name with -tradeoff, in the working directory].
+    #[arg(long, short, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Only a block of 24 × 24 lit points in the middle, and fewer settings.
+    #[arg(long)]
+    quick: bool,
+    /// Memory for the rows, 2GiB say [default: half of the machine's].
+    #[arg(long, value_name = "BYTES", value_parser = super::factor::bytes)]
+    memory: Option<u64>,
+    /// Replace an earlier result at DIR.
+    #[arg(long)]
+    force: bool,
+    /// Print everything as one JSON object instead of the front.
+    #[arg(long)]
+    json: bool,
+}
+
+const JSON: &str = "tradeoff.json";
+
+pub fn run(args: Args, context: &Context) -> Result<()> {
+    let reader = MatrixReader::open(&args.matrix)?;
+    let out = args.out.unwrap_or_else(|| {
+        let name = args.matrix.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        PathBuf::from(format!("{}-tradeoff", name.trim_end_matches(".zarr").trim_end_matches(".rd")))
+    });
+    let folder = NewFolder::create(&out, args.force, JSON)?;
+    let options = Options { quick: args.quick, memory_bytes: args.memory };
+    let found = tradeoff(&reader, &options, &context.progress)?;
+    let json = serde_json::to_string_pretty(&found).map_err(Error::internal)?;
+    let files =
+        [(JSON, json.clone()), ("tradeoff.csv", tradeoff::csv(&found)), ("tradeoff.html", tradeoff::html(&found))];
+    for (name, text) in files {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).map_err(Error::io("write", &path))?;
+    }
+    folder.finish()?;
+    let text = if args.json { json } else { front(&found) };
+    match writeln!(std::io::stdout(), "{text}") {
+        // `| head` has read all that it wants.
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => return Err(Error::io("write", "standard output")(e)),
+        _ => {}
+    }
+    if let Some([median, largest]) = found.regression_conditions.get(7) {
+        context.done(format_args!(
+            "condition of the colour fits at degree 7: {median:.1e} at the median, {largest:.1e} at most"
+        ));
+    }
+    context.done(format_args!("{} materials measured: {}", found.measured.len(), out.join("tradeoff.html").display()));
+    Ok(())
+}
+
+fn front(found: &Tradeoff) -> String {
+    let mut front: Vec<_> = found.measured.iter().filter(|p| p.pareto).collect();
+    front.sort_by_key(|p| p.bytes);
+    let mut text = format!(
+        "{:<10} {:>3} {:>3} {:>5} {:<6} {:>10} {:>9} {:>8} {:>8} {:>8}",
+        "model", "T", "P", "maps", "stored", "bytes", "rel_rmse", "psnr_db", "log_rmse", "secs"
+    );
+    let count = |v: Option<usize>| v.map_or("-".to_owned(), |v| v.to_string());
+    let number = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+    for p in front {
+        text += &format!(
+            "\n{:<10} {:>3} {:>3} {:>5} {:<6} {:>10} {:>9} {:>8} {:>8} {:>8.2}",
+            p.model.to_string(),
+            p.terms,
+            count(p.degree),
+            count(p.shared_maps),
+            p.precision.to_string(),
+            p.bytes,
+            number(p.rel_rmse, 5),
+            number(p.psnr_db, 2),
+            number(p.log_rmse, 4),
+            p.secs
+        );
+    }
+    text
+}

@@ -1,0 +1,563 @@
+//! Point queries for a renderer: R̂_d at one pair of points, without allocation.
+
+use super::sampling::{Sampled, Tree};
+use super::{CHANNELS, Material};
+use crate::Result;
+use crate::geometry::Point;
+use crate::transport::normalize::Layout;
+
+/// Terms that are multiplied together.
+pub(super) const LANES: usize = 4;
+/// The highest degree of a colour polynomial.
+const MAX_DEGREE: usize = 15;
+
+/// A material rearranged so that a query touches a few contiguous pieces of memory.
+///
+/// Holds its factors once more, as f32 (padded to four terms), and the sums that sampling needs: about as much again for the offset factors.
+/// Queries do not allocate and can be made from any number of threads.
+#[derive(Debug, Clone)]
+pub struct Evaluator {
+    layout: Layout,
+    points: [usize; 2],
+    pitch_mm: f64,
+    shift: Vec<[i16; 2]>,
+    /// T, rounded up to lanes.
+    terms: usize,
+    /// A and B.
+    planes: [usize; 2],
+    /// g_j, \[T\].
+    weights: Vec<f64>,
+    /// f_{k,j}(x_i), \[N, A, T\].
+    incident: Vec<f32>,
+    /// h_{k,j}(e), \[samples, B, T\].
+    offset: Vec<f32>,
+    /// m_k(e), \[samples, B\]; empty without a profile.
+    profile: Vec<f32>,
+    /// P + 1 numbers for each row and channel, \[N, P+1, 3\]; empty without a polynomial.
+    color: Vec<f32>,
+    powers: usize,
+    range: [f64; 2],
+    lattice: Lattice,
+    tree: Tree,
+}
+
+/// Four rows at four samples of their windows.
+struct Between<'a> {
+    evaluator: &'a Evaluator,
+    lit: [(usize, f64); 4],
+    samples: [([usize; 2], f64); 4],
+}
+
+impl pulp::NullaryFnOnce for Between<'_> {
+    type Output = [f64; 3];
+
+    #[inline(always)]
+    fn call(self) -> [f64; 3] {
+        let Self { evaluator: all, lit, samples } = self;
+        let shift = all.shift[lit[0].0];
+        let places = samples.map(|(sample, weight)| (all.layout.index(shift, sample), weight));
+        if lit.iter().any(|(i, _)| all.shift[*i] != shift) || places.iter().any(|(e, _)| e.is_none()) {
+            let mut sum = [0.0; CHANNELS];
+            for (index, weight) in lit.into_iter().filter(|(_, w)| *w > 0.0) {
+                let row = all.row_between(index, &samples);
+                (0..CHANNELS).for_each(|c| sum[c] += weight * row[c]);
+            }
+            return sum;
+        }
+        // Rows that are shifted alike share what is between samples.
+        let places = places.map(|(e, weight)| (e.unwrap_or(0), weight));
+        if all.powers == 0 {
+            let plane = |k: usize| all.mixed(k, places, [lit])[0];
+            return if all.planes == [1, 1] { [plane(0); 3] } else { [plane(0), plane(1), plane(2)] };
+        }
+        let rows = all.mixed(0, places, lit.map(|(index, _)| [(index, 1.0)]));
+        let mut sum = [0.0; CHANNELS];
+        for (value, (index, weight)) in rows.into_iter().zip(lit) {
+            let color = all.color(index, [value; 3]);
+            (0..CHANNELS).for_each(|c| sum[c] += weight * color[c]);
+        }
+        sum
+    }
+}
+
+/// Lattice coordinates of a point of the slab: u = origin + from_mm · x, as the lit points are on average.
+#[derive(Debug, Clone, Copy)]
+struct Lattice {
+    origin: Point,
+    from_mm: [Point; 2],
+}
+
+impl Evaluator {
+    /// Rearranges `material`.
+    ///
+    /// # Errors
+    /// [`crate::Error::Internal`] when its arrays do not have the lengths that its header says.
+    pub fn new(material: &Material) -> Result<Self> {
+        material.check_lengths()?;
+        let (h, layout) = (&material.header, material.header.layout());
+        let (rows, samples, terms) = (h.rows(), layout.len(), h.terms.next_multiple_of(LANES));
+        let planes = [h.incident_planes, h.offset_planes];
+        let mut weights = vec![0.0; terms];
+        weights.iter_mut().zip(&material.weights).for_each(|(w, &g)| *w = f64::from(g));
+        let mut incident = vec![0.0; rows * planes[0] * terms];
+        for (at, record) in incident.chunks_exact_mut(terms).enumerate() {
+            let f = material.incident(at % planes[0], at / planes[0]);
+            record[..f.len()].copy_from_slice(f);
+        }
+        let mut offset = vec![0.0; samples * planes[1] * terms];
+        let mut profile = vec![0.0; if h.profile { samples * planes[1] } else { 0 }];
+        for plane in 0..planes[1] {
+            for (j, map) in material.offsets(plane).chunks_exact(samples).enumerate() {
+                for (e, &v) in map.iter().enumerate() {
+                    offset[(e * planes[1] + plane) * terms + j] = v;
+                }
+            }
+            for (e, &m) in material.profile_plane(plane).unwrap_or_default().iter().enumerate() {
+                profile[e * planes[1] + plane] = m;
+            }
+        }
+        let powers = h.degree.map_or(0, |p| p + 1);
+        let mut color = vec![0.0; material.color_coefficients.len()];
+        for (at, &b) in material.color_coefficients.iter().enumerate() {
+            let (row, channel, p) = (at / (CHANNELS * powers), at / powers % CHANNELS, at % powers);
+            color[(row * powers + p) * CHANNELS + channel] = b;
+        }
+        Ok(Self {
+            layout,
+            points: h.points,
+            pitch_mm: h.pitch_mm,
+            shift: material.shift.clone(),
+            terms,
+            planes,
+            weights,
+            incident,
+            offset,
+            profile,
+            color,
+            powers,
+            range: h.intensity_range.map(f64::from),
+            lattice: Lattice::of(h.points, &material.lit_mm, h.lit_pitch_mm),
+            tree: Tree::new(material),
+        })
+    }
+
+    /// R̂_d at one offset (samples along x and y), mm⁻²; `None` outside the window or for a row that is not there.
+    ///
+    /// The result of [`Material::response`] to rounding (sums are f64 in another order).
+    pub fn response(&self, index: usize, offset: [isize; 2]) -> Option<[f32; 3]> {
+        let shift = *self.shift.get(index)?;
+        let sample = |a: usize| {
+            let s = usize::try_from(offset[a].checked_add((self.layout.window[a] / 2) as isize)?).ok()?;
+            (s < self.layout.window[a]).then_some(s)
+        };
+        let sample = [sample(0)?, sample(1)?];
+        Some(self.layout.index(shift, sample).map_or([0.0; CHANNELS], |e| self.value(index, e)).map(|v| v as f32))
+    }
+
+    /// R̂_d(x_i, x_o) of the lit point and the sample that are nearest to two points of the slab, mm⁻²; 0 outside the window of the lit point
+    /// or further than half a step from all lit points.
+    ///
+    /// The offset is kept: the sample is that nearest to x_o − x_i from the lit point, however far x_i is from it. Otherwise a response would
+    /// jump by its peak wherever the nearest lit point changes.
+    pub fn nearest(&self, x_i: Point, x_o: Point) -> [f32; 3] {
+        let u = self.lattice.map(x_i);
+        let cell: [Option<usize>; 2] = std::array::from_fn(|a| {
+            let whole = u[a].round().max(0.0);
+            (u[a] >= -0.5 && whole < self.points[a] as f64 + 0.5).then_some((whole as usize).min(self.points[a] - 1))
+        });
+        let steps = [0, 1].map(|a| (x_o[a] - x_i[a]) / self.pitch_mm);
+        let ([Some(x), Some(y)], true) = (cell, steps.iter().all(|s| s.is_finite())) else { return [0.0; 3] };
+        let offset = steps.map(|s| s.round() as isize);
+        self.response(x + y * self.points[0], offset).unwrap_or([0.0; 3])
+    }
+
+    /// R̂_d(x_i, x_o), mm⁻², between lit points and between samples.
+    ///
+    /// Bilinear in x_i between the rows of the four lit points around it, each taken at the offset x_o − x_i, and bilinear in the offset
+    /// between the four samples around it. A material with a colour polynomial interpolates the normalized intensity between samples, then the
+    /// colours between rows. Beyond the outermost lit points or samples by up to half a step the outermost are taken, further out it is 0.
+    ///
+    /// At lit points and samples it is [`Self::response`]. Between them its error is that of bilinear interpolation, an eighth of the second
+    /// difference: largest at the peak of a response that is narrower than a sample, and where two materials meet between lit points.
+    /// Samples are averages over their cells and are not sharpened.
+    pub fn between(&self, x_i: Point, x_o: Point) -> [f32; 3] {
+        let u = self.lattice.map(x_i);
+        let half = |a: usize| (self.layout.window[a] / 2) as f64;
+        let d: Point = std::array::from_fn(|a| (x_o[a] - x_i[a]) / self.pitch_mm + half(a));
+        let (Some(lit), Some(samples)) = (Corners::around(u, self.points), Corners::around(d, self.layout.window))
+        else {
+            return [0.0; 3];
+        };
+        let lit = lit.each().map(|([x, y], weight)| (x + y * self.points[0], weight));
+        pulp::Arch::new().dispatch(Between { evaluator: self, lit, samples: samples.each() }).map(|v| v as f32)
+    }
+
+    /// A row between samples of its window.
+    fn row_between(&self, index: usize, samples: &[([usize; 2], f64); 4]) -> [f64; 3] {
+        let Some(&shift) = self.shift.get(index) else { return [0.0; 3] };
+        let mut planes = [0.0; CHANNELS];
+        let mut outside = 0.0;
+        for &(sample, weight) in samples.iter().filter(|(_, w)| *w > 0.0) {
+            match self.layout.index(shift, sample) {
+                Some(e) => {
+                    let values = self.plane_values(index, e);
+                    (0..CHANNELS).for_each(|k| planes[k] += weight * values[k]);
+                }
+                None => outside += weight,
+            }
+        }
+        // Where nothing is modelled the response is 0, whatever colour an intensity of 0 has.
+        if outside == 0.0 || self.powers == 0 {
+            return self.color(index, planes);
+        }
+        let inside = 1.0 - outside;
+        if inside <= 0.0 {
+            return [0.0; 3];
+        }
+        self.color(index, planes.map(|v| v / inside)).map(|v| v * inside)
+    }
+
+    /// A pair of an offset from lit point `index`, drawn for its response, and the probability of it; `None` for a row that is not there or
+    /// of which nothing is modelled. `random` is uniform in [0, 1).
+    ///
+    /// Offsets are whole samples along x and y; a point that is uniform in the sample's cell (`pitch_mm` wide) around it has the density
+    /// `probability` / `pitch_mm`². The probability is nearly proportional to the mean of the planes (with a colour polynomial: to the normalized
+    /// intensity), and at least a hundredth of that of a uniform choice, so that it is positive wherever the response may be.
+    pub fn sample(&self, index: usize, random: f64) -> Option<Sampled> {
+        let shift = *self.shift.get(index)?;
+        self.tree.sample(self.factors(index), self.layout, shift, random)
+    }
+
+    /// The probability with which [`Self::sample`] draws an offset, exactly; 0 outside the modelled window and for a row that is not there.
+    pub fn probability(&self, index: usize, offset: [isize; 2]) -> f64 {
+        self.shift.get(index).map_or(0.0, |&s| self.tree.probability(self.factors(index), self.layout, s, offset))
+    }
+
+    /// f_{k,j} of a row, \[A, T\].
+    #[inline(always)]
+    fn factors(&self, index: usize) -> &[f32] {
+        let len = self.planes[0] * self.terms;
+        &self.incident[index * len..][..len]
+    }
+
+    /// Row `index` at sample `e` of the common window.
+    fn value(&self, index: usize, e: usize) -> [f64; 3] {
+        self.color(index, self.plane_values(index, e))
+    }
+
+    /// The planes; a single one is repeated.
+    #[inline(always)]
+    fn plane_values(&self, index: usize, e: usize) -> [f64; 3] {
+        let ([a, b], t) = (self.planes, self.terms);
+        let incident = self.factors(index);
+        let offset = &self.offset[e * b * t..][..b * t];
+        let mut planes = [0.0; CHANNELS];
+        for k in 0..a.max(b) {
+            let (ka, kb) = (k.min(a - 1), k.min(b - 1));
+            let sum = product(&self.weights, &incident[ka * t..][..t], &offset[kb * t..][..t]);
+            planes[k] = if self.profile.is_empty() { sum } else { sum * f64::from(self.profile[e * b + kb]) };
+        }
+        if a.max(b) == 1 { [planes[0]; 3] } else { planes }
+    }
+
+    /// A plane at a weighted mean of samples `places` of the common window, for weighted means of rows.
+    #[inline(always)]
+    fn mixed<const N: usize, const ROWS: usize>(
+        &self,
+        k: usize,
+        places: [(usize, f64); 4],
+        rows: [[(usize, f64); N]; ROWS],
+    ) -> [f64; ROWS] {
+        let ([a, b], t) = (self.planes, self.terms);
+        let (ka, kb) = (k.min(a - 1), k.min(b - 1));
+        let offsets = places.map(|(e, _)| self.offset[(e * b + kb) * t..][..t].as_chunks::<LANES>().0);
+        let shares =
+            places.map(|(e, w)| if self.profile.is_empty() { w } else { w * f64::from(self.profile[e * b + kb]) });
+        let factors = rows.map(|r| r.map(|(i, _)| self.incident[(i * a + ka) * t..][..t].as_chunks::<LANES>().0));
+        let mut sums = [[0.0; LANES]; ROWS];
+        for (chunk, g) in self.weights.as_chunks::<LANES>().0.iter().enumerate() {
+            for lane in 0..LANES {
+                let mut h = 0.0;
+                for s in 0..4 {
+                    h += shares[s] * f64::from(offsets[s][chunk][lane]);
+                }
+                h *= g[lane];
+                for r in 0..ROWS {
+                    let mut f = 0.0;
+                    for s in 0..N {
+                        f += rows[r][s].1 * f64::from(factors[r][s][chunk][lane]);
+                    }
+                    sums[r][lane] += f * h;
+                }
+            }
+        }
+        sums.map(|s| (s[0] + s[1]) + (s[2] + s[3]))
+    }
+
+    /// Planes as colours.
+    #[inline(always)]
+    fn color(&self, index: usize, planes: [f64; 3]) -> [f64; 3] {
+        if self.powers == 0 {
+            return planes;
+        }
+        let coefficients = &self.color[index * self.powers * CHANNELS..][..self.powers * CHANNELS];
+        let u = super::legendre::argument(planes[0], self.range[0], self.range[1]);
+        let mut sums = [0.0; CHANNELS];
+        let (mut last, mut this) = (0.0, 1.0);
+        for (p, beta) in coefficients.as_chunks::<CHANNELS>().0.iter().enumerate() {
+            (0..CHANNELS).for_each(|c| sums[c] += f64::from(beta[c]) * this);
+            let [a, b] = BONNET[p.min(MAX_DEGREE)];
+            (last, this) = (this, a * u * this - b * last);
+        }
+        sums
+    }
+}
+
+/// L_{p+1} = a u L_p − b L_{p−1}.
+const BONNET: [Point; MAX_DEGREE + 1] = {
+    let mut all = [[0.0; 2]; MAX_DEGREE + 1];
+    let mut p = 0;
+    while p <= MAX_DEGREE {
+        let k = (p + 1) as f64;
+        all[p] = [(2.0 * k - 1.0) / k, (k - 1.0) / k];
+        p += 1;
+    }
+    all
+};
+
+/// Σ_j g_j f_j h_j.
+#[inline(always)]
+pub(super) fn product(g: &[f64], f: &[f32], h: &[f32]) -> f64 {
+    let mut sums = [0.0; LANES];
+    let terms = g.as_chunks::<LANES>().0.iter().zip(f.as_chunks::<LANES>().0.iter().zip(h.as_chunks::<LANES>().0));
+    for (g, (f, h)) in terms {
+        for lane in 0..LANES {
+            sums[lane] += g[lane] * f64::from(f[lane]) * f64::from(h[lane]);
+        }
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
+}
+
+/// The four places of a grid around a point, and how far it is from the first.
+struct Corners {
+    first: [usize; 2],
+    next: [usize; 2],
+    beyond: Point,
+}
+
+impl Corners {
+    /// `None` further than half a step outside the grid.
+    fn around(at: Point, size: [usize; 2]) -> Option<Self> {
+        let last = size.map(|s| s as f64 - 1.0);
+        if !(0..2).all(|a| at[a] >= -0.5 && at[a] <= last[a] + 0.5) {
+            return None;
+        }
+        let at = [0, 1].map(|a| at[a].clamp(0.0, last[a]));
+        let first = at.map(|v| v as usize);
+        let next = [0, 1].map(|a| (first[a] + 1).min(size[a] - 1));
+        Some(Self { first, next, beyond: [at[0] - first[0] as f64, at[1] - first[1] as f64] })
+    }
+
+    /// With their weights, which sum to one.
+    fn each(&self) -> [([usize; 2], f64); 4] {
+        let (p, q, [x, y]) = (self.first, self.next, self.beyond);
+        [(p, (1.0 - x) * (1.0 - y)), ([q[0], p[1]], x * (1.0 - y)), ([p[0], q[1]], (1.0 - x) * y), (q, x * y)]
+    }
+}
+
+impl Lattice {
+    /// By least squares through the lit points; a side of one point takes the pitch.
+    fn of(points: [usize; 2], lit_mm: &[Point], pitch_mm: Point) -> Self {
+        let n = lit_mm.len().max(1) as f64;
+        let middle = points.map(|p| (p as f64 - 1.0) / 2.0);
+        let place = |k: usize| [(k % points[0]) as f64 - middle[0], (k / points[0]) as f64 - middle[1]];
+        let mean = [0, 1].map(|a| lit_mm.iter().map(|p| p[a]).sum::<f64>() / n);
+        // On a full grid the two coordinates are orthogonal: each slope by itself. to_mm[r][c]: mm along r for a step along c.
+        let slope = |r: usize, c: usize| {
+            let square: f64 = (0..lit_mm.len()).map(|k| place(k)[c].powi(2)).sum();
+            let along: f64 = lit_mm.iter().enumerate().map(|(k, p)| place(k)[c] * (p[r] - mean[r])).sum();
+            if square > 0.0 { along / square } else { f64::from(u8::from(r == c)) * pitch_mm[c] }
+        };
+        let mut to_mm = [[slope(0, 0), slope(0, 1)], [slope(1, 0), slope(1, 1)]];
+        let determinant = |m: &[Point; 2]| m[0][0] * m[1][1] - m[0][1] * m[1][0];
+        // Points that are on no lattice: the pitch says what they should have been.
+        if !(determinant(&to_mm).abs() > 1e-6 * pitch_mm[0] * pitch_mm[1]) {
+            to_mm = [[pitch_mm[0], 0.0], [0.0, pitch_mm[1]]];
+        }
+        let d = determinant(&to_mm);
+        let from_mm = [[to_mm[1][1] / d, -to_mm[0][1] / d], [-to_mm[1][0] / d, to_mm[0][0] / d]];
+        let origin = [0, 1].map(|a| middle[a] - from_mm[a][0] * mean[0] - from_mm[a][1] * mean[1]);
+        Self { origin, from_mm }
+    }
+
+    fn map(&self, p: Point) -> Point {
+        [0, 1].map(|a| self.origin[a] + self.from_mm[a][0] * p[0] + self.from_mm[a][1] * p[1])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::rows::tests::every_kind;
+    use super::*;
+    use crate::Error;
+    use rand::{RngExt, SeedableRng};
+
+    /// All offsets of a window and one beyond it on every side.
+    fn offsets(window: [usize; 2]) -> Vec<[isize; 2]> {
+        let [rx, ry] = window.map(|w| (w / 2) as isize + 1);
+        (-ry..=ry).flat_map(|y| (-rx..=rx).map(move |x| [x, y])).collect()
+    }
+
+    #[test]
+    fn a_point_is_that_of_its_row() {
+        for m in every_kind() {
+            let evaluator = Evaluator::new(&m).unwrap();
+            for (i, offset) in (0..7).flat_map(|i| offsets(m.header.window).into_iter().map(move |o| (i, o))) {
+                let (a, b) = (evaluator.response(i, offset), m.response(i, offset));
+                assert_eq!(a.is_some(), b.is_some());
+                for (a, b) in a.into_iter().flatten().zip(b.into_iter().flatten()) {
+                    assert!((a - b).abs() <= 1e-6 * b.abs().max(1e-6), "a rounding of f32 at most: {a} {b}");
+                }
+            }
+            assert_eq!(evaluator.response(0, [isize::MAX, isize::MIN]), None);
+        }
+    }
+
+    #[test]
+    fn millimetres_meet_lit_points_and_samples_and_are_linear_between_them() {
+        for m in every_kind() {
+            let (h, evaluator) = (&m.header, Evaluator::new(&m).unwrap());
+            for (i, offset) in (0..6).flat_map(|i| offsets(h.window).into_iter().map(move |o| (i, o))) {
+                let x_i = m.lit_mm[i];
+                let x_o = [0, 1].map(|a| x_i[a] + offset[a] as f64 * h.pitch_mm);
+                let expected = m.response(i, offset).unwrap_or([0.0; 3]);
+                for found in [evaluator.nearest(x_i, x_o), evaluator.between(x_i, x_o)] {
+                    let near = found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5);
+                    assert!(near, "positions round at 1e-16, values at 6e-8: {found:?} {expected:?}");
+                }
+            }
+            // Lit points 0 and 1, half way, at the offset of their own.
+            let x_i = [0.5 * (m.lit_mm[0][0] + m.lit_mm[1][0]), m.lit_mm[0][1]];
+            let mean: [f32; 3] =
+                std::array::from_fn(|c| (m.response(0, [0, 0]).unwrap()[c] + m.response(1, [0, 0]).unwrap()[c]) / 2.0);
+            let found = evaluator.between(x_i, x_i);
+            assert!(found.iter().zip(mean).all(|(a, b)| (a - b).abs() < 1e-5), "{found:?} {mean:?}");
+            if h.degree.is_none() && h.window == [5, 3] {
+                let between = evaluator.between(m.lit_mm[4], [m.lit_mm[4][0] + 0.25, m.lit_mm[4][1]]);
+                let ends = [m.response(4, [0, 0]).unwrap(), m.response(4, [1, 0]).unwrap()];
+                for c in 0..3 {
+                    assert!((between[c] - (ends[0][c] + ends[1][c]) / 2.0).abs() < 1e-5, "the mean of two samples");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_is_far_from_the_slab_or_nowhere() {
+        let evaluator = Evaluator::new(&every_kind()[0]).unwrap();
+        for p in [[-1.0, 0.0], [0.0, 99.0], [f64::NAN, 0.0], [f64::INFINITY, f64::NEG_INFINITY], [1e300, 0.0]] {
+            for (x_i, x_o) in [(p, p), ([0.0; 2], p), (p, [0.0; 2])] {
+                let near = x_o == [-1.0, 0.0];
+                assert!(near || evaluator.nearest(x_i, x_o) == [0.0; 3], "{x_i:?} {x_o:?}");
+                assert!(near || evaluator.between(x_i, x_o) == [0.0; 3], "{x_i:?} {x_o:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn probabilities_sum_to_one_and_are_positive_wherever_the_response_may_be() {
+        for m in every_kind() {
+            let evaluator = Evaluator::new(&m).unwrap();
+            for i in 0..6 {
+                let all = offsets(m.header.window);
+                let sum: f64 = all.iter().map(|&o| evaluator.probability(i, o)).sum();
+                let drawn = evaluator.sample(i, 0.5).is_some();
+                assert!(if drawn { (sum - 1.0).abs() < 1e-12 } else { sum == 0.0 }, "rounding of f64: {sum}");
+                for o in all {
+                    let responds = m.response(i, o).is_some_and(|r| r != [0.0; 3]);
+                    assert!(!responds || evaluator.probability(i, o) > 0.01 / 16.0, "of 15 samples, and 1 % uniform");
+                }
+            }
+            assert_eq!((evaluator.sample(6, 0.5), evaluator.probability(6, [0, 0])), (None, 0.0));
+        }
+    }
+
+    /// The probability that χ² with `dof` degrees of freedom exceeds this is below 1e-6 (Wilson and Hilferty, 4.75 standard deviations).
+    fn limit(dof: f64) -> f64 {
+        let s = 2.0 / (9.0 * dof);
+        dof * (1.0 - s + 4.75 * s.sqrt()).powi(3)
+    }
+
+    #[test]
+    fn draws_are_distributed_as_their_probabilities() {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(5);
+        for m in every_kind() {
+            let evaluator = Evaluator::new(&m).unwrap();
+            for i in [0, 1, 2, 5] {
+                let all = offsets(m.header.window);
+                let mut counts = vec![0.0; all.len()];
+                const DRAWS: usize = 20_000;
+                for _ in 0..DRAWS {
+                    let Some(s) = evaluator.sample(i, random.random()) else { continue };
+                    let at = all.iter().position(|o| *o == s.offset).unwrap();
+                    counts[at] += 1.0;
+                    assert_eq!(s.probability, evaluator.probability(i, s.offset), "the same arithmetic");
+                }
+                if evaluator.sample(i, 0.0).is_none() {
+                    continue;
+                }
+                let expected = all.iter().map(|&o| evaluator.probability(i, o) * DRAWS as f64);
+                let seen: Vec<(f64, f64)> = counts.into_iter().zip(expected).filter(|(_, e)| *e > 0.0).collect();
+                let chi2: f64 = seen.iter().map(|(n, e)| (n - e).powi(2) / e).sum();
+                let dof = seen.len() as f64 - 1.0;
+                assert!(dof == 0.0 || chi2 < limit(dof), "χ² = {chi2} of {dof}, {:?} row {i}", m.header);
+            }
+        }
+    }
+
+    #[test]
+    fn a_response_without_negative_parts_is_drawn_in_proportion() {
+        let mut m = every_kind().into_iter().find(|m| m.header.degree.is_none()).unwrap();
+        let positive = [&mut m.weights, &mut m.incident_factors, &mut m.offset_factors, &mut m.profile];
+        positive.into_iter().flatten().for_each(|v| *v = v.abs());
+        m.header.extended = [7, 3];
+        m.shift[0] = [0, 0];
+        let evaluator = Evaluator::new(&m).unwrap();
+        let mean = |o| m.response(0, o).map_or(0.0, |r| f64::from(r[0] + r[1] + r[2]));
+        let all = offsets(m.header.window);
+        // Light beyond this row's window, in the common one, makes some of it rarer: within a square of two samples the ratio is exact.
+        let ratio = |o| evaluator.probability(0, o) - 0.01 / 15.0;
+        let (a, b) = ([0, -1], [0, 0]);
+        assert!(all.contains(&a) && mean(a) > 0.0);
+        let (found, expected) = (ratio(a) / ratio(b), mean(a) / mean(b));
+        assert!((found / expected - 1.0).abs() < 1e-5, "sums are f32: {found} {expected}");
+    }
+
+    #[test]
+    fn rows_of_zeros_and_numbers_at_the_ends_of_the_range_are_drawn_too() {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(6);
+        for m in every_kind() {
+            for ends in [[0.0; 4], [1e-30, 1e30, -1e-30, -1e30], [1e-30; 4], [1e30; 4], [1e-45; 4]] {
+                let mut m = m.clone();
+                let each = [&mut m.weights, &mut m.incident_factors, &mut m.offset_factors, &mut m.profile];
+                each.into_iter().flatten().enumerate().for_each(|(k, v)| *v = ends[k * 7 % 4]);
+                let evaluator = Evaluator::new(&m).unwrap();
+                let sum: f64 = offsets(m.header.window).iter().map(|&o| evaluator.probability(0, o)).sum();
+                assert!((sum - 1.0).abs() < 1e-12, "{sum}");
+                for random in [0.0, 1.0, f64::NAN, -1.0, random.random()] {
+                    let s = evaluator.sample(0, random).unwrap();
+                    assert!(s.probability > 0.0 && s.probability <= 1.0 + 1e-12);
+                }
+                let value = evaluator.between(m.lit_mm[0], m.lit_mm[1]);
+                assert!(value.iter().all(|v| !v.is_nan()));
+            }
+        }
+    }
+
+    #[test]
+    fn a_material_that_is_not_whole_is_refused() {
+        let mut m = every_kind().remove(0);
+        m.offset_factors.pop();
+        assert!(matches!(Evaluator::new(&m), Err(Error::Internal { .. })));
+    }
+}

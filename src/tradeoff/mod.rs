@@ -1,0 +1,360 @@
+//! Trade-off: what time, memory, bytes and accuracy cost each other on one matrix, measured.
+//!
+//! Every point of the table is a factorization that was run, saved, loaded and compared with the matrix: nothing is extrapolated.
+
+mod page;
+
+use crate::evaluate::evaluate;
+use crate::factor::{Backend, Factored, Options as FactorOptions, factor, regression_conditions};
+use crate::material::{Material, Model, Precision, Source, coded};
+use crate::output::ScratchFolder;
+use crate::progress::Progress;
+use crate::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row};
+use crate::{Error, Result};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+pub use page::{csv, html};
+
+/// Numbers of terms that are tried.
+const TERMS: [usize; 8] = [1, 2, 4, 8, 15, 25, 40, 60];
+/// Degrees that are tried with `tucker`.
+const DEGREES: [usize; 4] = [1, 3, 7, 15];
+/// Errors that coding may add, relative to the material.
+const CODED_ERRORS: [f64; 5] = [0.1, 0.03, 0.01, 3e-3, 1e-3];
+/// The published setting, on which back ends are compared.
+const PUBLISHED: (usize, usize) = (15, 7);
+/// Side of the block of lit points that a quick look takes.
+const QUICK_POINTS: usize = 24;
+/// Entries of a matrix up to which a full SVD is worth its time here.
+const FULL_ENTRIES: usize = 20_000_000;
+
+/// What to try.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Options {
+    /// Only a block of 24 × 24 lit points in the middle, and fewer settings.
+    pub quick: bool,
+    /// Memory for the rows, see [`FactorOptions::memory_bytes`].
+    pub memory_bytes: Option<u64>,
+}
+
+/// One factorization, stored one way.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Point {
+    /// The model.
+    pub model: Model,
+    /// How the SVD was computed.
+    pub backend: Backend,
+    /// T.
+    pub terms: usize,
+    /// P, when the model has one.
+    pub degree: Option<usize>,
+    /// K, when channels share offset maps.
+    pub shared_maps: Option<usize>,
+    /// How its numbers are stored.
+    pub precision: Precision,
+    /// Factoring, from the store on disk to the material in memory; for coded ones with the coding.
+    pub secs: f64,
+    /// Peak of the process's memory during it, bytes; `None` where the system does not tell. Allocators keep some of what earlier
+    /// factorizations used.
+    pub peak_bytes: Option<u64>,
+    /// `bytes_f32`, half of it for f16, the whole file when coded.
+    pub bytes: u64,
+    /// The whole file.
+    pub bytes_file: u64,
+    /// ‖R̂−R‖ / ‖R‖.
+    pub rel_rmse: Option<f64>,
+    /// See `docs/metrics.md`.
+    pub psnr_db: Option<f64>,
+    /// See `docs/metrics.md`.
+    pub log_rmse: Option<f64>,
+    /// See `docs/metrics.md`.
+    pub relit_psnr_db: Option<f64>,
+    /// Whether no other point has fewer bytes and a higher `psnr_db`.
+    pub pareto: bool,
+}
+
+/// What was measured.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Tradeoff {
+    /// Where the matrix is.
+    pub matrix: PathBuf,
+    /// Lit points that were looked at, along x and y.
+    pub points_looked_at: [usize; 2],
+    /// Lit points of the matrix.
+    pub points: [usize; 2],
+    /// Samples of a window.
+    pub window: [usize; 2],
+    /// Bytes of the looked-at responses as f32.
+    pub matrix_bytes: u64,
+    /// One plain read of the looked-at responses through the store, seconds.
+    pub read_secs: f64,
+    /// Every point, in the order in which they were run.
+    pub measured: Vec<Point>,
+    /// Median and largest condition number of the colour fits of the published `tucker` setting, per degree from 0.
+    pub regression_conditions: Vec<[f64; 2]>,
+}
+
+/// Runs the table.
+///
+/// # Errors
+/// Those of the reader, of [`factor`], of [`coded::encode`] and of writing temporary files.
+pub fn tradeoff(reader: &MatrixReader, options: &Options, progress: &Progress) -> Result<Tradeoff> {
+    let folder = ScratchFolder::new(&std::env::temp_dir(), "acquire-tradeoff-", reader.path())?;
+    let part = match options.quick {
+        true => Some(middle(reader, &folder.path().join("part.rd.zarr"))?),
+        false => None,
+    };
+    let matrix = part.as_ref().unwrap_or(reader);
+    let header = matrix.header();
+    let start = Instant::now();
+    for range in matrix.blocks() {
+        matrix.read_responses(range)?;
+    }
+    let mut out = Tradeoff {
+        matrix: reader.path().to_path_buf(),
+        points_looked_at: header.points,
+        points: reader.header().points,
+        window: header.window,
+        matrix_bytes: 4 * (header.rows() * header.row_len()) as u64,
+        read_secs: start.elapsed().as_secs_f64(),
+        measured: Vec::new(),
+        regression_conditions: Vec::new(),
+    };
+    let settings = settings(header, options.quick);
+    let stage = progress.stage("tradeoff", settings.len());
+    let silent = Progress::silent();
+    for setting in settings {
+        let mut run = Run { matrix, folder: folder.path(), setting, options, silent: &silent };
+        let (factored, secs, peak_bytes) = run.factor()?;
+        run.setting.backend = Some(factored.backend);
+        if run.setting.model == Model::Tucker
+            && (run.setting.terms, run.setting.degree) == (PUBLISHED.0, Some(PUBLISHED.1))
+        {
+            out.regression_conditions = regression_conditions(matrix, &factored.material, crate::factor::MOST_DEGREE)?;
+        }
+        for stored in run.store(&factored.material)? {
+            out.measured.push(run.measure(stored, secs, peak_bytes)?);
+        }
+        stage.advance(1);
+    }
+    mark_pareto(&mut out.measured);
+    Ok(out)
+}
+
+/// One factorization to run.
+#[derive(Debug, Clone, Copy)]
+struct Setting {
+    model: Model,
+    terms: usize,
+    degree: Option<usize>,
+    backend: Option<Backend>,
+    /// Whether it is also stored in half precision and coded.
+    stored: bool,
+}
+
+/// The table: every model over T (and P), every back end at the published setting.
+fn settings(header: &MatrixHeader, quick: bool) -> Vec<Setting> {
+    let most = header.rows().min(header.window_len());
+    let terms: Vec<usize> = TERMS.into_iter().filter(|&t| t <= most && !(quick && [2, 60].contains(&t))).collect();
+    let degrees: &[usize] = if quick { &DEGREES[1..3] } else { &DEGREES };
+    let mut all = Vec::new();
+    for &t in &terms {
+        let of = |model, degree, stored| Setting { model, terms: t, degree, backend: None, stored };
+        all.push(of(Model::Joint, None, t >= 8));
+        all.push(of(Model::Peers2006, None, t == PUBLISHED.0));
+        all.extend(degrees.iter().map(|&p| of(Model::Tucker, Some(p), (t, p) == PUBLISHED)));
+    }
+    let mut backends = vec![Backend::Gram, Backend::Deflation];
+    if header.rows() * header.window_len() <= FULL_ENTRIES {
+        backends.insert(0, Backend::Full);
+    }
+    let terms = PUBLISHED.0.min(most);
+    for backend in backends {
+        let of = |model, degree| Setting { model, terms, degree, backend: Some(backend), stored: false };
+        all.push(of(Model::Tucker, Some(PUBLISHED.1)));
+        if backend != Backend::Deflation {
+            all.push(of(Model::Joint, None));
+        }
+    }
+    all
+}
+
+struct Run<'a> {
+    matrix: &'a MatrixReader,
+    folder: &'a Path,
+    setting: Setting,
+    options: &'a Options,
+    silent: &'a Progress,
+}
+
+/// A material on disk.
+struct Stored {
+    path: PathBuf,
+    precision: Precision,
+    /// What storing took on top of factoring.
+    secs: f64,
+}
+
+impl Run<'_> {
+    fn factor(&self) -> Result<(Factored, f64, Option<u64>)> {
+        let Setting { model, terms, degree, backend, .. } = self.setting;
+        let options = FactorOptions {
+            model: Some(model),
+            terms: Some(terms),
+            degree,
+            backend,
+            memory_bytes: self.options.memory_bytes,
+            ..FactorOptions::default()
+        };
+        reset_peak();
+        let start = Instant::now();
+        let factored = factor(self.matrix, &options, self.silent)?;
+        Ok((factored, start.elapsed().as_secs_f64(), peak_bytes()))
+    }
+
+    fn store(&self, material: &Material) -> Result<Vec<Stored>> {
+        let mut all = vec![];
+        let path = |name: String| self.folder.join(name);
+        let f32_path = path("f32.safetensors".into());
+        material.save(&f32_path)?;
+        all.push(Stored { path: f32_path, precision: Precision::F32, secs: 0.0 });
+        if !self.setting.stored {
+            return Ok(all);
+        }
+        let f16_path = path("f16.safetensors".into());
+        material.save_half(&f16_path)?;
+        all.push(Stored { path: f16_path, precision: Precision::F16, secs: 0.0 });
+        let errors = if self.options.quick { &CODED_ERRORS[1..4] } else { &CODED_ERRORS[..] };
+        for (k, &error) in errors.iter().enumerate() {
+            let start = Instant::now();
+            let quality = coded::Quality::AddedError(error);
+            let coded = coded::encode(material, &coded::Options { quality, ..coded::Options::default() })?;
+            let file = path(format!("coded-{k}.acq"));
+            coded.save(&file)?;
+            all.push(Stored { path: file, precision: Precision::Coded, secs: start.elapsed().as_secs_f64() });
+        }
+        Ok(all)
+    }
+
+    fn measure(&self, stored: Stored, secs: f64, peak_bytes: Option<u64>) -> Result<Point> {
+        let source = Source::open(&stored.path)?;
+        let measures = evaluate(&source, self.matrix, self.silent)?;
+        let Source::Material(material, _) = &source else {
+            return Err(Error::internal("a material was saved and is none"));
+        };
+        let h = &material.header;
+        Ok(Point {
+            model: h.model,
+            backend: self.setting.backend.unwrap_or(Backend::Randomized),
+            terms: h.terms,
+            degree: h.degree,
+            shared_maps: h.shared_maps,
+            precision: stored.precision,
+            secs: secs + stored.secs,
+            peak_bytes,
+            bytes: match stored.precision {
+                Precision::F32 => measures.bytes_f32,
+                Precision::F16 => measures.bytes_f32 / 2,
+                Precision::Coded => measures.bytes_file,
+            },
+            bytes_file: measures.bytes_file,
+            rel_rmse: measures.rel_rmse,
+            psnr_db: measures.psnr_db,
+            log_rmse: measures.log_rmse,
+            relit_psnr_db: measures.relit_psnr_db,
+            pareto: false,
+        })
+    }
+}
+
+/// Marks the points that no other beats in both bytes and `psnr_db`.
+fn mark_pareto(points: &mut [Point]) {
+    let quality = |p: &Point| p.psnr_db.unwrap_or(f64::INFINITY);
+    let all: Vec<(u64, f64)> = points.iter().map(|p| (p.bytes, quality(p))).collect();
+    for (k, point) in points.iter_mut().enumerate() {
+        let (bytes, db) = all[k];
+        let beaten =
+            |(j, &(b, q)): (usize, &(u64, f64))| j != k && b <= bytes && q >= db && ((b, q) != (bytes, db) || j < k);
+        point.pareto = !all.iter().enumerate().any(beaten);
+    }
+}
+
+/// Copies a block of lit points from the middle of a matrix.
+fn middle(reader: &MatrixReader, path: &Path) -> Result<MatrixReader> {
+    let whole = reader.header();
+    let size = whole.points.map(|n| n.min(QUICK_POINTS));
+    let corner: [usize; 2] = std::array::from_fn(|a| (whole.points[a] - size[a]) / 2);
+    let from = |i: usize| corner[0] + i % size[0] + (corner[1] + i / size[0]) * whole.points[0];
+    let rows = size[0] * size[1];
+    let header = MatrixHeader {
+        points: size,
+        lit_mm: (0..rows).map(|i| whole.lit_mm[from(i)]).collect(),
+        position_sd_mm: (0..rows).map(|i| whole.position_sd_mm[from(i)]).collect(),
+        shot_of: (0..rows).map(|i| whole.shot_of[from(i)]).collect(),
+        ..whole.clone()
+    };
+    let writer = MatrixWriter::create(path, header)?;
+    for y in 0..size[1] {
+        let first = from(y * size[0]);
+        let block = reader.read(first..first + size[0])?;
+        for x in 0..size[0] {
+            let row = block.view(x);
+            writer.put(
+                y * size[0] + x,
+                &Row {
+                    response: row.response.to_vec(),
+                    variance: row.variance.to_vec(),
+                    valid: row.valid.iter().map(|&v| v != 0).collect(),
+                },
+            )?;
+        }
+    }
+    writer.finish()?;
+    MatrixReader::open(path)
+}
+
+/// Makes the system forget the highest memory of this process so far, where it can.
+fn reset_peak() {
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
+}
+
+fn peak_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let kib: u64 =
+        status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib * 1024)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(bytes: u64, psnr_db: f64) -> Point {
+        Point {
+            model: Model::Joint,
+            backend: Backend::Full,
+            terms: 1,
+            degree: None,
+            shared_maps: None,
+            precision: Precision::F32,
+            secs: 0.0,
+            peak_bytes: None,
+            bytes,
+            bytes_file: bytes,
+            rel_rmse: None,
+            psnr_db: Some(psnr_db),
+            log_rmse: None,
+            relit_psnr_db: None,
+            pareto: false,
+        }
+    }
+
+    #[test]
+    fn the_front_is_what_nothing_beats_in_bytes_and_decibels() {
+        let mut points = [point(10, 30.0), point(20, 29.0), point(20, 40.0), point(20, 40.0), point(5, 10.0)];
+        mark_pareto(&mut points);
+        assert_eq!(points.map(|p| p.pareto), [true, false, true, false, true]);
+    }
+}
