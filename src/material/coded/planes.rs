@@ -232,8 +232,9 @@ impl ColorBasis {
         f64::from(self.lower[p * (p + 1) / 2 + q])
     }
 
-    /// β to γ, in place, P+1 numbers.
-    pub fn forward(&self, beta: &mut [f64]) {
+    /// β to γ, in place, P+1 numbers; the encoder fits γ itself.
+    #[cfg(test)]
+    fn forward(&self, beta: &mut [f64]) {
         for q in 0..=self.degree {
             beta[q] = (q..=self.degree).map(|p| self.entry(p, q) * beta[p]).sum();
         }
