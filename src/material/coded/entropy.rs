@@ -250,7 +250,7 @@ impl Mixer {
         let mut stretched = [0; MOST_INPUTS];
         for (input, &slot) in contexts.slots.iter().enumerate().take(self.inputs) {
             let Slot { one, seen } = self.slots[input * self.slots_of_input + slot];
-            stretched[input] = stretch(one) * CONFIDENCE[usize::from(seen.min(15))] >> 8;
+            stretched[input] = (stretch(one) * CONFIDENCE[usize::from(seen.min(15))]) >> 8;
         }
         let by_set = contexts.sets.map(|set| {
             let weights = &self.weights[set * self.inputs..][..self.inputs];

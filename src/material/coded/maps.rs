@@ -8,7 +8,7 @@ use rayon::prelude::*;
 /// Steps are powers of 2^(1/STEPS_PER_OCTAVE).
 const STEPS_PER_OCTAVE: i32 = 4;
 /// 2^(k/4)
-const FRACTIONS: [f64; 4] = [1.0, 1.189_207_115_002_721, 1.414_213_562_373_095_1, 1.681_792_830_507_429];
+const FRACTIONS: [f64; 4] = [1.0, 1.189_207_115_002_721, std::f64::consts::SQRT_2, 1.681_792_830_507_429];
 /// No step is outside 2^±this.
 const OCTAVES: i32 = 1000;
 /// A coefficient of magnitude q is read as q less this part of a step: small ones are likelier than large ones.
@@ -85,7 +85,7 @@ impl Group {
             let found = self.coded.get(at.checked_sub(back)?)?;
             (found.transform == transform).then_some(found.numbers.as_slice())
         };
-        let sibling = if at % self.siblings > 0 { map(1) } else { None };
+        let sibling = if at.is_multiple_of(self.siblings) { None } else { map(1) };
         let second = if at % self.siblings > 1 { map(2) } else { None };
         [map(self.siblings), second.or(map(2 * self.siblings)), sibling]
     }

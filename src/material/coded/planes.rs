@@ -113,9 +113,9 @@ fn eigenvectors(mut m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
     let mut order = [0, 1, 2];
     order.sort_by(|&a, &b| m[b][b].total_cmp(&m[a][a]));
     let mut rows = order.map(|k| v[k]);
-    let cross =
-        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-    rows[2] = cross(rows[0], rows[1]);
+    // The third is the cross product of the others: a rotation, not a reflection.
+    let [a, b, _] = rows;
+    rows[2] = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     rows
 }
 
@@ -232,8 +232,9 @@ impl ColorBasis {
         f64::from(self.lower[p * (p + 1) / 2 + q])
     }
 
-    /// β to γ, in place, P+1 numbers.
-    pub fn forward(&self, beta: &mut [f64]) {
+    /// β to γ, in place, P+1 numbers; the encoder fits γ itself.
+    #[cfg(test)]
+    fn forward(&self, beta: &mut [f64]) {
         for q in 0..=self.degree {
             beta[q] = (q..=self.degree).map(|p| self.entry(p, q) * beta[p]).sum();
         }

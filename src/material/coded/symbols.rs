@@ -61,15 +61,15 @@ impl Known<'_> {
         let Some(map) = self.earlier[k] else { return 0 };
         let (x, y) = (x as isize, y as isize);
         let near = [(1, 0), (-1, 0), (0, 1), (0, -1)];
-        near.iter().map(|(dx, dy)| get(map, self.size, x + dx, y + dy).unsigned_abs()).sum()
+        near.iter().map(|(dx, dy)| get(map, self.size, x + dx, y + dy).unsigned_abs().min(1 << 20)).sum()
     }
 
     fn around(&self, x: usize, y: usize) -> Around {
         let near = [(1, 0), (0, 1), (1, 1), (-1, 1), (2, 0), (0, 2)].map(|(l, u)| self.here(x, y, l, u));
         let [left, up, upper_left, upper_right, left2, up2] = near.map(|v| v.unsigned_abs().min(1 << 20));
         let [one, two, sibling] = [0, 1, 2].map(|k| self.before(k, x, y).unsigned_abs().min(1 << 20));
-        let ring = self.around_before(0, x, y).min(1 << 22);
-        let ring_sibling = self.around_before(2, x, y).min(1 << 22);
+        let ring = self.around_before(0, x, y);
+        let ring_sibling = self.around_before(2, x, y);
         let parent =
             if x + y > 0 { self.here(x, y, (x - x / 2) as isize, (y - y / 2) as isize).unsigned_abs() } else { 0 };
         let local = 2 * (left + up) + upper_left + upper_right + left2 + up2;

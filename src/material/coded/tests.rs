@@ -30,7 +30,8 @@ fn made(rng: &mut Pcg64, kind: usize, points: [usize; 2], window: [usize; 2], te
     material.offset_factors = values(offset_planes * samples * terms, low);
     material.profile = if profile { values(offset_planes * samples, 0.01) } else { Vec::new() };
     material.color_coefficients = degree.map_or(Vec::new(), |p| values(n * 3 * (p + 1), -2.0));
-    material.shift = (0..n).map(|_| if kind % 2 == 0 { [0, 0] } else { [rng.random_range(-1..=1), 0] }).collect();
+    material.shift =
+        (0..n).map(|_| if kind.is_multiple_of(2) { [0, 0] } else { [rng.random_range(-1..=1), 0] }).collect();
     if window[0] < 3 {
         material.shift.fill([0, 0]);
     }
