@@ -3,11 +3,14 @@
 //! `cargo bench --bench factor [-- POINTS WINDOW [STORE [BACKEND]]]` (by default 128 × 128 points, 31 × 31 window). The
 //! matrix has 24 terms of falling weight, displaced peaks, colour that is no polynomial of the intensity, and noise of
 //! 1e-4 of the row's peak with its variance. With STORE it is written there, or read when it is there already; BACKEND
-//! is full, gram, subspace, or `none` to write the store and no more.
+//! is full, gram, randomized, deflation, or `none` to write the store and no more. Also the rate of the products that
+//! the randomized back end makes, and of square ones, which are as fast as this processor goes.
 
 use acquire::factor::{Options, factor};
 use acquire::progress::Progress;
 use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter};
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
@@ -47,6 +50,10 @@ fn main() -> acquire::Result<()> {
     let start = Instant::now();
     reader.for_each_block(|_| Ok(()))?;
     println!("reading it once: {:.1} s", start.elapsed().as_secs_f64());
+    let samples = reader.header().window_len();
+    let rows = (1 << 24) / (9 * 3 * samples).max(1);
+    let (square, tall, wide) = (rate(2048, 2048, 2048), rate(rows, samples, 23), rate(samples, rows, 23));
+    println!("products in f32: {square:.0} GFlop/s square; {tall:.0} and {wide:.0} of {rows} rows with 23 vectors");
     let backend = args.get(3).and_then(|name| serde_json::from_value(name.as_str().into()).ok());
     let chosen = Options { backend, ..Options::default() };
     let fixed = Options { terms: Some(15), degree: Some(7), ..chosen.clone() };
@@ -62,6 +69,19 @@ fn main() -> acquire::Result<()> {
         println!("peak memory {:.0} MiB", kib / 1024.0);
     }
     Ok(())
+}
+
+/// 10⁹ operations a second of products [m, k] · [k, n] in f32 on all cores, the best of five.
+fn rate(m: usize, k: usize, n: usize) -> f64 {
+    let a = Mat::<f32>::from_fn(m, k, |i, j| ((i * 7 + j) % 11) as f32);
+    let b = Mat::<f32>::from_fn(k, n, |i, j| ((i * 5 + j) % 13) as f32);
+    let mut out = Mat::<f32>::zeros(m, n);
+    let secs = (0..5).map(|_| {
+        let start = Instant::now();
+        matmul(out.as_mut(), Accum::Replace, a.as_ref(), b.as_ref(), 1.0, faer::get_global_parallelism());
+        start.elapsed().as_secs_f64()
+    });
+    2e-9 * (m * k * n) as f64 / secs.fold(f64::INFINITY, f64::min)
 }
 
 /// Largest resident size of this process so far; `None` where the system does not tell.

@@ -218,9 +218,8 @@ fn polynomials_of_a_steep_row_are_as_good_as_any_in_extended_precision() {
             let (found, optimal) = (left[c].sqrt(), best.residual_norm[c]);
             let rounding = 4.0 * ROUNDING * size[c].sqrt();
             // To degree 7 coefficients are below ten times the row. At 15 the columns' condition number is 4e11 and the
-            // best coefficients are near 1e6: no use in f32, so that the row keeps a lower degree, which costs at most
-            // twice as much again.
-            let slack = if best.degree <= 7 { 1e-4 } else { 2.0 };
+            // best coefficients are near 1e6, of no use in f32: misfit and rounding together are least at 1.5 of the best.
+            let slack = if best.degree <= 7 { 1e-4 } else { 0.6 };
             assert!(found >= optimal - rounding, "degree {}: {found} beats the best, {optimal}", best.degree);
             assert!(found <= optimal * (1.0 + slack) + rounding, "degree {}: {found} {optimal}", best.degree);
         }
