@@ -1,6 +1,6 @@
 use super::Context;
 use crate::Result;
-use crate::factor::{Options, factor};
+use crate::factor::{Backend, Goal, Options, factor};
 use crate::material::Model;
 use crate::transport::MatrixReader;
 use std::path::PathBuf;
@@ -9,9 +9,12 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  acquire factor slab.rd.zarr                                  terms and degree as the noise supports
-  acquire factor slab.rd.zarr --terms 15 --degree 7            the paper's setting
-  acquire factor slab.rd.zarr --no-peak-shift --out a.safetensors")]
+  acquire factor slab.rd.zarr                            as many terms as the noise supports
+  acquire factor slab.rd.zarr --target-psnr 45           the fewest bytes that reach it
+  acquire factor slab.rd.zarr --max-bytes 250kB          the best in so many bytes
+  acquire factor slab.rd.zarr --terms 15 --degree 7      the paper's model and setting
+  acquire factor slab.rd.zarr --model peers2006 --terms 13
+  acquire factor slab.rd.zarr --memory 2GiB --backend gram")]
 pub struct Args {
     /// The matrix, a folder *.rd.zarr.
     matrix: PathBuf,
@@ -24,6 +27,24 @@ pub struct Args {
     /// Degree of the colour polynomial, 0 to 15 [default: as the measured noise supports].
     #[arg(long, value_name = "P")]
     degree: Option<usize>,
+    /// Choose the fewest bytes that reach this psnr_db against the matrix.
+    #[arg(long, value_name = "DB", conflicts_with = "terms")]
+    target_psnr: Option<f64>,
+    /// Choose the best material in so many bytes, counted as bytes_f32: 250kB, 1.5MiB, or plain bytes.
+    #[arg(long, value_name = "BYTES", value_parser = bytes, conflicts_with_all = ["terms", "target_psnr"])]
+    max_bytes: Option<u64>,
+    /// With --model peers2006: factor the intensity, and make colour a polynomial of it as tucker does.
+    #[arg(long)]
+    color_regression: bool,
+    /// How singular values are computed [default: the quickest for the size that reaches --accuracy].
+    #[arg(long, value_enum)]
+    backend: Option<Backend>,
+    /// What singular values may be off by, relative to the largest.
+    #[arg(long, value_name = "SHARE", default_value_t = Options::default().accuracy)]
+    accuracy: f64,
+    /// Memory for the rows; more of them are read from the store at every pass: 2GiB, say [default: half of the machine's].
+    #[arg(long, value_name = "BYTES", value_parser = bytes)]
+    memory: Option<u64>,
     /// Leave every row where it is instead of moving its peak to the centre.
     #[arg(long)]
     no_peak_shift: bool,
@@ -46,6 +67,15 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         model: args.model,
         terms: args.terms,
         degree: args.degree,
+        goal: match (args.target_psnr, args.max_bytes) {
+            (Some(db), _) => Goal::Psnr(db),
+            (None, Some(bytes)) => Goal::Bytes(bytes),
+            (None, None) => Goal::Noise,
+        },
+        color_regression: args.color_regression,
+        backend: args.backend,
+        accuracy: args.accuracy,
+        memory_bytes: args.memory,
         peak_shift: !args.no_peak_shift,
         max_shift: args.max_shift,
         ..Options::default()
@@ -58,11 +88,48 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let bytes = factored.material.bytes_f32();
     context.done(&factored.choice);
     context.done(format_args!(
-        "{}: {} bytes of f32, 1/{:.0} of the matrix, rel_rmse {:.5}",
+        "{}: {} bytes of f32, 1/{:.0} of the matrix, rel_rmse {:.5}{}",
         out.display(),
         bytes,
         matrix_bytes as f64 / bytes as f64,
-        factored.rel_rmse
+        factored.rel_rmse,
+        factored.psnr_db.map(|db| format!(", psnr_db {db:.2}")).unwrap_or_default()
     ));
     Ok(())
+}
+
+/// A number of bytes as people write it: `250kB`, `1.5 MiB`, `4096`.
+fn bytes(text: &str) -> std::result::Result<u64, String> {
+    let text = text.trim();
+    let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let (number, unit) = text.split_at(end);
+    let scale: f64 = match unit.trim().to_ascii_lowercase().as_str() {
+        "" | "b" => 1.0,
+        "kb" | "k" => 1e3,
+        "mb" | "m" => 1e6,
+        "gb" | "g" => 1e9,
+        "kib" => 1024.0,
+        "mib" => 1024.0 * 1024.0,
+        "gib" => 1024.0 * 1024.0 * 1024.0,
+        _ => return Err("expected a number of bytes, with kB, MB, GB, KiB, MiB or GiB behind it".into()),
+    };
+    match number.parse::<f64>() {
+        Ok(v) if v * scale >= 1.0 && v * scale < 1e18 => Ok((v * scale) as u64),
+        _ => Err("expected a positive number of bytes".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn bytes_are_read_as_people_write_them() {
+        let read = |text: &str| super::bytes(text).ok();
+        assert_eq!(read("250kB"), Some(250_000));
+        assert_eq!(read("1.5 MiB"), Some(1_572_864));
+        assert_eq!(read("4096"), Some(4096));
+        assert_eq!(read("2GiB"), Some(1 << 31));
+        for bad in ["", "kB", "-3", "1 parsec", "0", "1e9", "1..2MB"] {
+            assert_eq!(read(bad), None, "{bad}");
+        }
+    }
 }

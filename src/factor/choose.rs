@@ -14,8 +14,10 @@ use std::ops::Range;
 
 /// Rows looked at to choose the degree; its mean z² is then known to 1 in 50.
 const DEGREE_ROWS: usize = 2048;
-/// Rows looked at to choose terms and degree for a goal, and to tell colour from grey.
-const SAMPLE_ROWS: usize = 256;
+/// Rows looked at to tell colour from grey.
+const GREY_ROWS: usize = 256;
+/// Rows looked at to choose terms and degree for a goal.
+const SAMPLE_ROWS: usize = 1024;
 /// Roundings to f32 that count as noise of a response when the degree is chosen: of the response itself, g, f and h.
 /// Those of h are common to all rows and do not average out, so that they must stay well below it.
 const STORED_ROUNDINGS: f64 = 4.0;
@@ -65,7 +67,7 @@ fn spread(reader: &MatrixReader, count: usize) -> Vec<Range<usize>> {
 /// Whether the channels of some rows differ by no more than noise.
 pub(super) fn looks_grey(reader: &MatrixReader) -> Result<bool> {
     let (mut sum, mut count) = (0.0, 0_u64);
-    for range in spread(reader, SAMPLE_ROWS) {
+    for range in spread(reader, GREY_ROWS) {
         let block = reader.read(range)?;
         for k in 0..block.rows {
             let row = block.view(k);

@@ -7,9 +7,10 @@
 //! coefficients above are zero.
 //!
 //! Most of a steep row's intensities lie close together, and polynomials of high degree then differ by little:
-//! coefficients of 1e8 that cancel to 1 fit well in f64 and are useless as f32. Each row therefore takes, up to P,
-//! the degree at which what the fit leaves and what rounding its coefficients adds are least together.
+//! coefficients of 1e8 that cancel to 1 fit well in f64 and are useless as f32. What rounding a coefficient to f32 will add is therefore
+//! part of the least squares, as a ridge: rounding is uniform within half a unit in the last place, and |L_p| ≤ 1.
 
+use super::fill::Cholesky;
 use super::noise::F32_ROUNDING;
 use super::vector::{axpy_in, dot, dot_in};
 use pulp::{Arch, NullaryFnOnce};
@@ -66,27 +67,35 @@ impl PolynomialBasis {
         (0..self.len()).map(|p| dot(self.column(p), values)).collect()
     }
 
-    /// The least-squares polynomial for `values`, of the degree up to `degree` that is best once its coefficients are rounded to f32.
+    /// The polynomial up to `degree` for `values` that is best once its coefficients are rounded to f32: least
+    /// squares of the misfit and of the expected rounding together.
     pub fn fit(&self, values: &[f64], degree: usize) -> Fit {
         let along = self.project(values);
         let energy = dot(values, values);
-        let (mut left, mut sum, mut best) =
-            (energy, [0.0; MOST], Fit { coefficients: Vec::new(), error: energy, energy });
-        let mut least = energy;
-        for (p, &share) in along.iter().enumerate().take(degree + 1) {
-            left = (left - share * share).max(0.0);
-            sum.iter_mut().zip(&self.legendre[p]).for_each(|(s, l)| *s += share * l);
-            // |L_p| ≤ 1 at every sample
-            let squares: f64 = sum.iter().map(|c| c * c).sum();
-            let rounding = values.len() as f64 * F32_ROUNDING.powi(2) * squares;
-            if left + rounding < least {
-                least = left + rounding;
-                let coefficients: Vec<f32> = sum[..=p].iter().map(|&c| c as f32).collect();
-                best = Fit { error: left + self.rounded(&sum, &coefficients), coefficients, energy };
+        let n = along.len().min(degree + 1);
+        let ridge = values.len() as f64 * F32_ROUNDING * F32_ROUNDING / 3.0;
+        // (I + λ T Tᵀ) s = Qᵀ y, T the Legendre coefficients of the orthonormal polynomials.
+        let mut normal = vec![0.0; n * n];
+        for a in 0..n {
+            for b in 0..=a {
+                let products: f64 = self.legendre[a].iter().zip(&self.legendre[b]).map(|(a, b)| a * b).sum();
+                normal[a * n + b] = ridge * products + f64::from(u8::from(a == b));
             }
         }
-        best.coefficients.resize(degree + 1, 0.0);
-        best
+        let mut shares = along[..n].to_vec();
+        if !Cholesky::new(normal, n).solve(&mut shares) {
+            shares.fill(0.0);
+        }
+        let mut sum = [0.0; MOST];
+        for (share, legendre) in shares.iter().zip(&self.legendre) {
+            sum.iter_mut().zip(legendre).for_each(|(s, l)| *s += share * l);
+        }
+        let mut coefficients: Vec<f32> = sum[..n].iter().map(|&c| c as f32).collect();
+        let kept: f64 = along[..n].iter().map(|a| a * a).sum();
+        let off: f64 = along.iter().zip(&shares).map(|(a, s)| (a - s) * (a - s)).sum();
+        let error = (energy - kept).max(0.0) + off + self.rounded(&sum, &coefficients);
+        coefficients.resize(degree + 1, 0.0);
+        Fit { coefficients, error, energy }
     }
 
     /// Σ of squares over the samples of what rounding coefficients changes.
@@ -117,8 +126,11 @@ impl PolynomialBasis {
             let expected = independent + errors.iter().map(|e| dot(q, e).powi(2)).sum::<f64>();
             (expected > 0.0).then(|| dot(q, values).powi(2) / expected)
         };
-        let usable = self.fit(values, MOST_DEGREE).coefficients.iter().rposition(|&c| c != 0.0);
-        (0..self.len().min(usable.map_or(0, |p| p + 1))).map(|p| z2(self.column(p))).collect()
+        // Beyond these the ridge keeps less than half of a share: the row cannot make use of the degree.
+        let ridge = values.len() as f64 * F32_ROUNDING * F32_ROUNDING / 3.0;
+        let usable = |l: &&[f64; MOST]| ridge * l.iter().map(|c| c * c).sum::<f64>() < 1.0;
+        let count = self.legendre.iter().take_while(usable).count();
+        (0..count).map(|p| z2(self.column(p))).collect()
     }
 }
 
@@ -315,6 +327,7 @@ mod tests {
                         "{name} {degree}: {ours} {}",
                         fitted[(i, 0)]
                     );
+                    let through: f64 = (0..basis.len()).map(|p| along[p] * value(&basis.legendre[p], u[i])).sum();
                     // Through Legendre coefficients, which are large and cancel: eps times their size, a few times.
                     let size = (0..basis.len())
                         .map(|p| along[p].abs() * basis.legendre[p].iter().map(|l| l.abs()).sum::<f64>())

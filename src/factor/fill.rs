@@ -5,9 +5,13 @@
 //! the factorization itself, fitted to what the row measured. Iterating that is expectation maximization for
 //! probabilistic PCA with missing data (`Tipping1999`); estimates never enter the colour regression or a measure.
 
-use super::backend::LowRank;
+use super::backend::{LowRank, product};
 use super::vector::dot;
+use faer::MatRef;
 use rayon::prelude::*;
+
+/// Multiplications of a block that are quick in f64.
+const FEW_PRODUCTS: usize = 20_000_000;
 
 /// Which columns of a row were not measured.
 #[derive(Debug, Clone, PartialEq)]
@@ -96,46 +100,84 @@ impl PreparedBasis<'_> {
 
     /// Replaces the samples that were not measured in a block of rows; a row without any measured sample stays as it is.
     pub fn fill(&self, values: &mut [f32], missing: &[Missing]) {
-        let rows = values.par_chunks_mut(self.basis.columns.max(1)).zip(missing);
-        rows.for_each(|(row, missing)| match missing {
-            Missing::Nothing => {}
-            Missing::Pattern(k) => {
-                if let Some((columns, cholesky)) = self.patterns.get(*k) {
-                    self.fill_row(row, columns, cholesky);
-                }
-            }
-            Missing::Columns(columns) => self.fill_row(row, columns, &self.solved(columns)),
+        let (columns, k) = (self.basis.columns.max(1), self.basis.ridge.len());
+        if missing.iter().all(|m| *m == Missing::Nothing) {
+            return;
+        }
+        let gaps: Vec<&[u32]> = missing.iter().map(|missing| self.gaps(missing)).collect();
+        values.par_chunks_mut(columns).zip(&gaps).for_each(|(row, gaps)| {
+            gaps.iter().for_each(|&d| row[d as usize] = 0.0);
         });
+        let products = self.products(values, missing.len());
+        values.par_chunks_mut(columns).zip(missing).zip(&gaps).zip(products.par_chunks(k)).for_each(
+            |(((row, missing), gaps), products)| {
+                if gaps.is_empty() || gaps.len() == row.len() {
+                    return;
+                }
+                let own;
+                let cholesky = match missing {
+                    Missing::Pattern(k) => self.patterns.get(*k).map(|(_, cholesky)| cholesky),
+                    _ => {
+                        own = self.solved(gaps);
+                        Some(&own)
+                    }
+                };
+                let mut amounts = products.to_vec();
+                if cholesky.is_some_and(|c| c.solve(&mut amounts)) {
+                    self.compose(row, gaps, &amounts);
+                }
+            },
+        );
     }
 
-    fn fill_row(&self, row: &mut [f32], columns: &[u32], cholesky: &Cholesky) {
-        if columns.is_empty() || columns.len() == row.len() {
-            return;
+    fn gaps<'m>(&'m self, missing: &'m Missing) -> &'m [u32] {
+        match missing {
+            Missing::Nothing => &[],
+            Missing::Pattern(k) => self.patterns.get(*k).map_or(&[], |(columns, _)| columns),
+            Missing::Columns(columns) => columns,
         }
-        columns.iter().for_each(|&d| row[d as usize] = 0.0);
-        let known: Vec<f64> = row.iter().map(|&v| f64::from(v)).collect();
-        let mut amounts: Vec<f64> = (0..self.basis.ridge.len()).map(|j| dot(self.basis.profile(j), &known)).collect();
-        if !cholesky.solve(&mut amounts) {
-            return;
+    }
+
+    /// Every row times every profile, \[rows, k\]: in f32 where there is much to multiply, and back ends do the same.
+    fn products(&self, values: &[f32], rows: usize) -> Vec<f64> {
+        let (columns, k) = (self.basis.columns, self.basis.ridge.len());
+        if rows * columns * k < FEW_PRODUCTS {
+            let row = |row: &[f32]| {
+                let wide: Vec<f64> = row.iter().map(|&v| f64::from(v)).collect();
+                (0..k).map(|j| dot(self.basis.profile(j), &wide)).collect::<Vec<_>>()
+            };
+            return values.par_chunks(columns).flat_map_iter(row).collect();
         }
-        let mut filled = vec![0.0; columns.len()];
+        let narrow: Vec<f32> = self.basis.vectors.iter().map(|&v| v as f32).collect();
+        let mut out = vec![0.0_f32; rows * k];
+        product(
+            MatRef::from_row_major_slice(values, rows, columns),
+            MatRef::from_row_major_slice(&narrow, k, columns),
+            &mut out,
+        );
+        out.into_iter().map(f64::from).collect()
+    }
+
+    /// Writes the missing samples of a row as a sum of profiles.
+    fn compose(&self, row: &mut [f32], gaps: &[u32], amounts: &[f64]) {
+        let mut filled = vec![0.0; gaps.len()];
         for (j, &amount) in amounts.iter().enumerate() {
             let profile = self.basis.profile(j);
-            filled.iter_mut().zip(columns).for_each(|(v, &d)| *v += amount * profile[d as usize]);
+            filled.iter_mut().zip(gaps).for_each(|(v, &d)| *v += amount * profile[d as usize]);
         }
-        filled.iter().zip(columns).for_each(|(&v, &d)| row[d as usize] = v as f32);
+        filled.iter().zip(gaps).for_each(|(&v, &d)| row[d as usize] = v as f32);
     }
 }
 
 /// The lower triangular factor of a symmetric positive definite matrix; a pivot that is not positive, or not finite, drops its unknown.
-struct Cholesky {
+pub(super) struct Cholesky {
     lower: Vec<f64>,
     k: usize,
 }
 
 impl Cholesky {
     /// From the lower half of a row-major \[k, k\] matrix.
-    fn new(mut a: Vec<f64>, k: usize) -> Self {
+    pub fn new(mut a: Vec<f64>, k: usize) -> Self {
         for j in 0..k {
             let pivot = a[j * k + j] - (0..j).map(|p| a[j * k + p] * a[j * k + p]).sum::<f64>();
             let usable = pivot.is_finite() && pivot > 1e-14 * a[j * k + j];
@@ -150,7 +192,7 @@ impl Cholesky {
     }
 
     /// Whether the solution, in place of `b`, is finite.
-    fn solve(&self, b: &mut [f64]) -> bool {
+    pub fn solve(&self, b: &mut [f64]) -> bool {
         let (a, k) = (&self.lower, self.k);
         for i in 0..k {
             b[i] = (b[i] - (0..i).map(|p| a[i * k + p] * b[p]).sum::<f64>()) / a[i * k + i];

@@ -11,6 +11,7 @@ mod noise;
 mod nonnegative;
 mod regression;
 mod rows;
+mod shared_basis;
 mod survey;
 mod terms;
 mod vector;
@@ -169,7 +170,8 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &Options, progress: &
     let terms = fit.material.header.terms;
     let grey =
         if rows.content == Content::Grey { ", no colour: the channels differ by no more than noise" } else { "" };
-    let choice = format!("{model}, terms {terms}: {}{why_degree}{grey}; {}", fit.why, fit.how);
+    let maps = fit.material.header.shared_maps.map(|k| format!("; channels share {k} offset maps")).unwrap_or_default();
+    let choice = format!("{model}, terms {terms}: {}{maps}{why_degree}{grey}; {}", fit.why, fit.how);
     let (rel_rmse, psnr_db) = (fit.misfit.rel_rmse(), fit.misfit.psnr_db());
     let mut material = fit.material;
     check_finite(reader, &material)?;
@@ -194,14 +196,7 @@ fn half_of_memory() -> u64 {
 
 /// Refuses a material that holds what no file may.
 fn check_finite(reader: &MatrixReader, material: &Material) -> Result<()> {
-    let tensors = [
-        ("weights", &material.weights),
-        ("incident_factors", &material.incident_factors),
-        ("offset_factors", &material.offset_factors),
-        ("profile", &material.profile),
-        ("color_coefficients", &material.color_coefficients),
-    ];
-    for (field, values) in tensors {
+    for ((field, _), values) in material.header.shapes().into_iter().zip(material.stored()) {
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
             let (found, at) = (f64::from(values[at]), format!("number {at}"));
             return Err(Error::NotFinite { path: reader.path().to_path_buf(), field, found, at });

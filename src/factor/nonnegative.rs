@@ -10,10 +10,10 @@ use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatRef, get_global_parallelism};
 use rand::{Rng, SeedableRng};
 
-/// Iterations at the most; the error of the last hundred falls by less than a per mille.
-const ROUNDS: usize = 400;
+/// Iterations at the most.
+const ROUNDS: usize = 1000;
 /// Relative fall of the error over ten iterations below which it is taken to have ended.
-const SETTLED: f64 = 1e-5;
+const SETTLED: f64 = 3e-5;
 
 /// Factors of one plane.
 pub struct NonNegative {
@@ -30,11 +30,7 @@ pub fn factorize(projected: &Triplets, columns: usize, first: usize, profile: &[
     // A = Y Vᵀ, n × m: least squares in R is that of A itself against F (H m).
     let y = Mat::from_fn(n, rank, |i, j| projected.left[i * rank + j] * projected.weights[j]);
     let v = Mat::from_fn(m, rank, |d, j| projected.right[j * columns + first + d]);
-    let mut random = rand_pcg::Pcg64::seed_from_u64(0);
-    let mut next = || f64::from(random.next_u32()) / f64::from(u32::MAX);
-    // Every term starts as the mean profile, unevenly.
-    let mut right = Mat::from_fn(m, terms, |d, _| profile[d].max(0.0) * (0.2 + next()));
-    let mut left = Mat::from_fn(n, terms, |_, _| 0.2 + next());
+    let (mut left, mut right) = start(&y, &v, profile, terms);
     let energy = squared(&(y.transpose() * &y), &(v.transpose() * &v));
     let mut before = f64::INFINITY;
     for round in 0..ROUNDS {
@@ -58,6 +54,34 @@ pub fn factorize(projected: &Triplets, columns: usize, first: usize, profile: &[
             .map(|(d, j)| if profile[d] > 0.0 { right[(d, j)] / profile[d] } else { 0.0 })
             .collect(),
     }
+}
+
+/// A start from the singular triplets (`Boutsidis2008`): of each, the positive parts of both sides or the negative ones, whichever are
+/// larger. Zeros become small: they could not grow otherwise.
+fn start(y: &Mat<f64>, v: &Mat<f64>, profile: &[f64], terms: usize) -> (Mat<f64>, Mat<f64>) {
+    let part = |m: &Mat<f64>, j: usize, sign: f64| -> Vec<f64> {
+        (0..m.nrows()).map(|i| if j < m.ncols() { (sign * m[(i, j)]).max(0.0) } else { 0.0 }).collect()
+    };
+    let length = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let mean = profile.iter().sum::<f64>() / profile.len().max(1) as f64;
+    let (mut left, mut right) = (Mat::zeros(y.nrows(), terms), Mat::zeros(v.nrows(), terms));
+    let mut random = rand_pcg::Pcg64::seed_from_u64(0);
+    let mut next = || f64::from(random.next_u32()) / f64::from(u32::MAX);
+    for j in 0..terms {
+        let [positive, negative] = [1.0, -1.0].map(|sign| (part(y, j, sign), part(v, j, sign)));
+        let size = |(l, r): &(Vec<f64>, Vec<f64>)| length(l) * length(r);
+        let (l, r) = if size(&positive) >= size(&negative) { positive } else { negative };
+        let (nl, nr) = (length(&l), length(&r));
+        if nl > 0.0 && nr > 0.0 {
+            let scale = (nl / nr).sqrt();
+            (0..y.nrows()).for_each(|i| left[(i, j)] = l[i] / scale);
+            (0..v.nrows()).for_each(|d| right[(d, j)] = r[d] * scale);
+        }
+        let typical = (0..y.nrows()).map(|i| left[(i, j)]).sum::<f64>() / y.nrows().max(1) as f64;
+        (0..y.nrows()).for_each(|i| left[(i, j)] += 1e-2 * next() * if typical > 0.0 { typical } else { 1.0 });
+        (0..v.nrows()).for_each(|d| right[(d, j)] += 1e-2 * next() * (profile[d].max(0.0) + 1e-3 * mean));
+    }
+    (left, right)
 }
 
 fn multiply(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {

@@ -3,6 +3,7 @@
 use super::fill::extend_edges;
 use super::noise::{Noise, row_noise};
 use super::rows::{Content, RawRows};
+use super::vector;
 use crate::progress::Progress;
 use crate::transport::normalize::{Layout, Placement, layout, place};
 use crate::transport::{MatrixReader, RowBlock};
@@ -187,13 +188,13 @@ impl Sums {
         noise: &mut Noise,
     ) {
         let row = block.view(k);
-        for (&v, _) in row.response.iter().zip(row.valid).filter(|(_, v)| **v != 0) {
-            let v = f64::from(v);
-            self.entries += 1;
-            self.energy += v * v;
-            self.peak = self.peak.max(v);
+        // What was not measured is zero, and adds nothing.
+        self.entries += row.valid.iter().map(|&v| u64::from(v)).sum::<u64>();
+        let (energy, peak) = vector::energy_and_peak(row.response);
+        (self.energy, self.peak) = (self.energy + energy, self.peak.max(peak));
+        if content == Content::Grey {
+            self.compare_channels(row);
         }
-        self.compare_channels(row);
         let planes = content.planes();
         let (window, samples) = (self.layout.window[0] * self.layout.window[1], self.layout.len());
         if content == Content::Intensity && placement.scale <= 0.0 {
@@ -208,12 +209,17 @@ impl Sums {
         for p in 0..planes {
             self.layout.for_each_line(placement.shift, |w, e, n| {
                 let (from, to) = (p * window + w, p * samples + e);
-                for x in 0..n {
-                    if measured.is_none_or(|m| m[from + x]) {
-                        self.value[to + x] += f64::from(values[from + x]);
-                        self.noise[to + x] += row_noise.independent[from + x];
-                        self.count[to + x] += 1;
-                    }
+                let sums = self.value[to..to + n].iter_mut().zip(&mut self.noise[to..to + n]);
+                let row = values[from..from + n].iter().zip(&row_noise.independent[from..from + n]);
+                // Both are zero where nothing was measured.
+                sums.zip(row).for_each(|((value, noise), (&v, &s))| {
+                    *value += f64::from(v);
+                    *noise += s;
+                });
+                let counts = self.count[to..to + n].iter_mut();
+                match measured {
+                    None => counts.for_each(|c| *c += 1),
+                    Some(m) => counts.zip(&m[from..from + n]).for_each(|(c, &m)| *c += u32::from(m)),
                 }
             });
         }

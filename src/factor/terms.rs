@@ -6,6 +6,7 @@ use super::fill::Basis;
 use super::noise::F32_ROUNDING;
 use super::nonnegative::factorize;
 use super::rows::{Content, PreparedRows, Rows};
+use super::shared_basis::Sharing;
 use super::{Misfit, Options};
 use crate::material::{Material, MaterialHeader, Model};
 use crate::transport::MatrixReader;
@@ -41,11 +42,13 @@ pub(super) fn fit(
     let mut most = options.terms.unwrap_or(options.max_terms);
     let mut start = None;
     loop {
-        let wanted = most + BEYOND;
+        // A non-negative product is fitted to a projection that holds much more than it can.
+        let wanted = if model == Model::Peers2006 { 3 * most + 20 } else { most + BEYOND };
         let low = decompose(rows, options, chosen, wanted, start.take())?;
         let exact = matches!(chosen, Backend::Full | Backend::Gram);
         let all = triplets(rows, &low, wanted, exact)?;
         let rank = all.weights.iter().take_while(|&&s| s > F32_ROUNDING * all.weights[0] && s > 0.0).count().max(1);
+        let rank = if model == Model::Peers2006 { rank.max(most) } else { rank };
         let asked = Asked { rank, most, rows, model, options };
         let plan = asked.plan(reader, &all)?;
         let enough = !plan.short || rank < most || most >= 4 * options.max_terms || most >= n.min(columns);
@@ -112,6 +115,8 @@ struct Asked<'r, 'a> {
 /// What was chosen.
 struct Plan {
     terms: usize,
+    /// Maps that the channels share; `None`: as many as make no difference.
+    maps: Option<usize>,
     degree: Option<usize>,
     why: String,
     /// Whether the goal would have more terms.
@@ -127,7 +132,7 @@ impl Asked<'_, '_> {
                 true => format!("{asked} were asked for and the rows have no more"),
                 false => "as asked".to_owned(),
             };
-            return Ok(Plan { terms: asked.min(self.rank), degree: None, why, short: false });
+            return Ok(Plan { terms: asked.min(self.rank), maps: None, degree: None, why, short: false });
         }
         match options.goal {
             Goal::Noise => {
@@ -143,69 +148,77 @@ impl Asked<'_, '_> {
                     }
                     None => format!("the rows have no more, noise {level:.3e}"),
                 };
-                Ok(Plan { terms, degree: None, why, short: false })
+                Ok(Plan { terms, maps: None, degree: None, why, short: false })
             }
             goal if self.rows.content == Content::Intensity => {
                 let material = self.material(reader, all, most);
                 let chosen = choose::terms_and_degree(reader, &material, &self.rows.survey, goal, options)?;
                 let short = chosen.terms >= most && chosen.short;
-                Ok(Plan { terms: chosen.terms, degree: Some(chosen.degree), why: chosen.why, short })
+                Ok(Plan { terms: chosen.terms, maps: None, degree: Some(chosen.degree), why: chosen.why, short })
             }
-            goal => {
-                let unit = self.rows.unit();
-                let left = |terms: usize| {
-                    let kept: f64 = all.weights[..terms].iter().map(|s| s * s).sum();
-                    (self.energy() / (unit * unit) - kept).max(0.0) * unit * unit
-                };
-                let material = self.material(reader, all, 1);
-                let per_term = material.bytes_f32_per_term();
-                let fixed = material.bytes_f32() - per_term;
-                Ok(self.plan_for(goal, most, left, fixed, per_term))
-            }
+            goal => self.plan_for(goal, all, most),
         }
     }
 
-    /// Σ of squares of the rows as they are factored, mm⁻⁴, as far as they were measured.
+    /// Σ of squares of the rows as they are factored, in their unit, as far as they were measured.
     fn energy(&self) -> f64 {
         // Grey rows are factored once for three channels.
-        if self.rows.content == Content::Grey { self.rows.survey.energy / 3.0 } else { self.rows.survey.energy }
+        let channels = if self.rows.content == Content::Grey { 3.0 } else { 1.0 };
+        self.rows.survey.energy / channels / self.rows.unit().powi(2)
     }
 
-    fn plan_for(&self, goal: Goal, most: usize, left: impl Fn(usize) -> f64, fixed: u64, per_term: u64) -> Plan {
-        let survey = &self.rows.survey;
-        let planes = if self.rows.content == Content::Grey { 3.0 } else { 1.0 };
-        let psnr = |terms: usize| {
-            let misfit = Misfit {
-                error: planes * left(terms),
-                energy: survey.energy,
-                peak: survey.peak,
-                entries: survey.entries,
-            };
+    /// What the first `terms` leave of it.
+    fn left(&self, all: &Triplets, terms: usize) -> f64 {
+        (self.energy() - all.weights[..terms].iter().map(|s| s * s).sum::<f64>()).max(0.0)
+    }
+
+    /// Terms, and the maps that channels share, for a goal: every number of terms with the best number of maps.
+    fn plan_for(&self, goal: Goal, all: &Triplets, most: usize) -> Result<Plan> {
+        let (survey, planes) = (&self.rows.survey, self.rows.content.planes());
+        let channels = if self.rows.content == Content::Grey { 3.0 } else { 1.0 };
+        let scale = channels * self.rows.unit().powi(2);
+        let psnr = |left: f64| {
+            let error = scale * left;
+            let misfit = Misfit { error, energy: survey.energy, peak: survey.peak, entries: survey.entries };
             misfit.psnr_db().unwrap_or(f64::INFINITY)
         };
-        match goal {
-            Goal::Psnr(db) => match (1..=most).find(|&t| psnr(t) >= db) {
-                Some(terms) => {
-                    Plan { terms, degree: None, why: format!("the fewest that reach {db} dB"), short: false }
-                }
-                None => Plan {
-                    terms: most,
-                    degree: None,
-                    why: format!("{db} dB are not reached with the most that there are"),
-                    short: true,
-                },
-            },
-            Goal::Bytes(bytes) => {
-                let room = bytes.saturating_sub(fixed) / per_term.max(1);
-                let terms = usize::try_from(room).unwrap_or(usize::MAX).clamp(1, most);
-                let why = match room {
-                    0 => format!("one term takes more than {bytes} bytes"),
-                    _ => format!("as many as {bytes} bytes hold"),
-                };
-                Plan { terms, degree: None, why, short: room as usize > most }
+        let n = self.rows.shape().0;
+        let shifts = if survey.placements.iter().any(|p| p.shift != [0, 0]) { 2 * n as u64 } else { 0 };
+        let non_negative = self.model == Model::Peers2006;
+        let sharing = Sharing::new(all, planes, most);
+        let mut candidates = Vec::new();
+        for terms in 1..=most {
+            let own = match non_negative {
+                true => (terms * planes * (n + self.rows.shape().1 / planes) + terms + self.rows.shape().1) as u64,
+                false => sharing.numbers(n, terms, None),
+            };
+            candidates.push((terms, None, 4 * (own + shifts), psnr(self.left(all, terms))));
+            if planes == 1 || non_negative {
+                continue;
             }
-            Goal::Noise => Plan { terms: 1, degree: None, why: String::new(), short: false },
+            let left_out = sharing.left_out(terms)?;
+            for (maps, left) in left_out.iter().enumerate().skip(1) {
+                let bytes = 4 * (sharing.numbers(n, terms, Some(maps)) + shifts);
+                candidates.push((terms, Some(maps), bytes, psnr(self.left(all, terms) + left)));
+            }
         }
+        let (found, why) = match goal {
+            Goal::Psnr(db) => match candidates.iter().filter(|c| c.3 >= db).min_by_key(|c| c.2) {
+                Some(found) => (found, format!("the fewest bytes that reach {db} dB")),
+                None => {
+                    let best = candidates.iter().max_by(|a, b| a.3.total_cmp(&b.3));
+                    (best.unwrap_or(&candidates[0]), format!("{db} dB are not reached with the most that there are"))
+                }
+            },
+            Goal::Bytes(bytes) => match candidates.iter().filter(|c| c.2 <= bytes).max_by(|a, b| a.3.total_cmp(&b.3)) {
+                Some(found) => (found, format!("the best in {bytes} bytes")),
+                None => (&candidates[0], format!("one term takes more than {bytes} bytes")),
+            },
+            Goal::Noise => (&candidates[0], String::new()),
+        };
+        let &(terms, maps, ..) = found;
+        let short = terms == most;
+        Ok(Plan { terms, maps: maps.or(Some(planes * terms)), degree: None, why, short })
     }
 
     /// The first `terms` triplets as a material.
@@ -234,6 +247,7 @@ impl Asked<'_, '_> {
                 terms,
                 incident_planes: 1,
                 offset_planes: planes,
+                shared_maps: None,
                 profile: false,
                 degree: None,
                 intensity_range: [0.0, 1.0],
@@ -246,10 +260,29 @@ impl Asked<'_, '_> {
             weights,
             incident_factors: left,
             offset_factors: right,
+            shared: None,
             profile: Vec::new(),
             color_coefficients: Vec::new(),
             shift: survey.placements.iter().map(|p| p.shift).collect(),
         }
+    }
+
+    /// The same with offset factors as sums of fewer maps, where that takes fewer numbers.
+    fn shared(&self, mut material: Material, all: &Triplets, maps: Option<usize>) -> Result<Material> {
+        let (terms, planes) = (material.header.terms, self.rows.content.planes());
+        if planes > 1 {
+            let sharing = Sharing::new(all, planes, terms);
+            let maps = match maps {
+                Some(maps) => maps,
+                None => sharing.unnoticed(terms, self.left(all, terms))?,
+            };
+            if let Some(shared) = sharing.basis(terms, maps)? {
+                material.header.shared_maps = Some(shared.maps);
+                material.offset_factors = shared.offset_factors();
+                material.shared = Some(shared);
+            }
+        }
+        Ok(material)
     }
 
     /// The mean profile and non-negative factors for each plane.
@@ -282,10 +315,10 @@ impl Asked<'_, '_> {
         backend: Backend,
         how: String,
     ) -> Result<TermsFit> {
-        let Plan { terms, degree, why, .. } = plan;
+        let Plan { terms, maps, degree, why, .. } = plan;
         let material = match self.model {
             Model::Peers2006 => self.non_negative(reader, all, terms),
-            _ => self.material(reader, all, terms),
+            _ => self.shared(self.material(reader, all, terms), all, maps)?,
         };
         let survey = &self.rows.survey;
         let mut misfit = Misfit { error: 0.0, energy: survey.energy, peak: survey.peak, entries: survey.entries };

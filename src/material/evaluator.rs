@@ -93,7 +93,7 @@ impl Evaluator {
     /// # Errors
     /// [`crate::Error::Internal`] when its arrays do not have the lengths that its header says.
     pub fn new(material: &Material) -> Result<Self> {
-        material.checked()?;
+        material.check_lengths()?;
         let (h, layout) = (&material.header, material.header.layout());
         let (rows, samples, terms) = (h.rows(), layout.len(), h.terms.next_multiple_of(LANES));
         let planes = [h.incident_planes, h.offset_planes];

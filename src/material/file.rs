@@ -1,7 +1,7 @@
 //! The material on disk: a `.safetensors` file, tensors named after the fields of [`Material`], everything else as one
 //! JSON text under the metadata key `acquire`.
 
-use super::{CHANNELS, Material, MaterialHeader};
+use super::{CHANNELS, Material, MaterialHeader, SharedBasis};
 use crate::output::Unfinished;
 use crate::{Error, Result};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
@@ -30,27 +30,20 @@ impl Material {
     /// # Errors
     /// [`Error::Io`]; [`Error::Internal`] when the material's arrays do not have the lengths its header says.
     pub fn save(&self, path: &Path) -> Result<()> {
-        self.checked()?;
+        self.check_lengths()?;
         let h = &self.header;
         let n = h.rows();
         let f32s = |v: &[f32]| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
         let lit: Vec<f32> = self.lit_mm.iter().flatten().map(|&v| v as f32).collect();
         let shift = self.shift.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
-        let f32_tensors = [
-            &self.weights,
-            &self.incident_factors,
-            &self.offset_factors,
-            &self.profile,
-            &self.color_coefficients,
-            &lit,
-        ];
         let mut tensors: Vec<(&str, Dtype, Vec<usize>, Vec<u8>)> = h
             .shapes()
             .into_iter()
-            .zip(f32_tensors)
+            .zip(self.stored())
             .filter(|((_, shape), _)| *shape != [0])
             .map(|((name, shape), values)| (name, Dtype::F32, shape, f32s(values)))
             .collect();
+        tensors.push(("lit_mm", Dtype::F32, vec![n, 2], f32s(&lit)));
         tensors.push(("shift", Dtype::I16, vec![n, 2], shift));
         let views = tensors
             .iter()
@@ -63,38 +56,53 @@ impl Material {
         write_whole(path, &bytes)
     }
 
-    /// Reads a material; every length, range and number is checked.
+    /// Reads a material, plain or coded (told apart by the first bytes); every length, range and number is checked.
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::BrokenMaterial`].
     pub fn load(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
-        decode(&bytes).map_err(|reason| Error::BrokenMaterial { path: path.to_path_buf(), reason })
+        let coded = bytes.starts_with(&super::coded::MAGIC);
+        let decoded = if coded { super::coded::decode(&bytes) } else { decode(&bytes) };
+        decoded.map_err(|reason| Error::BrokenMaterial { path: path.to_path_buf(), reason })
     }
 
-    /// Refuses a header out of range and arrays of other lengths than it says.
-    pub(super) fn checked(&self) -> Result<()> {
+    /// Whether the header can be read again and the arrays have the lengths it says.
+    pub(super) fn check_lengths(&self) -> Result<()> {
         check_header(&self.header).map_err(Error::internal)?;
         self.check().map_err(|(field, expected, found)| {
             Error::internal(format!("the material has {found} in {field}, expected {expected}"))
         })
     }
 
+    /// Whether every number may be in a file.
+    pub(super) fn check_values(&self) -> Result<(), String> {
+        let lit: Vec<f32> = self.lit_mm.iter().flatten().map(|&v| v as f32).collect();
+        let tensors = self.header.shapes().into_iter().zip(self.stored()).map(|((name, _), values)| (name, values));
+        for (name, values) in tensors.chain([("lit_mm", lit.as_slice()), ("offset_factors", &self.offset_factors)]) {
+            if let Some(at) = values.iter().position(|v| !(v.abs() <= LARGEST)) {
+                return Err(format!("{name}: expected numbers up to {LARGEST:e}, found {} at {at}", values[at]));
+            }
+        }
+        let reach = self.header.window.map(|w| w as i32 / 2);
+        match self.shift.iter().position(|s| (0..2).any(|a| i32::from(s[a]).abs() > reach[a])) {
+            Some(at) => Err(format!("shift: row {at} is moved by {:?}, out of its window", self.shift[at])),
+            None => Ok(()),
+        }
+    }
+
     /// Whether the arrays have the lengths that the header says: (field, expected, found) when not.
     fn check(&self) -> Result<(), (&'static str, usize, usize)> {
         let h = &self.header;
         let n = h.rows();
-        let found = [
-            self.weights.len(),
-            self.incident_factors.len(),
-            self.offset_factors.len(),
-            self.profile.len(),
-            self.color_coefficients.len(),
-            2 * self.lit_mm.len(),
-        ];
-        let lengths =
-            h.shapes().into_iter().zip(found).map(|((name, shape), found)| (name, shape.iter().product(), found));
-        let lengths = lengths.chain([("shift", n, self.shift.len())]);
+        let tensors = h.shapes().into_iter().zip(self.stored());
+        let lengths = tensors.map(|((name, shape), values)| (name, shape.iter().product(), values.len()));
+        let own = h.offset_planes * h.terms * h.layout().len();
+        let lengths = lengths.chain([
+            ("offset_factors", own, self.offset_factors.len()),
+            ("lit_mm", n, self.lit_mm.len()),
+            ("shift", n, self.shift.len()),
+        ]);
         match { lengths }.find(|(_, expected, found)| expected != found) {
             Some(wrong) => Err(wrong),
             None => Ok(()),
@@ -126,20 +134,20 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
     check_header(&header)?;
     let file = SafeTensors::deserialize(bytes).map_err(|e| e.to_string())?;
     let n = header.rows();
-    let mut f32s = header.shapes().into_iter().map(|(name, shape)| -> Result<Vec<f32>, String> {
+    let read = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {
         if shape == [0] {
             return Ok(Vec::new());
         }
-        let data = tensor(&file, name, Dtype::F32, &shape)?;
-        let values: Vec<f32> = data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-        match values.iter().position(|v| !(v.abs() <= LARGEST)) {
-            Some(at) => Err(format!("{name}: expected numbers up to {LARGEST:e}, found {} at {at}", values[at])),
-            None => Ok(values),
-        }
-    });
-    let mut next = || f32s.next().unwrap_or(Ok(Vec::new()));
-    let [weights, incident_factors, offset_factors, profile, color_coefficients, lit] =
-        [next()?, next()?, next()?, next()?, next()?, next()?];
+        let data = tensor(&file, name, Dtype::F32, shape)?;
+        Ok(data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect())
+    };
+    let mut tensors = header.shapes().into_iter().map(|(name, shape)| read(name, &shape));
+    let mut next = || tensors.next().unwrap_or(Ok(Vec::new()));
+    let [weights, incident_factors, own, vectors, core, profile, color_coefficients] =
+        [next()?, next()?, next()?, next()?, next()?, next()?, next()?];
+    let lit = read("lit_mm", &[n, 2])?;
+    let shared = header.shared_maps.map(|maps| SharedBasis { maps, vectors, core });
+    let offset_factors = shared.as_ref().map_or(own, SharedBasis::offset_factors);
     let shift: Vec<i16> = tensor(&file, "shift", Dtype::I16, &[n, 2])?
         .as_chunks::<2>()
         .0
@@ -151,16 +159,14 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
         weights,
         incident_factors,
         offset_factors,
+        shared,
         profile,
         color_coefficients,
         shift: shift.as_chunks::<2>().0.to_vec(),
         header,
     };
-    let reach = material.header.window.map(|w| w as i32 / 2);
-    match material.shift.iter().position(|s| (0..2).any(|a| i32::from(s[a]).abs() > reach[a])) {
-        Some(at) => Err(format!("shift: row {at} is moved by {:?}, out of its window", material.shift[at])),
-        None => Ok(material),
-    }
+    material.check_values()?;
+    Ok(material)
 }
 
 fn tensor<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&'a [u8], String> {
@@ -172,7 +178,7 @@ fn tensor<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize])
 }
 
 /// Bounds that keep every later product and index in range.
-fn check_header(h: &MaterialHeader) -> Result<(), String> {
+pub(super) fn check_header(h: &MaterialHeader) -> Result<(), String> {
     let small = |v: usize| (1..=1 << 20).contains(&v);
     let sizes = [h.points, h.window, h.extended];
     if !sizes.as_flattened().iter().all(|&v| small(v)) || !small(h.terms) || h.degree.is_some_and(|p| p > 15) {
@@ -185,6 +191,9 @@ fn check_header(h: &MaterialHeader) -> Result<(), String> {
     let planes = [h.incident_planes, h.offset_planes];
     if planes.iter().any(|p| ![1, CHANNELS].contains(p)) || (h.degree.is_some() && planes != [1, 1]) {
         return Err(format!("incident_planes, offset_planes: expected 1 or 3, and 1 with a degree, found {planes:?}"));
+    }
+    if h.shared_maps.is_some_and(|k| k == 0 || k > CHANNELS * h.terms) {
+        return Err(format!("shared_maps: expected 1 to {}, found {:?}", CHANNELS * h.terms, h.shared_maps));
     }
     let large = |sizes: &[usize]| {
         let product = sizes.iter().try_fold(CHANNELS, |p, &v| p.checked_mul(v));
@@ -219,6 +228,7 @@ pub(crate) mod tests {
             terms: 2,
             incident_planes: 1,
             offset_planes: 1,
+            shared_maps: None,
             profile: false,
             degree: Some(2),
             intensity_range: [-0.1, 1.0],
@@ -233,6 +243,7 @@ pub(crate) mod tests {
             weights: vec![3.0, 1.0],
             incident_factors: wave(12, 0.7),
             offset_factors: wave(42, 0.3),
+            shared: None,
             profile: Vec::new(),
             color_coefficients: wave(54, 1.1),
             shift: vec![[0, 0], [1, 0], [-1, 0], [0, 0], [1, 0], [0, 0]],

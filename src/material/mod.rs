@@ -5,6 +5,7 @@
 //! - Offsets live on the common window of [`Layout`]: the measured window and the room that shifted rows need.
 //! - Stored numbers are f32; sums and polynomials are evaluated in f64.
 
+pub mod coded;
 mod convolve;
 mod evaluator;
 mod exr_layers;
@@ -78,6 +79,9 @@ pub struct MaterialHeader {
     pub incident_planes: usize,
     /// B: 1 when all planes share their offset factors, else 3.
     pub offset_planes: usize,
+    /// K, the maps of which all offset factors are sums; `None` when they are stored themselves.
+    #[serde(default)]
+    pub shared_maps: Option<usize>,
     /// Whether there is a profile that multiplies the terms.
     pub profile: bool,
     /// P, the degree of the colour polynomial; `None` when there is none: then the planes are R, G and B themselves,
@@ -113,14 +117,47 @@ pub struct Material {
     pub weights: Vec<f32>,
     /// f_{k,j}(x_i), \[A, N, T\].
     pub incident_factors: Vec<f32>,
-    /// h_{k,j}(d), \[B, T, extended y, extended x\].
+    /// h_{k,j}(d), \[B, T, extended y, extended x\]; made from `shared` when that is there.
     pub offset_factors: Vec<f32>,
+    /// What is stored in the place of `offset_factors`.
+    pub shared: Option<SharedBasis>,
     /// m_k(d), \[B, extended y, extended x\], or empty.
     pub profile: Vec<f32>,
     /// β_{c,p}(x_i), mm⁻², \[N, 3, P+1\], or empty.
     pub color_coefficients: Vec<f32>,
     /// Offset of each row's peak from its lit point, samples along x and y, \[N, 2\].
     pub shift: Vec<[i16; 2]>,
+}
+
+/// Offset factors as sums of fewer maps, h_{k,j} = Σ_l c_{k,j,l} b_l.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SharedBasis {
+    /// K.
+    pub maps: usize,
+    /// b_l(d), \[K, extended y, extended x\].
+    pub vectors: Vec<f32>,
+    /// c_{k,j,l}, \[B, T, K\].
+    pub core: Vec<f32>,
+}
+
+impl SharedBasis {
+    /// The offset factors, \[B, T, extended y, extended x\].
+    pub(crate) fn offset_factors(&self) -> Vec<f32> {
+        let samples = self.vectors.len() / self.maps.max(1);
+        let wide: Vec<f64> = self.vectors.iter().map(|&v| f64::from(v)).collect();
+        let core: Vec<f64> = self.core.iter().map(|&v| f64::from(v)).collect();
+        let factors = self.core.len() / self.maps.max(1);
+        let mut out = vec![0.0; factors * samples];
+        faer::linalg::matmul::matmul(
+            faer::MatMut::from_row_major_slice_mut(&mut out, factors, samples),
+            faer::Accum::Replace,
+            faer::MatRef::from_row_major_slice(&core, factors, self.maps),
+            faer::MatRef::from_row_major_slice(&wide, self.maps, samples),
+            1.0,
+            faer::get_global_parallelism(),
+        );
+        out.into_iter().map(|v| v as f32).collect()
+    }
 }
 
 impl MaterialHeader {
@@ -137,12 +174,13 @@ impl MaterialHeader {
     /// Model, terms and degree in a few words.
     pub fn describe(&self) -> String {
         let noun = if self.terms == 1 { "term" } else { "terms" };
+        let maps = self.shared_maps.map(|k| format!(" of {k} shared maps")).unwrap_or_default();
         let color = match self.degree {
             Some(p) => format!(", colour of degree {p}"),
             None if self.planes() == 1 => ", grey".to_owned(),
             None => String::new(),
         };
-        format!("{}, {} {noun}{color}", self.model, self.terms)
+        format!("{}, {} {noun}{maps}{color}", self.model, self.terms)
     }
 
     /// Planes that the factors give: 1 or 3.
@@ -150,17 +188,20 @@ impl MaterialHeader {
         self.incident_planes.max(self.offset_planes)
     }
 
-    /// Lengths of the tensors that [`Material`] has, named after its fields.
-    pub(crate) fn shapes(&self) -> [(&'static str, Vec<usize>); 6] {
+    /// Tensors that are stored, in the order of [`Material::stored`]; those that a material has not have the shape \[0\].
+    pub(crate) fn shapes(&self) -> [(&'static str, Vec<usize>); 7] {
         let (n, [ex, ey]) = (self.rows(), self.extended);
         let profile = if self.profile { vec![self.offset_planes, ey, ex] } else { vec![0] };
+        let own = vec![self.offset_planes, self.terms, ey, ex];
+        let offsets = if self.shared_maps.is_some() { vec![0] } else { own };
         [
             ("weights", vec![self.terms]),
             ("incident_factors", vec![self.incident_planes, n, self.terms]),
-            ("offset_factors", vec![self.offset_planes, self.terms, ey, ex]),
+            ("offset_factors", offsets),
+            ("offset_maps", self.shared_maps.map_or(vec![0], |k| vec![k, ey, ex])),
+            ("offset_core", self.shared_maps.map_or(vec![0], |k| vec![self.offset_planes, self.terms, k])),
             ("profile", profile),
             ("color_coefficients", self.degree.map_or(vec![0], |p| vec![n, CHANNELS, p + 1])),
-            ("lit_mm", vec![n, 2]),
         ]
     }
 
@@ -176,9 +217,16 @@ impl Material {
     pub fn bytes_f32(&self) -> u64 {
         let shifts = if self.shift.iter().any(|s| *s != [0, 0]) { 2 * self.shift.len() } else { 0 };
         let range = if self.header.degree.is_some() { 2 } else { 0 };
-        let tensors =
-            [&self.weights, &self.incident_factors, &self.offset_factors, &self.profile, &self.color_coefficients];
-        4 * (tensors.iter().map(|t| t.len()).sum::<usize>() + shifts + range) as u64
+        4 * (self.stored().iter().map(|t| t.len()).sum::<usize>() + shifts + range) as u64
+    }
+
+    /// Tensors as they are stored, in the order of [`MaterialHeader::shapes`].
+    pub(crate) fn stored(&self) -> [&[f32]; 7] {
+        let (own, maps, core): (&[f32], &[f32], &[f32]) = match &self.shared {
+            Some(shared) => (&[], &shared.vectors, &shared.core),
+            None => (&self.offset_factors, &[], &[]),
+        };
+        [&self.weights, &self.incident_factors, own, maps, core, &self.profile, &self.color_coefficients]
     }
 
     /// f_{k,j} of row `index`, \[T\]; empty when there is no such row.
@@ -244,12 +292,6 @@ impl Material {
                 .for_each(|row| row.iter_mut().zip(profile).for_each(|(v, &m)| *v *= f64::from(m)));
         }
         out
-    }
-
-    /// What one more term adds to [`Self::bytes_f32`].
-    pub(crate) fn bytes_f32_per_term(&self) -> u64 {
-        let h = &self.header;
-        4 * (1 + h.incident_planes * h.rows() + h.offset_planes * h.layout().len()) as u64
     }
 
     /// R̂_d of row `index` on its measured window, \[dy\]\[dx\]\[channel\], mm⁻², put back where it was measured.

@@ -26,15 +26,12 @@ fn archive(material: &Material) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     let lit: Vec<f64> = material.lit_mm.as_flattened().to_vec();
     let range: Vec<f64> = h.intensity_range.iter().map(|&v| f64::from(v)).collect();
 
-    let tensors = [
-        &material.weights,
-        &material.incident_factors,
-        &material.offset_factors,
-        &material.profile,
-        &material.color_coefficients,
-    ];
-    for ((name, shape), values) in h.shapes().into_iter().zip(tensors).filter(|((_, shape), _)| *shape != [0]) {
+    for ((name, shape), values) in h.shapes().into_iter().zip(material.stored()).filter(|((_, s), _)| *s != [0]) {
         add(&mut zip, name, &shape.iter().map(|&n| n as u64).collect::<Vec<_>>(), values)?;
+    }
+    if h.shared_maps.is_some() {
+        let shape = [h.offset_planes, h.terms, h.extended[1], h.extended[0]].map(|n| n as u64);
+        add(&mut zip, "offset_factors", &shape, &material.offset_factors)?;
     }
     if let Some(degree) = h.degree {
         add(&mut zip, "color_monomials", &[n, CHANNELS as u64, degree as u64 + 1], &monomial_coefficients(material))?;

@@ -174,7 +174,7 @@ pub fn triplets(rows: &dyn Rows, low: &LowRank, terms: usize, exact: bool) -> Re
 }
 
 /// `out` (row-major) = a bᵀ.
-fn product<T: faer::traits::ComplexField>(a: MatRef<'_, T>, b: MatRef<'_, T>, out: &mut [T]) {
+pub(super) fn product<T: faer::traits::ComplexField>(a: MatRef<'_, T>, b: MatRef<'_, T>, out: &mut [T]) {
     let out = faer::MatMut::from_row_major_slice_mut(out, a.nrows(), b.nrows());
     matmul(out, Accum::Replace, a, b.transpose(), T::one_impl(), get_global_parallelism());
 }

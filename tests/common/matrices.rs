@@ -1,0 +1,82 @@
+//! Small matrices written to disk for tests of factorizations, and what is made of them.
+#![allow(dead_code)]
+
+use acquire::Result;
+use acquire::factor::{Factored, Options, factor};
+use acquire::material::{Material, Model};
+use acquire::progress::Progress;
+use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row};
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use std::path::Path;
+
+/// A matrix of `points` rows: `response(index, [dx, dy] in samples from the lit point, channel)`.
+pub fn write(
+    path: &Path,
+    points: [usize; 2],
+    window: [usize; 2],
+    variance: impl Fn([f64; 2], usize) -> f32,
+    position_sd_mm: f64,
+    response: impl Fn(usize, [f64; 2], usize) -> f32,
+) -> Result<MatrixReader> {
+    let rows = points[0] * points[1];
+    let header = MatrixHeader {
+        points,
+        window,
+        pitch_mm: 0.5,
+        lit_pitch_mm: [0.5, 0.5],
+        lit_mm: (0..rows).map(|i| [(i % points[0]) as f64 * 0.5, (i / points[0]) as f64 * 0.5]).collect(),
+        position_sd_mm: vec![position_sd_mm; rows],
+        shot_of: vec![None; rows],
+        shots: Vec::new(),
+        warnings: Vec::new(),
+        provenance: serde_json::json!({}),
+    };
+    let writer = MatrixWriter::create(path, header.clone())?;
+    for index in 0..rows {
+        let offset = |k: usize| header.offset_px([k / 3 % window[0], k / 3 / window[0]]).map(|o| o as f64);
+        let n = header.row_len();
+        let row = Row {
+            response: (0..n).map(|k| response(index, offset(k), k % 3)).collect(),
+            variance: (0..n).map(|k| variance(offset(k), k % 3)).collect(),
+            valid: vec![true; n],
+        };
+        writer.put(index, &row)?;
+    }
+    writer.finish()?;
+    MatrixReader::open(path)
+}
+
+pub fn run(
+    options: &Options,
+    points: [usize; 2],
+    window: [usize; 2],
+    response: impl Fn(usize, [f64; 2], usize) -> f32,
+) -> Result<Factored> {
+    let folder = tempfile::tempdir().unwrap();
+    let reader = write(&folder.path().join("m.rd.zarr"), points, window, |_, _| 0.0, 0.0, response)?;
+    let factored = factor(&reader, options, &Progress::silent())?;
+    // Whatever comes out can be stored and comes back.
+    let path = folder.path().join("m.safetensors");
+    factored.material.save(&path)?;
+    assert_eq!(Material::load(&path)?.weights, factored.material.weights);
+    Ok(factored)
+}
+
+pub fn profile([x, y]: [f64; 2], width: f64) -> f64 {
+    (-(x * x + y * y).sqrt() / width).exp()
+}
+
+pub fn noise(index: usize, d: [f64; 2], c: usize) -> f64 {
+    let seed = (index as u64) << 32 | ((d[0] + 500.0) as u64) << 18 | ((d[1] + 500.0) as u64) << 4 | c as u64;
+    StandardNormal.sample(&mut rand_pcg::Pcg64::seed_from_u64(seed))
+}
+
+pub fn fixed(terms: usize, degree: usize) -> Options {
+    Options { terms: Some(terms), degree: Some(degree), ..tucker() }
+}
+
+/// The paper's model, its terms and degree chosen from the noise.
+pub fn tucker() -> Options {
+    Options { model: Some(Model::Tucker), ..Options::default() }
+}
