@@ -76,7 +76,6 @@ fn synthetic([points, window, terms]: [usize; 3], model: Model, reach: usize) ->
         weights: (0..terms).map(|j| points as f32 / 2.0 * 0.7_f32.powi(j as i32)).collect(),
         incident_factors: (0..rows * terms).map(incident).collect(),
         offset_factors: (0..planes * terms * extended * extended).map(offset).collect(),
-
         shared: None,
         profile: Vec::new(),
         color_coefficients: (0..rows * 3 * powers).map(|k| 0.5_f32.powi((k % powers.max(1)) as i32)).collect(),
