@@ -340,7 +340,8 @@ mod tests {
                 for p in 0..basis.len() {
                     for q in 0..=p {
                         let expected = f64::from(u8::from(p == q));
-                        assert!((dot(basis.column(p), basis.column(q)) - expected).abs() < 1e-13, "{name} {p} {q}");
+                        // What is left of a column is a tenth or more: ten times eps, and it adds up over degrees.
+                        assert!((dot(basis.column(p), basis.column(q)) - expected).abs() < 1e-12, "{name} {p} {q}");
                     }
                 }
             }

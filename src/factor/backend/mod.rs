@@ -25,8 +25,8 @@ pub enum Backend {
     Full,
     /// Eigenvectors of the Gram matrix over columns in f64, one pass: σ_k to 1e-16 σ_1/σ_k, so that those below 1e-8 σ_1 are lost.
     Gram,
-    /// Block Krylov subspace from a random start (`Musco2015`), products in f32, as many passes as the asked accuracy needs: down to
-    /// 1e-6 for values that stand out, less where the spectrum is flat.
+    /// Block Krylov subspace from a random start (`Musco2015`), products in f32, as many passes as the asked accuracy needs, then power
+    /// passes on the found vectors, whose products are as accurate as each is large: down to 1e-6, less where the spectrum is flat.
     Randomized,
     /// One term after the other by power iteration on what the earlier ones leave, as the papers describe it, in f32: slow, 1e-4 to 1e-6.
     Deflation,
@@ -77,7 +77,8 @@ pub fn choose(rows: usize, columns: usize, accuracy: f64) -> Backend {
     }
 }
 
-/// The `k` leading singular values and right vectors, fewer when the matrix is smaller than that. `start` are right vectors to begin
+/// The `k` leading singular values and right vectors, fewer when the matrix is smaller than that; back ends that iterate may add some that
+/// are less accurate. `start` are right vectors to begin
 /// with, \[any, columns\], for back ends that iterate.
 ///
 /// # Errors
@@ -124,30 +125,27 @@ pub struct Triplets {
 /// Those of the source.
 pub fn triplets(rows: &dyn Rows, low: &LowRank, terms: usize, exact: bool) -> Result<Triplets> {
     let (n, m) = rows.shape();
-    let terms = terms.min(low.singular_values.len());
-    let mut left = vec![0.0; n * terms];
-    let vectors = &low.vectors[..terms * m];
+    let all = low.singular_values.len();
+    let terms = terms.min(all);
+    let mut left = vec![0.0; n * all];
+    let vectors = &low.vectors[..all * m];
     let narrow: Vec<f32> = vectors.iter().map(|&v| v as f32).collect();
     rows.for_each(&mut |first, block| {
         let count = block.len() / m.max(1);
-        let out = &mut left[first * terms..(first + count) * terms];
+        let out = &mut left[first * all..(first + count) * all];
         if exact {
             let wide = widened(block);
-            product(
-                MatRef::from_row_major_slice(&wide, count, m),
-                MatRef::from_row_major_slice(vectors, terms, m),
-                out,
-            );
+            product(MatRef::from_row_major_slice(&wide, count, m), MatRef::from_row_major_slice(vectors, all, m), out);
         } else {
-            let mut part = vec![0.0_f32; count * terms];
-            let v = MatRef::from_row_major_slice(&narrow, terms, m);
+            let mut part = vec![0.0_f32; count * all];
+            let v = MatRef::from_row_major_slice(&narrow, all, m);
             product(MatRef::from_row_major_slice(block, count, m), v, &mut part);
             out.iter_mut().zip(&part).for_each(|(o, &p)| *o = f64::from(p));
         }
         Ok(())
     })?;
     // Singular vectors of the projected rows, whose Gram matrix is nearly diagonal.
-    let projected = MatRef::from_row_major_slice(&left, n, terms);
+    let projected = MatRef::from_row_major_slice(&left, n, all);
     let small = gram_of(projected);
     let (values, rotation) = eigen(small.as_ref(), terms)?;
     let rotated = projected * &rotation;
@@ -156,7 +154,7 @@ pub fn triplets(rows: &dyn Rows, low: &LowRank, terms: usize, exact: bool) -> Re
         faer::MatMut::from_row_major_slice_mut(&mut right, terms, m),
         Accum::Replace,
         rotation.transpose(),
-        MatRef::from_row_major_slice(vectors, terms, m),
+        MatRef::from_row_major_slice(vectors, all, m),
         1.0,
         get_global_parallelism(),
     );

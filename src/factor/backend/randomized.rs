@@ -12,7 +12,9 @@ use rand::{Rng, SeedableRng};
 const OVERSAMPLING: usize = 8;
 /// Passes after which a spectrum is taken to be as flat as it looks.
 const MOST_PASSES: usize = 12;
-/// What products in f32 leave of a residual, over σ_1².
+/// Power passes on the found vectors.
+const MOST_REFINEMENTS: usize = 3;
+/// What products in f32 leave of a residual, relative.
 const F32_RESIDUAL: f64 = 3e-7;
 
 pub(super) fn block_krylov(rows: &dyn Rows, k: usize, accuracy: f64, start: Option<&LowRank>) -> Result<LowRank> {
@@ -28,22 +30,54 @@ pub(super) fn block_krylov(rows: &dyn Rows, k: usize, accuracy: f64, start: Opti
     });
     block = block.qr().compute_thin_Q();
     let (mut basis, mut image) = (Mat::<f64>::zeros(m, 0), Mat::<f64>::zeros(m, 0));
-    for pass in 1.. {
+    let mut passes = 0;
+    let ritz = loop {
         let multiplied = gram_times(rows, block.as_ref())?;
+        passes += 1;
         basis = beside(&basis, &block);
         image = beside(&image, &multiplied);
-        let ritz = Ritz::new(&basis, &image, k)?;
+        let ritz = Ritz::new(&basis, &image, width)?;
         let room = m - basis.ncols();
-        if pass == MOST_PASSES || room == 0 || ritz.converged(accuracy) {
-            return Ok(ritz.low_rank(pass));
+        if passes == MOST_PASSES || room == 0 || ritz.converged(k, accuracy, true) {
+            break ritz;
         }
         let newest = multiplied.subcols(0, width.min(room)).to_owned();
         match orthonormal_rest(&basis, newest, ritz.largest(), &mut next) {
             Some(rest) => block = rest,
-            None => return Ok(ritz.low_rank(pass)),
+            None => break ritz,
+        }
+    };
+    refined(rows, ritz, k, accuracy, passes)
+}
+
+/// Power passes on Ritz vectors. A product in f32 is off by a share of what is multiplied: in a block of mixed vectors by that share of
+/// σ_1², which hides small values, in a Ritz vector by that share of σ_1 σ.
+fn refined(rows: &dyn Rows, mut ritz: Ritz, k: usize, accuracy: f64, mut passes: usize) -> Result<LowRank> {
+    for _ in 0..MOST_REFINEMENTS {
+        let image = gram_times(rows, ritz.vectors.as_ref())?;
+        passes += 1;
+        // The image itself, each vector to unit length, is one power step nearer; what it was multiplied from tells the error.
+        let told = Ritz::new(&ritz.vectors, &image, ritz.values.len())?;
+        let converged = told.converged(k, accuracy, false);
+        let mut vectors = image;
+        for j in 0..vectors.ncols() {
+            let norm = vectors.col(j).norm_l2();
+            let from = if norm > 0.0 { 1.0 / norm } else { 0.0 };
+            (0..vectors.nrows()).for_each(|i| vectors[(i, j)] *= from);
+            if norm == 0.0 {
+                (0..vectors.nrows()).for_each(|i| vectors[(i, j)] = ritz.vectors[(i, j)]);
+            }
+        }
+        // Twice: leading vectors are nearly orthogonal already, and stay where they are.
+        for _ in 0..2 {
+            vectors = vectors.qr().compute_thin_Q();
+        }
+        ritz = Ritz { vectors, ..told };
+        if converged {
+            break;
         }
     }
-    Err(Error::internal("the Krylov iteration ended without a result"))
+    Ok(ritz.low_rank(k, passes))
 }
 
 /// Leading eigenpairs of AᵀA within a subspace.
@@ -82,17 +116,19 @@ impl Ritz {
         self.values.first().copied().unwrap_or(0.0)
     }
 
-    /// Whether every singular value is right to `accuracy` σ_1: |σ − √θ| ≤ residual / (2 √θ), or as well as f32 can tell.
-    fn converged(&self, accuracy: f64) -> bool {
+    /// Whether the first `k` singular values are right to `accuracy` σ_1: |σ − √θ| ≤ residual / (2 √θ), or as well as f32
+    /// can tell: in products of Ritz vectors, or of mixed ones.
+    fn converged(&self, k: usize, accuracy: f64, mixed: bool) -> bool {
         let largest = self.largest();
-        let most = |theta: f64| (2.0 * accuracy * (largest * theta).sqrt()).max(F32_RESIDUAL * largest);
-        self.values.iter().zip(&self.residuals).all(|(&theta, &r)| r <= most(theta))
+        let floor = |theta: f64| F32_RESIDUAL * if mixed { largest } else { (largest * theta).sqrt() };
+        let most = |theta: f64| (2.0 * accuracy * (largest * theta).sqrt()).max(floor(theta));
+        self.values.iter().zip(&self.residuals).take(k).all(|(&theta, &r)| r <= most(theta))
     }
 
-    fn low_rank(self, passes: usize) -> LowRank {
+    fn low_rank(self, k: usize, passes: usize) -> LowRank {
         let largest = self.largest().sqrt();
         let error = |(&theta, &r): (&f64, &f64)| if r > 0.0 { (r / (2.0 * theta.sqrt())).min(r.sqrt()) } else { 0.0 };
-        let worst = self.values.iter().zip(&self.residuals).map(error).fold(0.0, f64::max);
+        let worst = self.values.iter().zip(&self.residuals).take(k).map(error).fold(0.0, f64::max);
         LowRank {
             singular_values: self.values.iter().map(|v| v.sqrt()).collect(),
             vectors: super::transposed(self.vectors.as_ref(), self.values.len()),
