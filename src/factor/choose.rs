@@ -32,7 +32,7 @@ pub fn regression_conditions(reader: &MatrixReader, material: &Material, most: u
     for range in spread(reader, GREY_ROWS) {
         let block = reader.read_responses(range)?;
         let rows = regression::rows(material, &block, |channels| {
-            let of = |degree| PolynomialBasis::new(&channels[1].arguments, degree).condition();
+            let of = |degree| PolynomialBasis::new(&channels[0].arguments, degree).condition();
             (0..=most).map(of).collect::<Vec<f64>>()
         });
         rows.into_iter().for_each(|row| row.into_iter().zip(&mut found).for_each(|(c, all)| all.push(c)));
@@ -159,7 +159,7 @@ fn row_significance(
     let sd_px = header.position_sd_mm[block.first + k] / header.pitch_mm;
     let sd_px = if sd_px.is_finite() { sd_px } else { 0.0 };
     let mut out = Vec::new();
-    with_bases(&channels(material, block.first + k, intensity, row), degree, |c, channel, basis| {
+    with_bases(&channels(material, block.first + k, intensity, row), degree, |c, at, values, basis| {
         let all: Vec<f64> = row.response.iter().skip(c).step_by(3).map(|&v| f64::from(v)).collect();
         let valid: Vec<bool> = row.valid.iter().skip(c).step_by(3).map(|&v| v != 0).collect();
         let slopes = gradient(&all, &valid, header.window);
@@ -168,13 +168,13 @@ fn row_significance(
             let rounding = STORED_ROUNDINGS * F32_ROUNDING * all[at];
             (f64::from(row.variance[3 * at + c]) - sd_px * sd_px * steep).max(0.0) + rounding * rounding / 3.0
         };
-        let variance: Vec<f64> = channel.at.iter().map(variance).collect();
+        let variance: Vec<f64> = at.iter().map(variance).collect();
         let errors: Vec<Vec<f64>> = match sd_px > 0.0 {
             true => position_errors(slopes, &valid, header.window, sd_px),
             false => Vec::new(),
         };
-        let errors: Vec<Vec<f64>> = errors.iter().map(|e| channel.at.iter().map(|&at| e[at]).collect()).collect();
-        out.push(basis.significance(&channel.values, &variance, &errors));
+        let errors: Vec<Vec<f64>> = errors.iter().map(|e| at.iter().map(|&at| e[at]).collect()).collect();
+        out.push(basis.significance(values, &variance, &errors));
     });
     out
 }
@@ -282,8 +282,8 @@ fn sampled_errors(reader: &MatrixReader, material: &Material, degree: usize) -> 
         for block in &blocks {
             let rows = regression::rows(&fewer, block, |channels| {
                 let mut errors = vec![0.0; degree + 1];
-                with_bases(channels, degree, |_, channel, basis: &PolynomialBasis| {
-                    let of = errors_by_degree(basis, channel, degree);
+                with_bases(channels, degree, |_, _, values, basis: &PolynomialBasis| {
+                    let of = errors_by_degree(basis, values, degree);
                     errors.iter_mut().zip(of).for_each(|(sum, e)| *sum += e);
                 });
                 errors

@@ -1,6 +1,6 @@
 //! Colour polynomials of a whole matrix: the paper's second half (`Kurt2013`, eqs. (2)–(4)).
 
-use super::color::{Fit, PolynomialBasis};
+use super::color::PolynomialBasis;
 use crate::Result;
 use crate::material::{Material, legendre};
 use crate::progress::Progress;
@@ -10,9 +10,9 @@ use rayon::prelude::*;
 
 /// Arguments and values of one channel of a row, where it was measured.
 pub(super) struct Channel {
-    /// Window indices.
+    /// Window indices; empty when they are those of the first channel.
     pub at: Vec<usize>,
-    /// Arguments of the polynomial.
+    /// Arguments of the polynomial, likewise.
     pub arguments: Vec<f64>,
     /// R_c, mm⁻².
     pub values: Vec<f64>,
@@ -21,13 +21,32 @@ pub(super) struct Channel {
 /// The channels of a row whose reconstructed intensity on the common window is `intensity`.
 pub(super) fn channels(material: &Material, index: usize, intensity: &[f64], row: RowView<'_>) -> [Channel; 3] {
     let [low, high] = material.header.intensity_range.map(f64::from);
-    let n = row.valid.len() / 3;
-    let empty =
-        || Channel { at: Vec::with_capacity(n), arguments: Vec::with_capacity(n), values: Vec::with_capacity(n) };
-    let mut out: [Channel; 3] = std::array::from_fn(|_| empty());
     let shift = material.shift.get(index).copied().unwrap_or_default();
-    material.header.layout().for_each(shift, |k, e| {
-        let argument = legendre::argument(intensity[e], low, high);
+    let layout = material.header.layout();
+    let n = row.valid.len() / 3;
+    let complete = row.valid.iter().fold(true, |all, &v| all & (v != 0));
+    let mut out: [Channel; 3] = std::array::from_fn(|_| Channel {
+        at: Vec::with_capacity(n),
+        arguments: Vec::with_capacity(n),
+        values: Vec::with_capacity(n),
+    });
+    let argument = |v: f64| legendre::argument(v, low, high);
+    if complete {
+        let [first, ..] = &mut out;
+        layout.for_each_line(shift, |k, e, len| {
+            first.at.extend(k..k + len);
+            first.arguments.extend(intensity[e..e + len].iter().map(|&v| argument(v)));
+        });
+        for (c, channel) in out.iter_mut().enumerate() {
+            layout.for_each_line(shift, |k, _, len| {
+                let values = row.response[3 * k..3 * (k + len)].as_chunks::<3>().0;
+                channel.values.extend(values.iter().map(|rgb| f64::from(rgb[c])));
+            });
+        }
+        return out;
+    }
+    layout.for_each(shift, |k, e| {
+        let argument = argument(intensity[e]);
         for (c, channel) in out.iter_mut().enumerate() {
             if row.valid[3 * k + c] != 0 {
                 channel.at.push(k);
@@ -43,14 +62,16 @@ pub(super) fn channels(material: &Material, index: usize, intensity: &[f64], row
 pub(super) fn with_bases(
     channels: &[Channel; 3],
     degree: usize,
-    mut each: impl FnMut(usize, &Channel, &PolynomialBasis),
+    mut each: impl FnMut(usize, &[usize], &[f64], &PolynomialBasis),
 ) {
-    let mut basis = PolynomialBasis::new(&channels[0].arguments, degree);
+    let [first, ..] = channels;
+    let shared = PolynomialBasis::new(&first.arguments, degree);
     for (c, channel) in channels.iter().enumerate() {
-        if c > 0 && channel.at != channels[c - 1].at {
-            basis = PolynomialBasis::new(&channel.arguments, degree);
+        if c == 0 || channel.at == first.at || (channel.at.is_empty() && channel.values.len() == first.values.len()) {
+            each(c, &first.at, &channel.values, &shared);
+        } else {
+            each(c, &channel.at, &channel.values, &PolynomialBasis::new(&channel.arguments, degree));
         }
-        each(c, channel, &basis);
     }
 }
 
@@ -65,7 +86,7 @@ pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usiz
         let block = reader.read_responses(range.clone())?;
         let fits = rows(material, &block, |channels| {
             let mut fits = Vec::with_capacity(3);
-            with_bases(channels, degree, |_, channel, basis| fits.push(basis.fit(&channel.values, degree)));
+            with_bases(channels, degree, |_, _, values, basis| fits.push(basis.fit(values, degree)));
             fits
         });
         for fit in fits.iter().flatten() {
@@ -120,12 +141,7 @@ fn intensity_range(material: &Material) -> [f32; 2] {
     if low < high { [(low as f32).next_down(), (high as f32).next_up()] } else { [0.0, 1.0] }
 }
 
-/// The fit of one channel, for tables over degrees.
-pub(super) fn errors_by_degree(basis: &PolynomialBasis, channel: &Channel, most: usize) -> Vec<f64> {
-    (0..=most)
-        .map(|degree| -> f64 {
-            let Fit { error, .. } = basis.fit(&channel.values, degree);
-            error
-        })
-        .collect()
+/// Σ of squared errors of the fit to one channel at every degree.
+pub(super) fn errors_by_degree(basis: &PolynomialBasis, values: &[f64], most: usize) -> Vec<f64> {
+    (0..=most).map(|degree| basis.fit(values, degree).error).collect()
 }

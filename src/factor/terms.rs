@@ -18,6 +18,9 @@ const BEYOND: usize = 5;
 /// Singular values below this share of the largest do not estimate missing samples: back ends that multiply in f32 cannot tell them yet.
 const FILL_ABOVE: f64 = 1e-3;
 
+/// What singular values may be off by while missing samples are estimated.
+const FILL_ACCURACY: f64 = 1e-4;
+
 /// A material without its colour polynomial, and why it is as it is.
 pub(super) struct TermsFit {
     pub material: Material,
@@ -79,7 +82,9 @@ fn decompose(
     let rounds = if rows.has_gaps() { options.fill_rounds } else { 0 };
     let mut passes = 0;
     for round in 0..=rounds {
-        let mut low = low_rank(rows, wanted, backend, options.accuracy, start.as_ref())?;
+        // What fills gaps for a first time need not be known well.
+        let accuracy = if round + 1 >= rounds { options.accuracy } else { options.accuracy.max(FILL_ACCURACY) };
+        let mut low = low_rank(rows, wanted, backend, accuracy, start.as_ref())?;
         passes += low.passes;
         low.passes = passes;
         if round == rounds {

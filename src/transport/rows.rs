@@ -4,9 +4,9 @@ use super::{MatrixReader, RowBlock};
 use crate::Result;
 use std::ops::Range;
 
-/// About how many bytes a block of rows may take in memory, decoded: enough for two cores to share, little enough that
-/// the allocator keeps it for the next block.
-const BLOCK_BYTES: usize = 16 << 20;
+/// About how many bytes a block of rows may take in memory, decoded: enough for the cores to share and for products to be quick, little
+/// enough that the allocator keeps its parts for the next block.
+const BLOCK_BYTES: usize = 48 << 20;
 
 /// One row of a [`RowBlock`]: three slices `[dy][dx][channel]`.
 #[derive(Debug, Clone, Copy)]
@@ -41,7 +41,7 @@ impl MatrixReader {
         self.blocks().into_iter().try_for_each(|rows| each(self.read(rows)?))
     }
 
-    /// Consecutive ranges of rows that together are all rows, in order, each of about 16 MiB and of whole chunks: no
+    /// Consecutive ranges of rows that together are all rows, in order, each of about 48 MiB and of whole chunks: no
     /// chunk is decoded twice.
     pub fn blocks(&self) -> Vec<Range<usize>> {
         // response and variance as f32, validity as u8
@@ -100,7 +100,7 @@ mod tests {
     #[test]
     fn blocks_are_all_rows_in_order() {
         let folder = tempfile::tempdir().unwrap();
-        // Rows of 0.2 MB of responses: chunks of 20, blocks of one chunk and blocks of whole lines.
+        // Rows of 0.2 MB of responses: chunks of 20 at the most, blocks of some chunks.
         for points in [[30, 5], [4, 9], [1, 1]] {
             let rows = points[0] * points[1];
             let header = MatrixHeader {
@@ -119,7 +119,7 @@ mod tests {
             MatrixWriter::create(&path, header).unwrap().finish().unwrap();
             let blocks = MatrixReader::open(&path).unwrap().blocks();
             assert_eq!(blocks.iter().cloned().flatten().collect::<Vec<_>>(), (0..rows).collect::<Vec<_>>());
-            assert!(blocks.iter().all(|b| (1..=36).contains(&b.len())), "{blocks:?}");
+            assert!(blocks.iter().all(|b| (1..=108).contains(&b.len())), "{blocks:?}");
         }
     }
 

@@ -39,8 +39,9 @@ const CHANNELS: usize = 3;
 const CHUNK_BYTES: usize = 4 << 20;
 /// Numbers that one thread looks through at a time.
 const CHECKED: usize = 1 << 16;
-/// Fast, and measured noise compresses no better at higher levels.
-const ZSTD_LEVEL: i32 = 1;
+/// Negative levels leave the bytes that do not repeat as they are: decoding is twice as fast as at level 1, for a tenth more bytes of measured
+/// noise, which no level compresses by much.
+const ZSTD_LEVEL: i32 = -1;
 
 /// What a matrix is, besides its numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -351,7 +352,9 @@ fn chunks(header: &MatrixHeader) -> impl Iterator<Item = std::ops::Range<usize>>
 }
 
 fn chunk_rows(header: &MatrixHeader) -> usize {
-    (CHUNK_BYTES / (4 * header.row_len())).clamp(1, header.points[0])
+    let most = (CHUNK_BYTES / (4 * header.row_len())).clamp(1, header.points[0]);
+    // Equal chunks along a line: the last one is padded to the size of the others.
+    header.points[0].div_ceil(header.points[0].div_ceil(most))
 }
 
 /// The part of a row array that holds `rows`, all of one y_i.

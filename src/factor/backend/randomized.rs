@@ -13,7 +13,7 @@ const OVERSAMPLING: usize = 8;
 /// Passes after which a spectrum is taken to be as flat as it looks.
 const MOST_PASSES: usize = 12;
 /// Power passes on the found vectors.
-const MOST_REFINEMENTS: usize = 3;
+const MOST_REFINEMENTS: usize = 6;
 /// What products in f32 leave of a residual, relative.
 const F32_RESIDUAL: f64 = 3e-7;
 
@@ -29,6 +29,12 @@ pub(super) fn block_krylov(rows: &dyn Rows, k: usize, accuracy: f64, start: Opti
         _ => next(),
     });
     block = block.qr().compute_thin_Q();
+    if given >= k && k > 0 {
+        // Known vectors, of nearly the same rows: power passes are enough.
+        let values = start.map_or(Vec::new(), |s| s.singular_values.iter().map(|s| s * s).collect());
+        let ritz = Ritz { residuals: vec![0.0; width], values, vectors: block };
+        return refined(rows, ritz, k, accuracy, 0);
+    }
     let (mut basis, mut image) = (Mat::<f64>::zeros(m, 0), Mat::<f64>::zeros(m, 0));
     let mut passes = 0;
     let ritz = loop {
@@ -57,7 +63,7 @@ fn refined(rows: &dyn Rows, mut ritz: Ritz, k: usize, accuracy: f64, mut passes:
         let image = gram_times(rows, ritz.vectors.as_ref())?;
         passes += 1;
         // The image itself, each vector to unit length, is one power step nearer; what it was multiplied from tells the error.
-        let told = Ritz::new(&ritz.vectors, &image, ritz.values.len())?;
+        let told = Ritz::new(&ritz.vectors, &image, ritz.vectors.ncols())?;
         let converged = told.converged(k, accuracy, false);
         let mut vectors = image;
         for j in 0..vectors.ncols() {
