@@ -64,8 +64,9 @@ pub struct Args {
     out: Option<PathBuf>,
 }
 
-/// How much better than a target the factors are before they are coded, dB: a fifth of the squared error is then the coder's.
-const ROOM_DB: f64 = 1.0;
+/// How much better than a target the factors are before they are coded, dB: a fifth of the squared error is then theirs, the rest the
+/// coder's, which is about the best split (docs/materials.md).
+const ROOM_DB: f64 = 7.0;
 /// The error that coding adds when nothing else is asked.
 const ADDED_ERROR: f64 = 3e-3;
 

@@ -174,7 +174,7 @@ impl Asked<'_, '_> {
 
     /// What the first `terms` leave of it.
     fn left(&self, all: &Triplets, terms: usize) -> f64 {
-        (self.energy() - all.weights[..terms].iter().map(|s| s * s).sum::<f64>()).max(0.0)
+        (self.energy() - all.weights.iter().take(terms).map(|s| s * s).sum::<f64>()).max(0.0)
     }
 
     /// Terms, and the maps that channels share, for a goal: every number of terms with the best number of maps.
@@ -190,7 +190,7 @@ impl Asked<'_, '_> {
         let n = self.rows.shape().0;
         let shifts = if survey.placements.iter().any(|p| p.shift != [0, 0]) { 2 * n as u64 } else { 0 };
         let non_negative = self.model == Model::Peers2006;
-        let sharing = Sharing::new(all, planes, most);
+        let sharing = Sharing::new(all, planes, most.min(all.weights.len()));
         let mut candidates = Vec::new();
         for terms in 1..=most {
             let own = match non_negative {
@@ -232,6 +232,7 @@ impl Asked<'_, '_> {
         let survey = &self.rows.survey;
         let planes = self.rows.content.planes();
         let (columns, rank, n) = (self.rows.shape().1, all.weights.len(), header.rows());
+        let terms = terms.min(rank);
         let unit = self.rows.unit();
         let left: Vec<f32> =
             (0..n).flat_map(|i| all.left[i * rank..i * rank + terms].iter().map(|&v| v as f32)).collect();
