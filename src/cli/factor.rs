@@ -1,10 +1,10 @@
 use super::Context;
 use crate::factor::{Backend, Factored, Goal, Options, factor};
 use crate::material::coded::{self, Quality, encode};
-use crate::material::{Model, Precision};
+use crate::material::{Material, Model, Precision};
 use crate::transport::MatrixReader;
 use crate::{Error, Result};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Factor a matrix into a compact material.
 #[derive(Debug, clap::Args)]
@@ -30,9 +30,9 @@ pub struct Args {
     #[arg(long, value_name = "P")]
     degree: Option<usize>,
     /// Choose the fewest bytes that reach this psnr_db against the matrix.
-    #[arg(long, value_name = "DB", conflicts_with = "terms")]
+    #[arg(long, value_name = "DB", allow_negative_numbers = true, conflicts_with = "terms")]
     target_psnr: Option<f64>,
-    /// Choose the best material in so many bytes, counted as bytes_f32: 250kB, 1.5MiB, or plain bytes.
+    /// Choose the best material in so many bytes (bytes_f32, half of it for f16, the whole file when coded): 250kB, 1.5MiB, or plain bytes.
     #[arg(long, value_name = "BYTES", value_parser = bytes, conflicts_with_all = ["terms", "target_psnr"])]
     max_bytes: Option<u64>,
     /// With --model peers2006: factor the intensity, and make colour a polynomial of it as tucker does.
@@ -41,14 +41,14 @@ pub struct Args {
     /// How numbers are stored: f32 or f16 in a .safetensors, or coded in a .acq [default: f32, coded when --out ends in .acq].
     #[arg(long, value_enum)]
     precision: Option<Precision>,
-    /// With --precision coded: the error that coding may add, relative to the material [default: 0.003, or what a target leaves].
-    #[arg(long, value_name = "SHARE")]
+    /// With --precision coded: the error that coding may add, relative to the material [default: 0.003; a target decides it].
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true, conflicts_with_all = ["target_psnr", "max_bytes"])]
     added_error: Option<f64>,
     /// How singular values are computed [default: the quickest for the size that reaches --accuracy].
     #[arg(long, value_enum)]
     backend: Option<Backend>,
     /// What singular values may be off by, relative to the largest.
-    #[arg(long, value_name = "SHARE", default_value_t = Options::default().accuracy)]
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true, default_value_t = Options::default().accuracy)]
     accuracy: f64,
     /// Memory for the rows; more of them are read from the store at every pass: 2GiB, say [default: half of the machine's].
     #[arg(long, value_name = "BYTES", value_parser = bytes)]
@@ -78,21 +78,84 @@ fn room(factored: &Factored, target_psnr: Option<f64>) -> f64 {
     0.98 * (allowed * allowed - factored.rel_rmse * factored.rel_rmse).max(0.0).sqrt()
 }
 
+/// Refuses options that contradict each other.
+fn check(args: &Args, out: &Path, precision: Precision) -> Result<()> {
+    let refuse =
+        |setting, expected: &str, found: String| Err(Error::Setting { setting, expected: expected.into(), found });
+    let ends = |with: &str| out.extension().is_some_and(|e| e == with);
+    let coded = precision == Precision::Coded;
+    if args.added_error.is_some() && !coded {
+        return refuse(
+            "--added-error",
+            "--precision coded, or an --out that ends in .acq, beside it",
+            precision.to_string(),
+        );
+    }
+    // What the name says is what others will take the file for.
+    if coded && ends("safetensors") {
+        return refuse("--out", "a name that ends in .acq for a coded material", out.display().to_string());
+    }
+    if !coded && ends("acq") {
+        return refuse("--out", "a name that ends in .safetensors for a plain material", out.display().to_string());
+    }
+    if args.color_regression && args.model != Some(Model::Peers2006) {
+        return refuse("--color-regression", "--model peers2006 beside it", "another model".into());
+    }
+    Ok(())
+}
+
+/// An error of the coder, named after the option that it comes from.
+fn named(error: Error, target: bool) -> Error {
+    match error {
+        Error::Setting { setting: "bytes of a coded material", expected, found } => {
+            Error::Setting { setting: "--max-bytes", expected, found }
+        }
+        Error::Setting { setting: "added error of coding", expected, found } => match target {
+            true => Error::Setting {
+                setting: "--target-psnr",
+                expected: "a target that coding can keep to (a plain file reaches more)".into(),
+                found: format!("one that lets coding add {found}"),
+            },
+            false => Error::Setting { setting: "--added-error", expected, found },
+        },
+        other => other,
+    }
+}
+
+/// Rows looked at to tell what rounding costs.
+const ROUNDED_ROWS: usize = 512;
+
+/// ‖R̂_stored − R̂‖ / ‖R̂‖ over rows spread evenly.
+fn changed(exact: &Material, stored: &Material) -> f64 {
+    let rows = exact.header.rows();
+    let (mut error, mut energy) = (0.0, 0.0);
+    for i in (0..rows).step_by(rows.div_ceil(ROUNDED_ROWS).max(1)) {
+        let (wanted, found) = (exact.evaluate_row(i), stored.evaluate_row(i));
+        for (&a, &b) in wanted.iter().zip(&found) {
+            error += (f64::from(a) - f64::from(b)).powi(2);
+            energy += f64::from(a).powi(2);
+        }
+    }
+    if energy > 0.0 { (error / energy).sqrt() } else { 0.0 }
+}
+
+/// What storing adds and what is then off in all, in words.
+fn in_all(factored: &Factored, added: f64) -> String {
+    let total = factored.rel_rmse.hypot(added);
+    let psnr = factored.psnr_db.filter(|_| factored.rel_rmse > 0.0);
+    let psnr = psnr.map(|db| format!(", psnr_db {:.2}", db - 20.0 * (total / factored.rel_rmse).log10()));
+    format!("which adds {added:.5} (about {total:.5}{} in all)", psnr.unwrap_or_default())
+}
+
 pub fn run(args: Args, context: &Context) -> Result<()> {
-    let out = args.out.unwrap_or_else(|| {
+    let out = args.out.clone().unwrap_or_else(|| {
         let name = args.matrix.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let end = if args.precision == Some(Precision::Coded) { "acq" } else { "safetensors" };
         PathBuf::from(format!("{}.{end}", name.trim_end_matches(".zarr").trim_end_matches(".rd")))
     });
     let coded = out.extension().is_some_and(|e| e == "acq");
     let precision = args.precision.unwrap_or(if coded { Precision::Coded } else { Precision::F32 });
-    if args.added_error.is_some() && precision != Precision::Coded {
-        return Err(Error::Setting {
-            setting: "--added-error",
-            expected: "--precision coded beside it".into(),
-            found: format!("--precision {precision}"),
-        });
-    }
+    check(&args, &out, precision)?;
     super::check_output(&out, &[&args.matrix])?;
     let reader = MatrixReader::open(&args.matrix)?;
     let options = Options {
@@ -121,20 +184,21 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     factored.material.header.warnings.iter().skip(before).for_each(|w| context.warn(w));
     let stored = match precision {
         Precision::F32 => factored.material.save(&out).map(|()| String::new())?,
-        Precision::F16 => factored.material.save_half(&out).map(|()| ", stored as f16".to_owned())?,
+        Precision::F16 => {
+            factored.material.save_half(&out)?;
+            let added = changed(&factored.material, &Material::load(&out)?);
+            let bytes = factored.material.bytes_f32() / 2;
+            format!(", stored as f16 in {bytes} bytes, {}", in_all(&factored, added))
+        }
         Precision::Coded => {
             let quality = match (args.max_bytes, args.target_psnr) {
                 (Some(bytes), _) => Quality::MaxBytes(bytes),
                 (None, target) => Quality::AddedError(args.added_error.unwrap_or_else(|| room(&factored, target))),
             };
-            let coded = encode(&factored.material, &coded::Options { quality, ..coded::Options::default() })?;
+            let coded = encode(&factored.material, &coded::Options { quality, ..coded::Options::default() })
+                .map_err(|e| named(e, args.target_psnr.is_some()))?;
             coded.save(&out)?;
-            let total = factored.rel_rmse.hypot(coded.added_error);
-            format!(
-                ", coded in {} bytes, which adds {:.5} (about {total:.5} in all)",
-                coded.bytes.len(),
-                coded.added_error
-            )
+            format!(", coded in {} bytes, {}", coded.bytes.len(), in_all(&factored, coded.added_error))
         }
     };
     let matrix_bytes = 4 * (reader.header().rows() * reader.header().row_len()) as u64;

@@ -63,11 +63,11 @@ pub fn html(t: &Tradeoff) -> String {
         t.window[1],
         bytes(t.matrix_bytes),
     );
-    out.push_str("<h2>Error against bytes</h2><p class=\"lead\">Down and left is better. The line is the front: nothing else is both smaller and more accurate.</p>");
+    out.push_str("<h2>Error against bytes</h2><p class=\"lead\">Down and left is better. The line joins the front: nothing else that was run is both smaller and more accurate. Bytes are those of the numbers (bytes_f32, half of it for f16), of coded materials the whole file.</p>");
     out.push_str(&error_bytes(t));
     let _ = write!(
         out,
-        "<h2>Error against time</h2><p class=\"lead\">From the store on disk to the material; one plain read of the responses took {}.</p>",
+        "<h2>Error against time</h2><p class=\"lead\">From the store on disk to the material, for coded ones with the coding; one plain read of the responses took {}.</p>",
         seconds(t.read_secs)
     );
     out.push_str(&error_time(t));
@@ -93,17 +93,17 @@ pub fn html(t: &Tradeoff) -> String {
 const STYLE: &str = "
 .chart { max-width: 860px; width: 100%; }
 .front { fill: none; stroke: currentColor; stroke-width: 1.2; opacity: .6; }
-circle.joint { fill: #3572b0; } circle.tucker { fill: #c8553d; } circle.peers2006 { fill: #6a994e; }
-circle.f16, circle.coded { fill-opacity: .25; stroke-width: 1.4; }
-circle.joint.f16, circle.joint.coded { stroke: #3572b0; } circle.tucker.f16, circle.tucker.coded { stroke: #c8553d; }
-circle.peers2006.f16, circle.peers2006.coded { stroke: #6a994e; }
-.key { font-weight: 600; } .key.joint { color: #3572b0; } .key.tucker { color: #c8553d; } .key.peers2006 { color: #6a994e; }
+circle.joint { fill: var(--blue); stroke: var(--blue); } circle.tucker { fill: var(--red); stroke: var(--red); }
+circle.peers2006 { fill: var(--green); stroke: var(--green); }
+circle.f32 { stroke: none; } circle.f16 { fill-opacity: 0; stroke-width: 1.6; stroke-dasharray: 2 1.6; } circle.coded { fill-opacity: .25; stroke-width: 1.4; }
+.key { font-weight: 600; } .key.joint { color: var(--blue); } .key.tucker { color: var(--red); } .key.peers2006 { color: var(--green); }
 .scroll { overflow-x: auto; } .scroll table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 .scroll td, .scroll th { padding: .15em .6em; text-align: right; white-space: nowrap; } .scroll th { font-weight: 600; }
-tr.pareto td:first-child::before { content: '● '; }
+.scroll td:first-child, .scroll th:first-child { text-align: left; }
+td:first-child::before { content: '● '; visibility: hidden; } tr.pareto td:first-child::before { visibility: visible; }
 ";
 
-const LEGEND: &str = "<span class=\"key joint\">joint</span>, <span class=\"key tucker\">tucker</span>, <span class=\"key peers2006\">peers2006</span>; full dots are f32, hollow ones f16 or coded.";
+const LEGEND: &str = "<span class=\"key joint\">joint</span>, <span class=\"key tucker\">tucker</span>, <span class=\"key peers2006\">peers2006</span>; full dots are f32, pale ones coded, dashed circles f16.";
 
 fn error(p: &Point) -> f64 {
     p.rel_rmse.unwrap_or(0.0)
@@ -130,7 +130,7 @@ fn error_bytes(t: &Tradeoff) -> String {
     let published =
         |p: &&Point| p.model == Model::Tucker && (p.terms, p.degree, p.precision) == (15, Some(7), Precision::F32);
     if let Some(p) = t.measured.iter().find(published) {
-        chart.text((p.bytes as f64, error(p)), [8.0, -8.0], "start", "T = 15, P = 7");
+        chart.text((p.bytes as f64, error(p)), [8.0, -8.0], "start", "tucker, T = 15, P = 7");
     }
     chart.finish("error against bytes of every material")
 }
