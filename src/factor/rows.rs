@@ -98,6 +98,9 @@ struct Chunk {
     missing: Vec<Missing>,
 }
 
+/// Takes the first row of a chunk, its values and what of them was estimated.
+type EachChunk<'e> = dyn FnMut(usize, &[f32], &[Missing]) -> Result<()> + 'e;
+
 /// The rows of a matrix, prepared for factoring.
 pub struct PreparedRows<'a> {
     reader: &'a MatrixReader,
@@ -172,11 +175,7 @@ impl<'a> PreparedRows<'a> {
     ///
     /// # Errors
     /// Those of the reader and of `each`.
-    pub fn for_each_chunk(
-        &self,
-        stage: &str,
-        each: &mut dyn FnMut(usize, &[f32], &[Missing]) -> Result<()>,
-    ) -> Result<()> {
+    pub fn for_each_chunk(&self, stage: &str, each: &mut EachChunk<'_>) -> Result<()> {
         if let Some(chunks) = &self.cache {
             return chunks.iter().try_for_each(|c| each(c.first, &c.values, &c.missing));
         }
