@@ -156,7 +156,7 @@ impl Asked<'_, '_> {
                 Ok(Plan { terms, maps: None, degree: None, why, short: false })
             }
             goal if self.rows.content == Content::Intensity => {
-                let material = self.material(reader, all, most);
+                let material = self.material(reader, all, most.min(all.weights.len()));
                 let chosen = choose::terms_and_degree(reader, &material, &self.rows.survey, goal, options)?;
                 let short = chosen.terms >= most && chosen.short;
                 Ok(Plan { terms: chosen.terms, maps: None, degree: Some(chosen.degree), why: chosen.why, short })
@@ -174,7 +174,7 @@ impl Asked<'_, '_> {
 
     /// What the first `terms` leave of it.
     fn left(&self, all: &Triplets, terms: usize) -> f64 {
-        (self.energy() - all.weights[..terms].iter().map(|s| s * s).sum::<f64>()).max(0.0)
+        (self.energy() - all.weights.iter().take(terms).map(|s| s * s).sum::<f64>()).max(0.0)
     }
 
     /// Terms, and the maps that channels share, for a goal: every number of terms with the best number of maps.
@@ -190,7 +190,8 @@ impl Asked<'_, '_> {
         let n = self.rows.shape().0;
         let shifts = if survey.placements.iter().any(|p| p.shift != [0, 0]) { 2 * n as u64 } else { 0 };
         let non_negative = self.model == Model::Peers2006;
-        let sharing = Sharing::new(all, planes, most);
+        // A non-negative product may have more terms than the rows have triplets.
+        let sharing = Sharing::new(all, planes, most.min(all.weights.len()));
         let mut candidates = Vec::new();
         for terms in 1..=most {
             let own = match non_negative {
@@ -217,7 +218,10 @@ impl Asked<'_, '_> {
             },
             Goal::Bytes(bytes) => match candidates.iter().filter(|c| c.2 <= bytes).max_by(|a, b| a.3.total_cmp(&b.3)) {
                 Some(found) => (found, format!("the best in {bytes} bytes")),
-                None => (&candidates[0], format!("one term takes more than {bytes} bytes")),
+                None => {
+                    let smallest = candidates.iter().min_by_key(|c| c.2).unwrap_or(&candidates[0]);
+                    (smallest, format!("the smallest takes more than {bytes} bytes"))
+                }
             },
             Goal::Noise => (&candidates[0], String::new()),
         };
