@@ -64,8 +64,9 @@ pub struct Args {
     out: Option<PathBuf>,
 }
 
-/// How much better than a target the factors are before they are coded, dB: a fifth of the squared error is then the coder's.
-const ROOM_DB: f64 = 1.0;
+/// How much better than a target the factors are before they are coded, dB: a fifth of the squared error is then theirs, the rest the
+/// coder's, which is about the best split (docs/materials.md).
+const ROOM_DB: f64 = 7.0;
 /// The error that coding adds when nothing else is asked.
 const ADDED_ERROR: f64 = 3e-3;
 
@@ -202,7 +203,13 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     };
     let matrix_bytes = 4 * (reader.header().rows() * reader.header().row_len()) as u64;
     let bytes = factored.material.bytes_f32();
-    context.done(&factored.choice);
+    match (args.target_psnr, precision) {
+        (Some(db), Precision::Coded) => context.done(format_args!(
+            "{}; {ROOM_DB} dB of it are room for the coder, {db} dB are to be left",
+            factored.choice
+        )),
+        _ => context.done(&factored.choice),
+    }
     context.done(format_args!(
         "{}: {} bytes of f32, 1/{:.0} of the matrix, rel_rmse {:.5}{}{stored}",
         out.display(),

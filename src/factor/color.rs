@@ -333,7 +333,7 @@ mod tests {
                         .map(|p| along[p].abs() * basis.legendre[p].iter().map(|l| l.abs()).sum::<f64>())
                         .sum::<f64>();
                     assert!(
-                        (through - ours).abs() < 1e-15 * size + 1e-13,
+                        (through - ours).abs() < 1e-14 * size + 1e-13,
                         "{name} {degree}: {through} {ours}, {size:e}"
                     );
                 }

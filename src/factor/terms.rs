@@ -156,7 +156,7 @@ impl Asked<'_, '_> {
                 Ok(Plan { terms, maps: None, degree: None, why, short: false })
             }
             goal if self.rows.content == Content::Intensity => {
-                let material = self.material(reader, all, most.min(all.weights.len()));
+                let material = self.material(reader, all, most);
                 let chosen = choose::terms_and_degree(reader, &material, &self.rows.survey, goal, options)?;
                 let short = chosen.terms >= most && chosen.short;
                 Ok(Plan { terms: chosen.terms, maps: None, degree: Some(chosen.degree), why: chosen.why, short })
@@ -236,6 +236,7 @@ impl Asked<'_, '_> {
         let survey = &self.rows.survey;
         let planes = self.rows.content.planes();
         let (columns, rank, n) = (self.rows.shape().1, all.weights.len(), header.rows());
+        let terms = terms.min(rank);
         let unit = self.rows.unit();
         let left: Vec<f32> =
             (0..n).flat_map(|i| all.left[i * rank..i * rank + terms].iter().map(|&v| v as f32)).collect();
