@@ -4,7 +4,7 @@
 #[path = "common/matrices.rs"]
 mod matrices;
 
-use acquire::factor::{Backend, Factored, Options, factor};
+use acquire::factor::{Backend, Factored, Goal, Options, factor};
 use acquire::material::Model;
 use acquire::progress::Progress;
 use acquire::transport::MatrixReader;
@@ -468,6 +468,29 @@ fn every_model_takes_every_extreme_of_shape() {
                 assert!(error <= 4.0 * bound, "{name}, {model}, row {i}: {error:e}");
             }
         }
+    }
+}
+
+#[test]
+fn goals_are_met_with_fewer_rows_than_terms_that_are_tried() {
+    let response = |i: usize, d: [f64; 2], c: usize| (profile(d, 1.0 + i as f64 / 4.0) * [1.0, 0.7, 0.4][c]) as f32;
+    for (model, color_regression) in
+        [(Model::Tucker, false), (Model::Joint, false), (Model::Peers2006, false), (Model::Peers2006, true)]
+    {
+        let with = |goal| {
+            let options = Options { model: Some(model), color_regression, goal, ..Options::default() };
+            run(&options, [3, 3], [5, 5], response).unwrap()
+        };
+        // What terms of peers2006 leave is estimated from singular values: 10 dB for what the estimate may be off by.
+        let least = if model == Model::Peers2006 { 20.0 } else { 30.0 };
+        let reached = with(Goal::Psnr(30.0)).psnr_db.unwrap_or(f64::INFINITY);
+        assert!(reached >= least, "{model}: {reached} dB");
+        let bytes = with(Goal::Bytes(4000)).material.bytes_f32();
+        assert!(bytes <= 4000, "{model}: {bytes} bytes");
+        // Less than any material takes: the smallest there is.
+        let smallest = with(Goal::Bytes(1)).material;
+        assert_eq!(smallest.header.terms, 1, "{model}");
+        assert!(smallest.bytes_f32() <= bytes, "{model}");
     }
 }
 

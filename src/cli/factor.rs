@@ -203,7 +203,13 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     };
     let matrix_bytes = 4 * (reader.header().rows() * reader.header().row_len()) as u64;
     let bytes = factored.material.bytes_f32();
-    context.done(&factored.choice);
+    match (args.target_psnr, precision) {
+        (Some(db), Precision::Coded) => context.done(format_args!(
+            "{}; {ROOM_DB} dB of it are room for the coder, {db} dB are to be left",
+            factored.choice
+        )),
+        _ => context.done(&factored.choice),
+    }
     context.done(format_args!(
         "{}: {} bytes of f32, 1/{:.0} of the matrix, rel_rmse {:.5}{}{stored}",
         out.display(),

@@ -190,6 +190,7 @@ impl Asked<'_, '_> {
         let n = self.rows.shape().0;
         let shifts = if survey.placements.iter().any(|p| p.shift != [0, 0]) { 2 * n as u64 } else { 0 };
         let non_negative = self.model == Model::Peers2006;
+        // A non-negative product may have more terms than the rows have triplets.
         let sharing = Sharing::new(all, planes, most.min(all.weights.len()));
         let mut candidates = Vec::new();
         for terms in 1..=most {
@@ -217,7 +218,10 @@ impl Asked<'_, '_> {
             },
             Goal::Bytes(bytes) => match candidates.iter().filter(|c| c.2 <= bytes).max_by(|a, b| a.3.total_cmp(&b.3)) {
                 Some(found) => (found, format!("the best in {bytes} bytes")),
-                None => (&candidates[0], format!("one term takes more than {bytes} bytes")),
+                None => {
+                    let smallest = candidates.iter().min_by_key(|c| c.2).unwrap_or(&candidates[0]);
+                    (smallest, format!("the smallest takes more than {bytes} bytes"))
+                }
             },
             Goal::Noise => (&candidates[0], String::new()),
         };
