@@ -220,6 +220,13 @@ pub enum Warning {
         /// How many.
         rows: usize,
     },
+    /// A material does not reach what was asked of it.
+    GoalMissed {
+        /// What was asked, with its unit.
+        asked: String,
+        /// What it is.
+        found: String,
+    },
     /// A row's peak lay further out than the search permits; its shift was limited.
     ShiftLimited {
         /// How many rows.
@@ -414,6 +421,7 @@ impl std::fmt::Display for Warning {
             Self::CurveNotSaved { file, reason } => {
                 write!(f, "{file}: the estimated response curve could not be saved: {reason}")
             }
+            Self::GoalMissed { asked, found } => write!(f, "{asked} were asked for, {found} are what there is"),
             Self::EmptyRows { rows } => write!(f, "{rows} rows have no positive peak; they are kept as zeros"),
             Self::ShiftLimited { rows, limit } => {
                 write!(

@@ -67,6 +67,8 @@ pub struct Args {
 /// How much better than a target the factors are before they are coded, dB: a fifth of the squared error is then theirs, the rest the
 /// coder's, which is about the best split (docs/materials.md).
 const ROOM_DB: f64 = 7.0;
+/// Bytes of f32 for each byte of a coded budget: what is tried, from more to fewer terms.
+const CODED_RATIOS: [u64; 3] = [60, 15, 4];
 /// The error that coding adds when nothing else is asked.
 const ADDED_ERROR: f64 = 3e-3;
 
@@ -166,8 +168,9 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
             // Coding needs room of its own.
             (Some(db), _, Precision::Coded) => Goal::Psnr(db + ROOM_DB),
             (Some(db), ..) => Goal::Psnr(db),
-            // As many terms as the noise supports, and the coder decides what they are worth.
-            (None, Some(_), Precision::Coded) | (None, None, _) => Goal::Noise,
+            // The coder decides what each of more terms than it can keep is worth.
+            (None, Some(bytes), Precision::Coded) => Goal::Bytes(bytes.saturating_mul(CODED_RATIOS[0])),
+            (None, None, _) => Goal::Noise,
             (None, Some(bytes), Precision::F16) => Goal::Bytes(bytes.saturating_mul(2)),
             (None, Some(bytes), Precision::F32) => Goal::Bytes(bytes),
         },
@@ -180,23 +183,35 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         ..Options::default()
     };
     let before = reader.header().warnings.len();
-    let factored = factor(&reader, &options, &context.progress)?;
+    let mut factored = factor(&reader, &options, &context.progress)?;
     factored.material.header.warnings.iter().skip(before).for_each(|w| context.warn(w));
     let stored = match precision {
         Precision::F32 => factored.material.save(&out).map(|()| String::new())?,
         Precision::F16 => {
             factored.material.save_half(&out)?;
             let added = changed(&factored.material, &Material::load(&out)?);
-            let bytes = factored.material.bytes_f32() / 2;
+            let bytes = factored.material.bytes_f16();
             format!(", stored as f16 in {bytes} bytes, {}", in_all(&factored, added))
         }
         Precision::Coded => {
-            let quality = match (args.max_bytes, args.target_psnr) {
-                (Some(bytes), _) => Quality::MaxBytes(bytes),
-                (None, target) => Quality::AddedError(args.added_error.unwrap_or_else(|| room(&factored, target))),
+            let code = |factored: &Factored| {
+                let quality = match (args.max_bytes, args.target_psnr) {
+                    (Some(bytes), _) => Quality::MaxBytes(bytes),
+                    (None, target) => Quality::AddedError(args.added_error.unwrap_or_else(|| room(factored, target))),
+                };
+                encode(&factored.material, &coded::Options { quality, ..coded::Options::default() })
+                    .map_err(|e| named(e, args.target_psnr.is_some()))
             };
-            let coded = encode(&factored.material, &coded::Options { quality, ..coded::Options::default() })
-                .map_err(|e| named(e, args.target_psnr.is_some()))?;
+            let mut coded = code(&factored);
+            // Even the maps that are nothing take some bits.
+            for ratio in CODED_RATIOS.into_iter().skip(1) {
+                if let (Err(Error::Setting { .. }), Some(bytes), None) = (&coded, args.max_bytes, args.terms) {
+                    let goal = Goal::Bytes(bytes.saturating_mul(ratio));
+                    factored = factor(&reader, &Options { goal, ..options.clone() }, &context.progress)?;
+                    coded = code(&factored);
+                }
+            }
+            let coded = coded?;
             coded.save(&out)?;
             format!(", coded in {} bytes, {}", coded.bytes.len(), in_all(&factored, coded.added_error))
         }

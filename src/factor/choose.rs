@@ -5,10 +5,10 @@ use super::noise::F32_ROUNDING;
 use super::regression::{self, channels, errors_by_degree, with_bases};
 use super::survey::Survey;
 use super::{Factored, Misfit, Options};
-use crate::Result;
 use crate::material::Material;
 use crate::transport::rows::{RowView, gradient};
 use crate::transport::{MatrixReader, RowBlock};
+use crate::{Result, Warning};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -59,6 +59,20 @@ pub enum Goal {
 }
 
 impl Goal {
+    /// The finding that a material misses the goal; a hundredth of a decibel is not worth a word.
+    pub(super) fn missed(self, material: &Material, psnr_db: Option<f64>) -> Option<Warning> {
+        match (self, psnr_db) {
+            (Self::Psnr(asked), Some(db)) if db < asked - 0.01 => {
+                Some(Warning::GoalMissed { asked: format!("{asked} dB"), found: format!("{db:.2} dB") })
+            }
+            (Self::Bytes(asked), _) if material.bytes_f32() > asked => Some(Warning::GoalMissed {
+                asked: format!("{asked} bytes"),
+                found: format!("{} bytes", material.bytes_f32()),
+            }),
+            _ => None,
+        }
+    }
+
     /// Whether `a` serves the goal better than `b`.
     pub(super) fn prefers(self, a: &Factored, b: &Factored) -> bool {
         let bytes = |f: &Factored| f.material.bytes_f32();

@@ -170,11 +170,19 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &Options, progress: &
     let terms = fit.material.header.terms;
     let grey =
         if rows.content == Content::Grey { ", no colour: the channels differ by no more than noise" } else { "" };
-    let maps = fit.material.header.shared_maps.map(|k| format!("; channels share {k} offset maps")).unwrap_or_default();
+    let maps = fit
+        .material
+        .header
+        .shared_maps
+        .map(|k| format!("; channels share {k} offset map{}", if k == 1 { "" } else { "s" }))
+        .unwrap_or_default();
     let choice = format!("{model}, terms {terms}: {}{maps}{why_degree}{grey}; {}", fit.why, fit.how);
     let (rel_rmse, psnr_db) = (fit.misfit.rel_rmse(), fit.misfit.psnr_db());
     let mut material = fit.material;
     check_finite(reader, &material)?;
+    if options.terms.is_none() {
+        material.header.warnings.extend(options.goal.missed(&material, psnr_db));
+    }
     material.header.provenance = serde_json::json!({
         "version": env!("CARGO_PKG_VERSION"),
         "options": options,

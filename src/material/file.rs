@@ -12,6 +12,8 @@ use std::path::Path;
 
 const FORMAT: u32 = 2;
 const KEY: &str = "acquire";
+/// Coefficients that are large and cancel: half precision would leave nothing of them.
+const EXACT: &str = "color_coefficients";
 /// No stored number is larger: sums of products with the basis still fit an f32.
 const LARGEST: f32 = 1e36;
 /// No slab is larger, and no length is smaller than one over it, mm.
@@ -33,7 +35,7 @@ struct Metadata {
 pub enum Precision {
     /// As they are, 4 bytes each.
     F32,
-    /// Rounded to 11 bits, 2 bytes each; every tensor scaled by a power of two so that its largest number is near 2¹⁵.
+    /// Rounded to 11 bits, 2 bytes each, but for colour coefficients; every tensor scaled by a power of two so that its largest number is near 2¹⁵.
     F16,
     /// Transformed, quantized and entropy coded, see [`super::coded`].
     Coded,
@@ -56,7 +58,7 @@ fn half_exponent(values: &[f32]) -> i32 {
 }
 
 impl Material {
-    /// [`Self::save`] with tensors in half precision; each number is off by 2⁻¹² of itself at most, those below 1e-9 of their tensor's
+    /// [`Self::save`] with tensors but colour coefficients in half precision; each number is off by 2⁻¹² of itself at most, those below 1e-9 of their tensor's
     /// largest by more.
     ///
     /// # Errors
@@ -91,7 +93,7 @@ impl Material {
             .zip(self.stored())
             .zip(&exponents)
             .filter(|(((_, shape), _), _)| *shape != [0])
-            .map(|(((name, shape), values), &e)| match half {
+            .map(|(((name, shape), values), &e)| match half && name != EXACT {
                 true => (name, Dtype::F16, shape, f16s(values, e)),
                 false => (name, Dtype::F32, shape, f32s(values)),
             })
@@ -202,7 +204,7 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
         Ok(data.iter().map(|b| (half::f16::from_le_bytes(*b).to_f64() * scale) as f32).collect())
     };
     let shapes = header.shapes().into_iter().enumerate();
-    let mut tensors = shapes.map(|(at, (name, shape))| read(name, &shape, exponents.get(at)));
+    let mut tensors = shapes.map(|(at, (name, shape))| read(name, &shape, exponents.get(at).filter(|_| name != EXACT)));
     let mut next = || tensors.next().unwrap_or(Ok(Vec::new()));
     let [weights, incident_factors, own, vectors, core, profile, color_coefficients] =
         [next()?, next()?, next()?, next()?, next()?, next()?, next()?];

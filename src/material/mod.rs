@@ -175,7 +175,10 @@ impl MaterialHeader {
     /// Model, terms and degree in a few words.
     pub fn describe(&self) -> String {
         let noun = if self.terms == 1 { "term" } else { "terms" };
-        let maps = self.shared_maps.map(|k| format!(" of {k} shared maps")).unwrap_or_default();
+        let maps = self
+            .shared_maps
+            .map(|k| format!(" of {k} shared map{}", if k == 1 { "" } else { "s" }))
+            .unwrap_or_default();
         let color = match self.degree {
             Some(p) => format!(", colour of degree {p}"),
             None if self.planes() == 1 => ", grey".to_owned(),
@@ -219,6 +222,11 @@ impl Material {
         let shifts = if self.shift.iter().any(|s| *s != [0, 0]) { 2 * self.shift.len() } else { 0 };
         let range = if self.header.degree.is_some() { 2 } else { 0 };
         4 * (self.stored().iter().map(|t| t.len()).sum::<usize>() + shifts + range) as u64
+    }
+
+    /// Bytes of the same numbers in half precision, where colour coefficients stay as they are.
+    pub fn bytes_f16(&self) -> u64 {
+        (self.bytes_f32() + 4 * self.color_coefficients.len() as u64) / 2
     }
 
     /// Tensors as they are stored, in the order of [`MaterialHeader::shapes`].
