@@ -190,7 +190,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         Precision::F16 => {
             factored.material.save_half(&out)?;
             let added = changed(&factored.material, &Material::load(&out)?);
-            let bytes = factored.material.bytes_f16();
+            let bytes = factored.material.bytes_f32() / 2;
             format!(", stored as f16 in {bytes} bytes, {}", in_all(&factored, added))
         }
         Precision::Coded => {

@@ -12,8 +12,6 @@ use std::path::Path;
 
 const FORMAT: u32 = 2;
 const KEY: &str = "acquire";
-/// Coefficients that are large and cancel: half precision would leave nothing of them.
-const EXACT: &str = "color_coefficients";
 /// No stored number is larger: sums of products with the basis still fit an f32.
 const LARGEST: f32 = 1e36;
 /// No slab is larger, and no length is smaller than one over it, mm.
@@ -35,7 +33,7 @@ struct Metadata {
 pub enum Precision {
     /// As they are, 4 bytes each.
     F32,
-    /// Rounded to 11 bits, 2 bytes each, but for colour coefficients; every tensor scaled by a power of two so that its largest number is near 2¹⁵.
+    /// Rounded to 11 bits, 2 bytes each, not for colour polynomials; every tensor scaled by a power of two so that its largest number is near 2¹⁵.
     F16,
     /// Transformed, quantized and entropy coded, see [`super::coded`].
     Coded,
@@ -58,12 +56,20 @@ fn half_exponent(values: &[f32]) -> i32 {
 }
 
 impl Material {
-    /// [`Self::save`] with tensors but colour coefficients in half precision; each number is off by 2⁻¹² of itself at most, those below 1e-9 of their tensor's
+    /// [`Self::save`] with tensors in half precision; each number is off by 2⁻¹² of itself at most, those below 1e-9 of their tensor's
     /// largest by more.
     ///
     /// # Errors
-    /// Those of [`Self::save`].
+    /// Those of [`Self::save`]; [`Error::Setting`] for a material with colour polynomials, which magnify what rounding does to the intensity:
+    /// to several times the response on a chessboard.
     pub fn save_half(&self, path: &Path) -> Result<()> {
+        if let Some(degree) = self.header.degree {
+            return Err(Error::Setting {
+                setting: "--precision",
+                expected: "f32 or coded where colour is a polynomial, which magnifies rounding".into(),
+                found: format!("f16 for {} of degree {degree}", self.header.model),
+            });
+        }
         self.write(path, true)
     }
 
@@ -93,7 +99,7 @@ impl Material {
             .zip(self.stored())
             .zip(&exponents)
             .filter(|(((_, shape), _), _)| *shape != [0])
-            .map(|(((name, shape), values), &e)| match half && name != EXACT {
+            .map(|(((name, shape), values), &e)| match half {
                 true => (name, Dtype::F16, shape, f16s(values, e)),
                 false => (name, Dtype::F32, shape, f32s(values)),
             })
@@ -204,7 +210,7 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
         Ok(data.iter().map(|b| (half::f16::from_le_bytes(*b).to_f64() * scale) as f32).collect())
     };
     let shapes = header.shapes().into_iter().enumerate();
-    let mut tensors = shapes.map(|(at, (name, shape))| read(name, &shape, exponents.get(at).filter(|_| name != EXACT)));
+    let mut tensors = shapes.map(|(at, (name, shape))| read(name, &shape, exponents.get(at)));
     let mut next = || tensors.next().unwrap_or(Ok(Vec::new()));
     let [weights, incident_factors, own, vectors, core, profile, color_coefficients] =
         [next()?, next()?, next()?, next()?, next()?, next()?, next()?];
@@ -330,8 +336,10 @@ pub(crate) mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.safetensors");
         let mut material = example();
+        assert!(matches!(material.save_half(&path), Err(Error::Setting { setting: "--precision", .. })));
+        (material.header.degree, material.color_coefficients) = (None, Vec::new());
         material.weights = vec![3e20, 1e17];
-        material.color_coefficients.iter_mut().for_each(|b| *b *= 1e-25);
+        material.offset_factors.iter_mut().for_each(|h| *h *= 1e-25);
         material.save_half(&path).unwrap();
         let loaded = Material::load(&path).unwrap();
         for (a, b) in material.stored().iter().zip(loaded.stored()) {

@@ -224,11 +224,6 @@ impl Material {
         4 * (self.stored().iter().map(|t| t.len()).sum::<usize>() + shifts + range) as u64
     }
 
-    /// Bytes of the same numbers in half precision, where colour coefficients stay as they are.
-    pub fn bytes_f16(&self) -> u64 {
-        (self.bytes_f32() + 4 * self.color_coefficients.len() as u64) / 2
-    }
-
     /// Tensors as they are stored, in the order of [`MaterialHeader::shapes`].
     pub(crate) fn stored(&self) -> [&[f32]; 7] {
         let (own, maps, core): (&[f32], &[f32], &[f32]) = match &self.shared {

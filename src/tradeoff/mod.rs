@@ -59,7 +59,7 @@ pub struct Point {
     /// Peak of the process's memory during it, bytes; `None` where the system does not tell. Allocators keep some of what earlier
     /// factorizations used.
     pub peak_bytes: Option<u64>,
-    /// `bytes_f32`, the same numbers in half precision for f16, the whole file when coded.
+    /// `bytes_f32`, half of it for f16, the whole file when coded.
     pub bytes: u64,
     /// The whole file.
     pub bytes_file: u64,
@@ -223,9 +223,11 @@ impl Run<'_> {
         if !self.setting.stored {
             return Ok(all);
         }
-        let f16_path = path("f16.safetensors".into());
-        material.save_half(&f16_path)?;
-        all.push(Stored { path: f16_path, precision: Precision::F16, secs: 0.0 });
+        if material.header.degree.is_none() {
+            let path = path("f16.safetensors".into());
+            material.save_half(&path)?;
+            all.push(Stored { path, precision: Precision::F16, secs: 0.0 });
+        }
         let errors = if self.options.quick { &CODED_ERRORS[1..4] } else { &CODED_ERRORS[..] };
         for (k, &error) in errors.iter().enumerate() {
             let start = Instant::now();
@@ -256,7 +258,7 @@ impl Run<'_> {
             peak_bytes,
             bytes: match stored.precision {
                 Precision::F32 => measures.bytes_f32,
-                Precision::F16 => material.bytes_f16(),
+                Precision::F16 => measures.bytes_f32 / 2,
                 Precision::Coded => measures.bytes_file,
             },
             bytes_file: measures.bytes_file,
