@@ -3,7 +3,7 @@
 use super::color::{DegreeChoice, PolynomialBasis};
 use super::noise::F32_ROUNDING;
 use super::regression::{self, channels, errors_by_degree, with_bases};
-use super::survey::Survey;
+use super::survey::{GreyTest, Survey};
 use super::{Factored, Misfit, Options};
 use crate::material::Material;
 use crate::transport::rows::{RowView, gradient};
@@ -104,30 +104,12 @@ fn spread(reader: &MatrixReader, count: usize) -> Vec<Range<usize>> {
 
 /// Whether the channels of some rows differ by no more than noise.
 pub(super) fn looks_grey(reader: &MatrixReader) -> Result<bool> {
-    let (mut sum, mut count) = (0.0, 0_u64);
+    let mut test = GreyTest::default();
     for range in spread(reader, GREY_ROWS) {
         let block = reader.read(range)?;
-        for k in 0..block.rows {
-            let row = block.view(k);
-            let largest = row.response.iter().fold(0.0_f32, |a, v| a.max(v.abs()));
-            for ((r, v), m) in
-                row.response.chunks_exact(3).zip(row.variance.chunks_exact(3)).zip(row.valid.chunks_exact(3))
-            {
-                for c in [0, 2] {
-                    if m[1] == 0 || m[c] == 0 {
-                        continue;
-                    }
-                    let (difference, variance) = (f64::from(r[c]) - f64::from(r[1]), f64::from(v[c]) + f64::from(v[1]));
-                    if variance > 0.0 {
-                        (sum, count) = (sum + difference * difference / variance, count + 1);
-                    } else if difference.abs() > 1e-6 * f64::from(largest) {
-                        return Ok(false);
-                    }
-                }
-            }
-        }
+        (0..block.rows).for_each(|k| test.add(block.view(k)));
     }
-    Ok(count == 0 || sum / count as f64 <= 1.0 + 5.0 * (2.0 / count as f64).sqrt())
+    Ok(test.is_grey())
 }
 
 /// The degree that the noise supports, from rows spread over the matrix, and why.

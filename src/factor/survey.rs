@@ -6,6 +6,7 @@ use super::rows::{Content, RawRows};
 use super::vector;
 use crate::progress::Progress;
 use crate::transport::normalize::{Layout, Placement, layout, place};
+use crate::transport::rows::RowView;
 use crate::transport::{MatrixReader, RowBlock};
 use crate::{Result, Warning};
 use rayon::prelude::*;
@@ -68,11 +69,54 @@ struct Sums {
     entries: u64,
     energy: f64,
     peak: f64,
+    grey: GreyTest,
+}
+
+/// Whether channels differ by more than noise.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct GreyTest {
     /// Σ of squared differences of channels over what noise alone would give, and how many.
-    difference: f64,
-    differences: u64,
+    sum: f64,
+    count: u64,
     /// Whether somewhere channels differ where nothing but rounding may.
     colored: bool,
+}
+
+impl GreyTest {
+    /// Adds what tells colour from grey in a row: differences of green from red and from blue.
+    pub fn add(&mut self, row: RowView<'_>) {
+        if self.colored {
+            return;
+        }
+        let largest = row.response.iter().fold(0.0_f32, |a, v| a.max(v.abs()));
+        let entries = row.response.chunks_exact(3).zip(row.variance.chunks_exact(3)).zip(row.valid.chunks_exact(3));
+        for ((r, v), m) in entries {
+            for c in [0, 2] {
+                if m[1] == 0 || m[c] == 0 {
+                    continue;
+                }
+                let (difference, variance) = (f64::from(r[c]) - f64::from(r[1]), f64::from(v[c]) + f64::from(v[1]));
+                if variance > 0.0 {
+                    self.sum += difference * difference / variance;
+                    self.count += 1;
+                } else if difference.abs() > 1e-6 * f64::from(largest) {
+                    self.colored = true;
+                }
+            }
+        }
+    }
+
+    fn join(&mut self, other: &Self) {
+        self.sum += other.sum;
+        self.count += other.count;
+        self.colored |= other.colored;
+    }
+
+    /// Noise alone gives 1 with a standard deviation of √(2/n); rows share little else than their noise.
+    pub fn is_grey(&self) -> bool {
+        let spread = 5.0 * (2.0 / self.count.max(1) as f64).sqrt();
+        !self.colored && (self.count == 0 || self.sum / self.count as f64 <= 1.0 + spread)
+    }
 }
 
 /// Reads the matrix once; what is factored goes to `keep`, if that is wanted.
@@ -138,9 +182,7 @@ pub(super) fn survey(
     mean.iter_mut().for_each(|m| *m /= unit);
     noise.divide(unit);
     let warnings = findings(&placements, limit);
-    // Noise alone gives 1 with a standard deviation of √(2/n); rows share little else than their noise.
-    let spread = 5.0 * (2.0 / sums.differences.max(1) as f64).sqrt();
-    let grey = !sums.colored && (sums.differences == 0 || sums.difference / sums.differences as f64 <= 1.0 + spread);
+    let grey = sums.grey.is_grey();
     let (peak, entries, energy) = (sums.peak, sums.entries, sums.energy);
     Ok(Survey { placements, layout, mean, noise, complete, peak, entries, energy, grey, warnings })
 }
@@ -170,9 +212,7 @@ impl Sums {
             entries: 0,
             energy: 0.0,
             peak: 0.0,
-            difference: 0.0,
-            differences: 0,
-            colored: false,
+            grey: GreyTest::default(),
         }
     }
 
@@ -193,7 +233,7 @@ impl Sums {
         let (energy, peak) = vector::energy_and_peak(row.response);
         (self.energy, self.peak) = (self.energy + energy, self.peak.max(peak));
         if content == Content::Grey {
-            self.compare_channels(row);
+            self.grey.add(row);
         }
         let planes = content.planes();
         let (window, samples) = (self.layout.window[0] * self.layout.window[1], self.layout.len());
@@ -225,29 +265,6 @@ impl Sums {
         }
     }
 
-    /// Adds what tells colour from grey: differences of green from red and from blue.
-    fn compare_channels(&mut self, row: crate::transport::rows::RowView<'_>) {
-        if self.colored {
-            return;
-        }
-        let largest = row.response.iter().fold(0.0_f32, |a, v| a.max(v.abs()));
-        let entries = row.response.chunks_exact(3).zip(row.variance.chunks_exact(3)).zip(row.valid.chunks_exact(3));
-        for ((r, v), m) in entries {
-            for c in [0, 2] {
-                if m[1] == 0 || m[c] == 0 {
-                    continue;
-                }
-                let (difference, variance) = (f64::from(r[c]) - f64::from(r[1]), f64::from(v[c]) + f64::from(v[1]));
-                if variance > 0.0 {
-                    self.difference += difference * difference / variance;
-                    self.differences += 1;
-                } else if difference.abs() > 1e-6 * f64::from(largest) {
-                    self.colored = true;
-                }
-            }
-        }
-    }
-
     fn join(&mut self, other: &Self) {
         self.value.iter_mut().zip(&other.value).for_each(|(a, b)| *a += b);
         self.noise.iter_mut().zip(&other.noise).for_each(|(a, b)| *a += b);
@@ -256,9 +273,7 @@ impl Sums {
         self.entries += other.entries;
         self.energy += other.energy;
         self.peak = self.peak.max(other.peak);
-        self.difference += other.difference;
-        self.differences += other.differences;
-        self.colored |= other.colored;
+        self.grey.join(&other.grey);
     }
 
     /// The mean on the smaller window, its unmeasured rim extended, and whether all rows measured all of it.

@@ -193,7 +193,7 @@ pub fn singular_values(material: &MaterialSummary, files: &mut Files) -> String 
     };
     chart.dots(values(true), 3.6, "kept");
     chart.dots(values(false), 3.0, "dropped");
-    let svg = chart.finish("Singular values of the normalized matrix and the noise level");
+    let svg = chart.finish("Singular values of the factored rows and the noise level");
     keep(files, "singular-values.svg", &svg);
     svg
 }

@@ -54,7 +54,7 @@ pub struct MaterialSummary {
     pub degree: Option<usize>,
     /// Size of the file.
     pub bytes_file: u64,
-    /// Singular values of the normalized matrix, largest first.
+    /// Singular values of the rows as they were factored, largest first.
     pub singular_values: Vec<f64>,
     /// The largest singular value that the measured noise alone would give.
     pub noise_level: Option<f64>,
