@@ -39,7 +39,14 @@ pub(super) struct PreparedBasis<'a> {
     basis: &'a Basis,
     /// Products of the profiles, \[k, k\].
     gram: Vec<f64>,
-    patterns: Vec<(&'a [u32], Cholesky)>,
+    patterns: Vec<Gap<'a>>,
+}
+
+/// Missing columns, the system of rows that miss them, and the profiles there, \[k, columns missing\].
+struct Gap<'a> {
+    columns: &'a [u32],
+    cholesky: Cholesky,
+    profiles: Vec<f64>,
 }
 
 impl Basis {
@@ -72,13 +79,18 @@ impl Basis {
             }
         }
         let mut prepared = PreparedBasis { basis: self, gram, patterns: Vec::new() };
-        let solved = patterns.par_iter().map(|(_, columns)| (columns.as_slice(), prepared.solved(columns)));
-        prepared.patterns = solved.collect();
+        prepared.patterns = patterns.par_iter().map(|(_, columns)| prepared.gap(columns)).collect();
         prepared
     }
 }
 
 impl PreparedBasis<'_> {
+    fn gap<'c>(&self, columns: &'c [u32]) -> Gap<'c> {
+        let at = |j: usize| columns.iter().map(move |&d| self.basis.profile(j)[d as usize]);
+        let profiles = (0..self.basis.ridge.len()).flat_map(at).collect();
+        Gap { columns, cholesky: self.solved(columns), profiles }
+    }
+
     /// The system of a row that misses `columns`, factored.
     fn solved(&self, columns: &[u32]) -> Cholesky {
         let k = self.basis.ridge.len();
@@ -115,16 +127,16 @@ impl PreparedBasis<'_> {
                     return;
                 }
                 let own;
-                let cholesky = match missing {
-                    Missing::Pattern(k) => self.patterns.get(*k).map(|(_, cholesky)| cholesky),
+                let gap = match missing {
+                    Missing::Pattern(k) => self.patterns.get(*k),
                     _ => {
-                        own = self.solved(gaps);
+                        own = self.gap(gaps);
                         Some(&own)
                     }
                 };
                 let mut amounts = products.to_vec();
-                if cholesky.is_some_and(|c| c.solve(&mut amounts)) {
-                    self.compose(row, gaps, &amounts);
+                if let Some(gap) = gap.filter(|gap| gap.cholesky.solve(&mut amounts)) {
+                    gap.compose(row, &amounts);
                 }
             },
         );
@@ -133,7 +145,7 @@ impl PreparedBasis<'_> {
     fn gaps<'m>(&'m self, missing: &'m Missing) -> &'m [u32] {
         match missing {
             Missing::Nothing => &[],
-            Missing::Pattern(k) => self.patterns.get(*k).map_or(&[], |(columns, _)| columns),
+            Missing::Pattern(k) => self.patterns.get(*k).map_or(&[], |gap| gap.columns),
             Missing::Columns(columns) => columns,
         }
     }
@@ -157,15 +169,16 @@ impl PreparedBasis<'_> {
         );
         out.into_iter().map(f64::from).collect()
     }
+}
 
+impl Gap<'_> {
     /// Writes the missing samples of a row as a sum of profiles.
-    fn compose(&self, row: &mut [f32], gaps: &[u32], amounts: &[f64]) {
-        let mut filled = vec![0.0; gaps.len()];
-        for (j, &amount) in amounts.iter().enumerate() {
-            let profile = self.basis.profile(j);
-            filled.iter_mut().zip(gaps).for_each(|(v, &d)| *v += amount * profile[d as usize]);
+    fn compose(&self, row: &mut [f32], amounts: &[f64]) {
+        let mut filled = vec![0.0; self.columns.len()];
+        for (amount, profile) in amounts.iter().zip(self.profiles.chunks_exact(self.columns.len().max(1))) {
+            filled.iter_mut().zip(profile).for_each(|(v, p)| *v += amount * p);
         }
-        filled.iter().zip(gaps).for_each(|(&v, &d)| row[d as usize] = v as f32);
+        filled.iter().zip(self.columns).for_each(|(&v, &d)| row[d as usize] = v as f32);
     }
 }
 
