@@ -1,7 +1,7 @@
 use super::Context;
 use crate::check::{CheckOptions, Severity, check, table};
 use crate::{Error, Result};
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::path::PathBuf;
 
 /// Tell in seconds whether a capture would build, and what is odd about it.
@@ -29,16 +29,12 @@ pub struct Args {
 pub fn run(args: Args, context: &Context) -> Result<()> {
     let start = std::time::Instant::now();
     let report = check(&args.capture, &args.options, &context.progress)?;
-    let mut out = std::io::stdout();
+    let out = std::io::stdout();
     let text = match args.json {
         true => serde_json::to_string_pretty(&report.json()?).map_err(Error::internal)?,
         false => table(&report, out.is_terminal() && std::env::var_os("NO_COLOR").is_none()),
     };
-    match writeln!(out, "{text}") {
-        // `| head` has read all that it wants.
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => return Err(Error::io("write", "standard output")(e)),
-        _ => {}
-    }
+    super::print(&text)?;
     let warnings = report.findings.iter().filter(|f| f.severity() == Severity::Warning).count();
     let figures = &report.figures;
     let sample = format!("{} of {} lattice shots", figures.lattice_shots_looked_at, figures.lattice_shots);

@@ -3,7 +3,6 @@ use crate::evaluate::{Measures, evaluate};
 use crate::material::Source;
 use crate::transport::MatrixReader;
 use crate::{Error, Result};
-use std::io::Write;
 use std::path::PathBuf;
 
 /// Compare a material or a matrix with a reference matrix.
@@ -30,11 +29,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let measures = evaluate(&candidate, &reference, &context.progress)?;
     let text =
         if args.json { serde_json::to_string_pretty(&measures).map_err(Error::internal)? } else { table(&measures) };
-    match writeln!(std::io::stdout(), "{text}") {
-        // `| head` has read all that it wants.
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => return Err(Error::io("write", "standard output")(e)),
-        _ => {}
-    }
+    super::print(&text)?;
     context.done(format_args!("{} entries compared", measures.entries));
     Ok(())
 }

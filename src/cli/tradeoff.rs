@@ -3,7 +3,6 @@ use crate::output::NewFolder;
 use crate::tradeoff::{self, Options, Tradeoff, tradeoff};
 use crate::transport::MatrixReader;
 use crate::{Error, Result};
-use std::io::Write;
 use std::path::PathBuf;
 
 /// Measure what time, memory, bytes and accuracy cost each other on a matrix.
@@ -56,11 +55,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     }
     folder.finish()?;
     let text = if args.json { json } else { front(&found) };
-    match writeln!(std::io::stdout(), "{text}") {
-        // `| head` has read all that it wants.
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => return Err(Error::io("write", "standard output")(e)),
-        _ => {}
-    }
+    super::print(&text)?;
     if let Some([median, largest]) = found.regression_conditions.get(7) {
         context.done(format_args!(
             "condition of the colour fits at degree 7: {median:.1e} at the median, {largest:.1e} at most"

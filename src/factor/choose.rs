@@ -2,14 +2,13 @@
 
 use super::color::{DegreeChoice, PolynomialBasis};
 use super::noise::F32_ROUNDING;
-use super::regression::{self, channels, errors_by_degree, with_bases};
+use super::regression::{self, Channel, with_bases};
 use super::survey::{GreyTest, Survey};
-use super::{Factored, Misfit, Options};
-use crate::material::Material;
+use super::{Factored, Options};
+use crate::material::{Material, MaterialHeader};
 use crate::transport::rows::{RowView, gradient};
 use crate::transport::{MatrixReader, RowBlock};
 use crate::{Result, Warning};
-use rayon::prelude::*;
 use std::ops::Range;
 
 /// Rows looked at to choose the degree; its mean z² is then known to 1 in 50.
@@ -31,9 +30,8 @@ pub fn regression_conditions(reader: &MatrixReader, material: &Material, most: u
     let mut found: Vec<Vec<f64>> = vec![Vec::new(); most + 1];
     for range in spread(reader, GREY_ROWS) {
         let block = reader.read_responses(range)?;
-        let rows = regression::rows(material, &block, |channels| {
-            let of = |degree| PolynomialBasis::new(&channels[0].arguments, degree).condition();
-            (0..=most).map(of).collect::<Vec<f64>>()
+        let rows = regression::rows(material, &block, |_, channels| {
+            PolynomialBasis::new(&channels[0].arguments, most).conditions(most)
         });
         rows.into_iter().for_each(|row| row.into_iter().zip(&mut found).for_each(|(c, all)| all.push(c)));
     }
@@ -119,15 +117,8 @@ pub(super) fn degree_by_noise(reader: &MatrixReader, material: &Material, most: 
     material.header.intensity_range = [-1e-3, 1.0];
     for range in spread(reader, DEGREE_ROWS) {
         let block = reader.read(range)?;
-        let samples = material.header.layout().len();
-        let intensity = material.plane_block(0, block.first..block.first + block.rows);
-        let found: Vec<Vec<Vec<Option<f64>>>> = (0..block.rows)
-            .into_par_iter()
-            .map(|k| {
-                let row = &intensity[k * samples..(k + 1) * samples];
-                row_significance(reader, &material, &block, k, row, most)
-            })
-            .collect();
+        let found =
+            regression::rows(&material, &block, |k, channels| row_significance(reader, channels, &block, k, most));
         found.iter().flatten().for_each(|z2| choice.add(z2));
     }
     let (degree, mean) = (choice.degree(), choice.mean());
@@ -144,10 +135,9 @@ pub(super) fn degree_by_noise(reader: &MatrixReader, material: &Material, most: 
 /// z² of every degree for each channel of one row.
 fn row_significance(
     reader: &MatrixReader,
-    material: &Material,
+    channels: &[Channel; 3],
     block: &RowBlock,
     k: usize,
-    intensity: &[f64],
     degree: usize,
 ) -> Vec<Vec<Option<f64>>> {
     let header = reader.header();
@@ -155,7 +145,7 @@ fn row_significance(
     let sd_px = header.position_sd_mm[block.first + k] / header.pitch_mm;
     let sd_px = if sd_px.is_finite() { sd_px } else { 0.0 };
     let mut out = Vec::new();
-    with_bases(&channels(material, block.first + k, intensity, row), degree, |c, at, values, basis| {
+    with_bases(channels, degree, |c, at, values, basis| {
         let all: Vec<f64> = row.response.iter().skip(c).step_by(3).map(|&v| f64::from(v)).collect();
         let valid: Vec<bool> = row.valid.iter().skip(c).step_by(3).map(|&v| v != 0).collect();
         let slopes = gradient(&all, &valid, header.window);
@@ -212,28 +202,12 @@ pub(super) fn terms_and_degree(
     let share = if energy > 0.0 { survey.energy / energy } else { 0.0 };
     let header = &material.header;
     let bytes = |terms: usize, degree: usize| {
-        let shape = Material {
-            header: crate::material::MaterialHeader { terms, degree: Some(degree), ..header.clone() },
-            weights: vec![0.0; terms],
-            incident_factors: vec![0.0; header.rows() * terms],
-            offset_factors: vec![0.0; header.layout().len() * terms],
-            color_coefficients: vec![0.0; header.rows() * 3 * (degree + 1)],
-            ..material.clone()
-        };
-        shape.bytes_f32()
+        MaterialHeader { terms, degree: Some(degree), ..header.clone() }.bytes_f32(material.is_shifted())
     };
     // Bytes are linear in both: three corners give them all.
     let (base, more_terms, more_degree) = (bytes(1, 0), bytes(2, 0), bytes(1, 1));
     let bytes = |t: usize, p: usize| base + (t - 1) as u64 * (more_terms - base) + p as u64 * (more_degree - base);
-    let psnr = |t: usize, p: usize| {
-        let misfit = Misfit {
-            error: table[t - 1][p] * share,
-            energy: survey.energy,
-            peak: survey.peak,
-            entries: survey.entries,
-        };
-        misfit.psnr_db().unwrap_or(f64::INFINITY)
-    };
+    let psnr = |t: usize, p: usize| survey.misfit(table[t - 1][p] * share).psnr_db().unwrap_or(f64::INFINITY);
     let all = || (1..=most).flat_map(|t| degrees.clone().map(move |p| (t, p)));
     let best = |a: &(usize, usize), b: &(usize, usize)| psnr(a.0, a.1).total_cmp(&psnr(b.0, b.1));
     let smallest = |a: &(usize, usize)| bytes(a.0, a.1);
@@ -276,10 +250,10 @@ fn sampled_errors(reader: &MatrixReader, material: &Material, degree: usize) -> 
         // Fewer terms are the first of them: the others weigh nothing.
         fewer.weights = material.weights.iter().enumerate().map(|(j, &g)| if j < t { g } else { 0.0 }).collect();
         for block in &blocks {
-            let rows = regression::rows(&fewer, block, |channels| {
+            let rows = regression::rows(&fewer, block, |_, channels| {
                 let mut errors = vec![0.0; degree + 1];
-                with_bases(channels, degree, |_, _, values, basis: &PolynomialBasis| {
-                    let of = errors_by_degree(basis, values, degree);
+                with_bases(channels, degree, |_, _, values, basis| {
+                    let of = basis.errors_by_degree(values, degree);
                     errors.iter_mut().zip(of).for_each(|(sum, e)| *sum += e);
                 });
                 errors

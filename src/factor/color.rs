@@ -13,6 +13,7 @@
 use super::fill::Cholesky;
 use super::noise::F32_ROUNDING;
 use super::vector::{axpy_in, dot, dot_in};
+use crate::material::legendre::MOST_DEGREE;
 use pulp::{Arch, NullaryFnOnce};
 
 /// A polynomial counts as new when what the earlier ones leave of it exceeds this share of its length; below, its
@@ -21,10 +22,7 @@ const INDEPENDENT: f64 = 1e-8;
 /// Samples that are worked on at a time: those of all columns stay in the nearest cache.
 const TILE: usize = 256;
 /// P + 1 at the most.
-const MOST: usize = 16;
-
-/// The highest degree of a colour polynomial.
-pub const MOST_DEGREE: usize = MOST - 1;
+const MOST: usize = MOST_DEGREE + 1;
 
 /// An orthonormal basis of the polynomials at the arguments of one row.
 #[derive(Debug, Clone)]
@@ -70,10 +68,23 @@ impl PolynomialBasis {
     /// The polynomial up to `degree` for `values` that is best once its coefficients are rounded to f32: least
     /// squares of the misfit and of the expected rounding together.
     pub fn fit(&self, values: &[f64], degree: usize) -> Fit {
-        let along = self.project(values);
-        let energy = dot(values, values);
+        self.fit_projected(&self.project(values), dot(values, values), degree)
+    }
+
+    /// Σ of squared errors of [`Self::fit`] at every degree up to `most`: `values` are projected once for all.
+    pub fn errors_by_degree(&self, values: &[f64], most: usize) -> Vec<f64> {
+        let (along, energy) = (self.project(values), dot(values, values));
+        (0..=most).map(|degree| self.fit_projected(&along, energy, degree).error).collect()
+    }
+
+    /// What rounding a Legendre coefficient to f32 is expected to add, over its square.
+    fn ridge(&self) -> f64 {
+        self.samples as f64 * F32_ROUNDING * F32_ROUNDING / 3.0
+    }
+
+    fn fit_projected(&self, along: &[f64], energy: f64, degree: usize) -> Fit {
         let n = along.len().min(degree + 1);
-        let ridge = values.len() as f64 * F32_ROUNDING * F32_ROUNDING / 3.0;
+        let ridge = self.ridge();
         // (I + λ T Tᵀ) s = Qᵀ y, T the Legendre coefficients of the orthonormal polynomials.
         let mut normal = vec![0.0; n * n];
         for a in 0..n {
@@ -111,10 +122,17 @@ impl PolynomialBasis {
     }
 
     /// Ratio of the largest to the smallest pivot of the Legendre columns' triangular factor: their condition number or less.
-    pub fn condition(&self) -> f64 {
-        let pivots = (0..self.len()).map(|p| (1.0 / self.legendre[p][p]).abs());
-        let (low, high) = pivots.fold((f64::INFINITY, 0.0_f64), |(low, high), v| (low.min(v), high.max(v)));
-        if low > 0.0 && low.is_finite() { high / low } else { 1.0 }
+    /// Of the columns up to each degree up to `most`; degrees that the row cannot support repeat the last one that it can.
+    pub fn conditions(&self, most: usize) -> Vec<f64> {
+        let (mut low, mut high) = (f64::INFINITY, 0.0_f64);
+        let up_to = |p: usize| {
+            if let Some(legendre) = self.legendre.get(p) {
+                let pivot = (1.0 / legendre[p]).abs();
+                (low, high) = (low.min(pivot), high.max(pivot));
+            }
+            if low > 0.0 && low.is_finite() { high / low } else { 1.0 }
+        };
+        (0..=most).map(up_to).collect()
     }
 
     /// z² of every degree: (q_p · y)² over what noise alone would give, Σ q_p² v + Σ_a (q_p · e_a)², where `variance`
@@ -127,7 +145,7 @@ impl PolynomialBasis {
             (expected > 0.0).then(|| dot(q, values).powi(2) / expected)
         };
         // Beyond these the ridge keeps less than half of a share: the row cannot make use of the degree.
-        let ridge = values.len() as f64 * F32_ROUNDING * F32_ROUNDING / 3.0;
+        let ridge = self.ridge();
         let usable = |l: &&[f64; MOST]| ridge * l.iter().map(|c| c * c).sum::<f64>() < 1.0;
         let count = self.legendre.iter().take_while(usable).count();
         (0..count).map(|p| z2(self.column(p))).collect()

@@ -18,8 +18,8 @@ mod vector;
 
 pub use backend::Backend;
 pub use choose::{Goal, regression_conditions};
-pub use color::MOST_DEGREE;
 
+use crate::material::legendre::MOST_DEGREE;
 use crate::material::{Material, Model};
 use crate::progress::Progress;
 use crate::transport::MatrixReader;
@@ -163,9 +163,7 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &Options, progress: &
             (None, None) => choose::degree_by_noise(reader, &fit.material, options.max_degree)?,
         };
         why_degree = format!("; degree {}: {}", degree.0, degree.1);
-        let survey = &rows.survey;
-        let error = regression::color(reader, &mut fit.material, degree.0, progress)?;
-        fit.misfit = Misfit { error, energy: survey.energy, peak: survey.peak, entries: survey.entries };
+        fit.misfit = rows.survey.misfit(regression::color(reader, &mut fit.material, degree.0, progress)?);
     }
     let terms = fit.material.header.terms;
     let grey =

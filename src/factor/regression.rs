@@ -19,7 +19,7 @@ pub(super) struct Channel {
 }
 
 /// The channels of a row whose reconstructed intensity on the common window is `intensity`.
-pub(super) fn channels(material: &Material, index: usize, intensity: &[f64], row: RowView<'_>) -> [Channel; 3] {
+fn channels(material: &Material, index: usize, intensity: &[f64], row: RowView<'_>) -> [Channel; 3] {
     let [low, high] = material.header.intensity_range.map(f64::from);
     let shift = material.shift.get(index).copied().unwrap_or_default();
     let layout = material.header.layout();
@@ -84,7 +84,7 @@ pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usiz
     let mut coefficients = Vec::with_capacity(reader.header().rows() * 3 * (degree + 1));
     for range in reader.blocks() {
         let block = reader.read_responses(range.clone())?;
-        let fits = rows(material, &block, |channels| {
+        let fits = rows(material, &block, |_, channels| {
             let mut fits = Vec::with_capacity(3);
             with_bases(channels, degree, |_, _, values, basis| fits.push(basis.fit(values, degree)));
             fits
@@ -99,15 +99,19 @@ pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usiz
     Ok(error)
 }
 
-/// What `each` makes of the channels of every row of a block.
-pub(super) fn rows<T: Send>(material: &Material, block: &RowBlock, each: impl Fn(&[Channel; 3]) -> T + Sync) -> Vec<T> {
+/// What `each(k, channels)` makes of every row of a block.
+pub(super) fn rows<T: Send>(
+    material: &Material,
+    block: &RowBlock,
+    each: impl Fn(usize, &[Channel; 3]) -> T + Sync,
+) -> Vec<T> {
     let samples = material.header.layout().len();
     let intensity = material.plane_block(0, block.first..block.first + block.rows);
     (0..block.rows)
         .into_par_iter()
         .map(|k| {
             let row = &intensity[k * samples..(k + 1) * samples];
-            each(&channels(material, block.first + k, row, block.view(k)))
+            each(k, &channels(material, block.first + k, row, block.view(k)))
         })
         .collect()
 }
@@ -139,9 +143,4 @@ fn intensity_range(material: &Material) -> [f32; 2] {
     }
     // Rounded outwards: arguments are clamped to the range, and none that was fitted may be.
     if low < high { [(low as f32).next_down(), (high as f32).next_up()] } else { [0.0, 1.0] }
-}
-
-/// Σ of squared errors of the fit to one channel at every degree.
-pub(super) fn errors_by_degree(basis: &PolynomialBasis, values: &[f64], most: usize) -> Vec<f64> {
-    (0..=most).map(|degree| basis.fit(values, degree).error).collect()
 }

@@ -28,6 +28,16 @@ impl Content {
         if self == Self::Channels { 3 } else { 1 }
     }
 
+    /// Channels that a plane stands for in the sums over a matrix's entries.
+    pub fn channels_per_plane(self) -> f64 {
+        if self == Self::Grey { 3.0 } else { 1.0 }
+    }
+
+    /// What rows of a matrix with this largest response are factored in units of; 1 for normalized ones.
+    pub(super) fn unit(self, peak: f64) -> f64 {
+        if self == Self::Intensity || !(peak > 0.0) { 1.0 } else { peak }
+    }
+
     /// Planes `[plane][dy][dx]` of a row over `scale`, 0 where not measured; where they were measured, `None` when everywhere.
     pub(super) fn extract(self, row: RowView<'_>, scale: f64, out: &mut [f32]) -> Option<Box<[bool]>> {
         let samples = row.valid.len() / 3;
@@ -203,7 +213,7 @@ impl<'a> PreparedRows<'a> {
 
     /// What the factored rows are to be multiplied by; 1 for normalized ones.
     pub fn unit(&self) -> f64 {
-        if self.content == Content::Intensity || !(self.survey.peak > 0.0) { 1.0 } else { self.survey.peak }
+        self.content.unit(self.survey.peak)
     }
 
     fn scale(&self, index: usize) -> f64 {

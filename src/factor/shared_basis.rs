@@ -3,10 +3,10 @@
 //! h_{k,j} = Σ_l c_{k,j,l} b_l: channels scatter alike, so 3 T maps are well described by K < 3 T. Because the f_j are orthonormal, what
 //! the truncation changes in R is Σ of the discarded squared singular values of the g_j h_{k,j}, exactly.
 
-use super::backend::Triplets;
+use super::backend::{Triplets, eigenpairs};
+use crate::Result;
 use crate::material::SharedBasis;
-use crate::{Error, Result};
-use faer::{Mat, Side};
+use faer::Mat;
 
 /// Of what the terms leave, this share may be added by sharing maps when nothing else is asked: .04 dB.
 const UNNOTICED: f64 = 0.01;
@@ -34,13 +34,7 @@ impl<'a> Sharing<'a> {
     /// Squared singular values of the maps of the first `terms` terms, descending, and their left vectors.
     fn spectrum(&self, terms: usize) -> Result<(Vec<f64>, Mat<f64>)> {
         let n = self.planes * terms;
-        let eigen = self
-            .gram
-            .submatrix(0, 0, n, n)
-            .self_adjoint_eigen(Side::Lower)
-            .map_err(|e| Error::internal(format!("the eigendecomposition did not converge: {e:?}")))?;
-        let values = (0..n).map(|l| eigen.S().column_vector()[n - 1 - l].max(0.0)).collect();
-        Ok((values, Mat::from_fn(n, n, |m, l| eigen.U()[(m, n - 1 - l)])))
+        eigenpairs(self.gram.submatrix(0, 0, n, n), n)
     }
 
     /// Σ of what is left out, over the number of maps kept: entry K for K maps of `terms` terms.
@@ -59,23 +53,15 @@ impl<'a> Sharing<'a> {
         Ok(left.iter().position(|&l| l <= UNNOTICED * error).unwrap_or(self.planes * terms).max(1))
     }
 
-    /// Numbers stored for `terms` terms with K shared maps, or without sharing.
-    pub fn numbers(&self, rows: usize, terms: usize, maps: Option<usize>) -> u64 {
-        let offsets = match maps {
-            Some(k) => k * self.samples + self.planes * terms * k,
-            None => self.planes * terms * self.samples,
-        };
-        (terms * (1 + rows) + offsets) as u64
-    }
-
     /// The maps and the cores; `None` where sharing would take more numbers than it saves.
     pub fn basis(&self, terms: usize, maps: usize) -> Result<Option<SharedBasis>> {
-        let maps = maps.min(self.planes * terms);
-        if self.planes == 1 || self.numbers(0, terms, Some(maps)) >= self.numbers(0, terms, None) {
+        let n = self.planes * terms;
+        let maps = maps.min(n);
+        if self.planes == 1 || maps * (self.samples + n) >= n * self.samples {
             return Ok(None);
         }
         let (values, left) = self.spectrum(terms)?;
-        let (n, mut vectors) = (self.planes * terms, vec![0.0_f64; maps * self.samples]);
+        let mut vectors = vec![0.0_f64; maps * self.samples];
         let mut core = vec![0.0_f32; n * maps];
         for l in 0..maps {
             let s = values[l].sqrt();

@@ -3,7 +3,7 @@
 use super::fill::extend_edges;
 use super::noise::{Noise, row_noise};
 use super::rows::{Content, RawRows};
-use super::vector;
+use super::{Misfit, vector};
 use crate::progress::Progress;
 use crate::transport::normalize::{Layout, Placement, layout, place};
 use crate::transport::rows::RowView;
@@ -40,6 +40,11 @@ pub struct Survey {
 }
 
 impl Survey {
+    /// What a fit leaves, with what it is measured by.
+    pub(super) fn misfit(&self, error: f64) -> Misfit {
+        Misfit { error, energy: self.energy, peak: self.peak, entries: self.entries }
+    }
+
     /// Columns that a row with this shift cannot have measured, ascending.
     pub(super) fn outside(&self, shift: [i16; 2], planes: usize) -> Vec<u32> {
         let samples = self.layout.len();
@@ -50,7 +55,7 @@ impl Survey {
     }
 }
 
-/// What divides a row before it is factored; 0 for one that has nothing.
+/// What divides a row before it is factored; infinite for one that has nothing.
 pub(super) fn scale(content: Content, placement: Option<&Placement>) -> f64 {
     match content {
         // An infinite scale makes the row zero.
@@ -178,7 +183,7 @@ pub(super) fn survey(
     noise.mean = sums.noise.iter().sum::<f64>() / counted.max(1) as f64;
     let layout = layout(window, &placements);
     let (mut mean, complete) = sums.mean(&layout, content.planes());
-    let unit = if content == Content::Intensity || !(sums.peak > 0.0) { 1.0 } else { sums.peak };
+    let unit = content.unit(sums.peak);
     mean.iter_mut().for_each(|m| *m /= unit);
     noise.divide(unit);
     let warnings = findings(&placements, limit);

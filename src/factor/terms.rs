@@ -161,15 +161,13 @@ impl Asked<'_, '_> {
                 let short = chosen.terms >= most && chosen.short;
                 Ok(Plan { terms: chosen.terms, maps: None, degree: Some(chosen.degree), why: chosen.why, short })
             }
-            goal => self.plan_for(goal, all, most),
+            goal => self.plan_for(reader, goal, all, most),
         }
     }
 
     /// Σ of squares of the rows as they are factored, in their unit, as far as they were measured.
     fn energy(&self) -> f64 {
-        // Grey rows are factored once for three channels.
-        let channels = if self.rows.content == Content::Grey { 3.0 } else { 1.0 };
-        self.rows.survey.energy / channels / self.rows.unit().powi(2)
+        self.rows.survey.energy / self.rows.content.channels_per_plane() / self.rows.unit().powi(2)
     }
 
     /// What the first `terms` leave of it.
@@ -178,34 +176,31 @@ impl Asked<'_, '_> {
     }
 
     /// Terms, and the maps that channels share, for a goal: every number of terms with the best number of maps.
-    fn plan_for(&self, goal: Goal, all: &Triplets, most: usize) -> Result<Plan> {
+    fn plan_for(&self, reader: &MatrixReader, goal: Goal, all: &Triplets, most: usize) -> Result<Plan> {
         let (survey, planes) = (&self.rows.survey, self.rows.content.planes());
-        let channels = if self.rows.content == Content::Grey { 3.0 } else { 1.0 };
-        let scale = channels * self.rows.unit().powi(2);
-        let psnr = |left: f64| {
-            let error = scale * left;
-            let misfit = Misfit { error, energy: survey.energy, peak: survey.peak, entries: survey.entries };
-            misfit.psnr_db().unwrap_or(f64::INFINITY)
-        };
-        let n = self.rows.shape().0;
-        let shifts = if survey.placements.iter().any(|p| p.shift != [0, 0]) { 2 * n as u64 } else { 0 };
+        let scale = self.rows.content.channels_per_plane() * self.rows.unit().powi(2);
+        let psnr = |left: f64| survey.misfit(scale * left).psnr_db().unwrap_or(f64::INFINITY);
         let non_negative = self.model == Model::Peers2006;
+        let shifted = survey.placements.iter().any(|p| p.shift != [0, 0]);
+        let mut header = self.header(reader, all);
+        if non_negative {
+            (header.incident_planes, header.profile) = (planes, true);
+        }
+        let mut bytes = |terms, maps| {
+            (header.terms, header.shared_maps) = (terms, maps);
+            header.bytes_f32(shifted)
+        };
         // A non-negative product may have more terms than the rows have triplets.
         let sharing = Sharing::new(all, planes, most.min(all.weights.len()));
         let mut candidates = Vec::new();
         for terms in 1..=most {
-            let own = match non_negative {
-                true => (terms * planes * (n + self.rows.shape().1 / planes) + terms + self.rows.shape().1) as u64,
-                false => sharing.numbers(n, terms, None),
-            };
-            candidates.push((terms, None, 4 * (own + shifts), psnr(self.left(all, terms))));
+            candidates.push((terms, None, bytes(terms, None), psnr(self.left(all, terms))));
             if planes == 1 || non_negative {
                 continue;
             }
             let left_out = sharing.left_out(terms)?;
             for (maps, left) in left_out.iter().enumerate().skip(1) {
-                let bytes = 4 * (sharing.numbers(n, terms, Some(maps)) + shifts);
-                candidates.push((terms, Some(maps), bytes, psnr(self.left(all, terms) + left)));
+                candidates.push((terms, Some(maps), bytes(terms, Some(maps)), psnr(self.left(all, terms) + left)));
             }
         }
         let (found, why) = match goal {
@@ -230,12 +225,34 @@ impl Asked<'_, '_> {
         Ok(Plan { terms, maps: maps.or(Some(planes * terms)), degree: None, why, short })
     }
 
+    /// The header of a material of one term, without a colour polynomial.
+    fn header(&self, reader: &MatrixReader, all: &Triplets) -> MaterialHeader {
+        let (header, survey, unit) = (reader.header(), &self.rows.survey, self.rows.unit());
+        MaterialHeader {
+            model: self.model,
+            points: header.points,
+            window: header.window,
+            pitch_mm: header.pitch_mm,
+            lit_pitch_mm: header.lit_pitch_mm,
+            extended: survey.layout.extended,
+            terms: 1,
+            incident_planes: 1,
+            offset_planes: self.rows.content.planes(),
+            shared_maps: None,
+            profile: false,
+            degree: None,
+            intensity_range: [0.0, 1.0],
+            singular_values: all.weights.iter().map(|g| g * unit).collect(),
+            noise_level: survey.noise.threshold(&all.weights) * unit,
+            warnings: header.warnings.iter().chain(&survey.warnings).cloned().collect(),
+            provenance: serde_json::Value::Null,
+        }
+    }
+
     /// The first `terms` triplets as a material.
     fn material(&self, reader: &MatrixReader, all: &Triplets, terms: usize) -> Material {
-        let header = reader.header();
-        let survey = &self.rows.survey;
         let planes = self.rows.content.planes();
-        let (columns, rank, n) = (self.rows.shape().1, all.weights.len(), header.rows());
+        let ((n, columns), rank) = (self.rows.shape(), all.weights.len());
         let terms = terms.min(rank);
         let unit = self.rows.unit();
         let left: Vec<f32> =
@@ -247,33 +264,15 @@ impl Asked<'_, '_> {
         let right: Vec<f32> = (0..planes).flat_map(plane).map(|&v| v as f32).collect();
         let weights = all.weights[..terms].iter().map(|&g| (g * unit) as f32).collect();
         Material {
-            header: MaterialHeader {
-                model: self.model,
-                points: header.points,
-                window: header.window,
-                pitch_mm: header.pitch_mm,
-                lit_pitch_mm: header.lit_pitch_mm,
-                extended: survey.layout.extended,
-                terms,
-                incident_planes: 1,
-                offset_planes: planes,
-                shared_maps: None,
-                profile: false,
-                degree: None,
-                intensity_range: [0.0, 1.0],
-                singular_values: all.weights.iter().map(|g| g * unit).collect(),
-                noise_level: survey.noise.threshold(&all.weights) * unit,
-                warnings: header.warnings.iter().chain(&survey.warnings).cloned().collect(),
-                provenance: serde_json::Value::Null,
-            },
-            lit_mm: header.lit_mm.clone(),
+            header: MaterialHeader { terms, ..self.header(reader, all) },
+            lit_mm: reader.header().lit_mm.clone(),
             weights,
             incident_factors: left,
             offset_factors: right,
             shared: None,
             profile: Vec::new(),
             color_coefficients: Vec::new(),
-            shift: survey.placements.iter().map(|p| p.shift).collect(),
+            shift: self.rows.survey.placements.iter().map(|p| p.shift).collect(),
         }
     }
 
@@ -330,11 +329,8 @@ impl Asked<'_, '_> {
             Model::Peers2006 => self.non_negative(reader, all, terms),
             _ => self.shared(self.material(reader, all, terms), all, maps)?,
         };
-        let survey = &self.rows.survey;
-        let mut misfit = Misfit { error: 0.0, energy: survey.energy, peak: survey.peak, entries: survey.entries };
-        if self.rows.content != Content::Intensity {
-            misfit.error = self.residual(reader, &material)?;
-        }
+        let error = if self.rows.content == Content::Intensity { 0.0 } else { self.residual(reader, &material)? };
+        let misfit = self.rows.survey.misfit(error);
         Ok(TermsFit { material, why, how, backend, misfit, degree })
     }
 

@@ -1,5 +1,6 @@
 //! Point queries for a renderer: R̂_d at one pair of points, without allocation.
 
+use super::legendre::MOST_DEGREE;
 use super::sampling::{Sampled, Tree};
 use super::{CHANNELS, Material};
 use crate::Result;
@@ -8,8 +9,6 @@ use crate::transport::normalize::Layout;
 
 /// Terms that are multiplied together.
 pub(super) const LANES: usize = 4;
-/// The highest degree of a colour polynomial.
-const MAX_DEGREE: usize = 15;
 
 /// A material rearranged so that a query touches a few contiguous pieces of memory.
 ///
@@ -306,7 +305,7 @@ impl Evaluator {
         let (mut last, mut this) = (0.0, 1.0);
         for (p, beta) in coefficients.as_chunks::<CHANNELS>().0.iter().enumerate() {
             (0..CHANNELS).for_each(|c| sums[c] += f64::from(beta[c]) * this);
-            let [a, b] = BONNET[p.min(MAX_DEGREE)];
+            let [a, b] = BONNET[p.min(MOST_DEGREE)];
             (last, this) = (this, a * u * this - b * last);
         }
         sums
@@ -314,10 +313,10 @@ impl Evaluator {
 }
 
 /// L_{p+1} = a u L_p − b L_{p−1}.
-const BONNET: [Point; MAX_DEGREE + 1] = {
-    let mut all = [[0.0; 2]; MAX_DEGREE + 1];
+const BONNET: [Point; MOST_DEGREE + 1] = {
+    let mut all = [[0.0; 2]; MOST_DEGREE + 1];
     let mut p = 0;
-    while p <= MAX_DEGREE {
+    while p <= MOST_DEGREE {
         let k = (p + 1) as f64;
         all[p] = [(2.0 * k - 1.0) / k, (k - 1.0) / k];
         p += 1;

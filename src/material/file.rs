@@ -1,7 +1,7 @@
 //! The material on disk: a `.safetensors` file, tensors named after the fields of [`Material`], everything else as one
 //! JSON text under the metadata key `acquire`.
 
-use super::{CHANNELS, Material, MaterialHeader, SharedBasis};
+use super::{CHANNELS, Material, MaterialHeader, SharedBasis, legendre};
 use crate::output::Unfinished;
 use crate::{Error, Result};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
@@ -250,7 +250,10 @@ fn tensor<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize])
 pub(super) fn check_header(h: &MaterialHeader) -> Result<(), String> {
     let small = |v: usize| (1..=1 << 20).contains(&v);
     let sizes = [h.points, h.window, h.extended];
-    if !sizes.as_flattened().iter().all(|&v| small(v)) || !small(h.terms) || h.degree.is_some_and(|p| p > 15) {
+    if !sizes.as_flattened().iter().all(|&v| small(v))
+        || !small(h.terms)
+        || h.degree.is_some_and(|p| p > legendre::MOST_DEGREE)
+    {
         return Err("points, window, extended, terms or degree are out of range".into());
     }
     let odd = h.window.iter().chain(&h.extended).all(|v| v % 2 == 1);

@@ -1,5 +1,8 @@
 //! Legendre polynomials on an interval, and their conversion to powers for exports.
 
+/// The highest degree of a colour polynomial.
+pub const MOST_DEGREE: usize = 15;
+
 /// Maps an intensity to the basis's argument in [−1, 1], clamped; 0 when the interval is empty.
 pub fn argument(intensity: f64, low: f64, high: f64) -> f64 {
     let width = high - low;

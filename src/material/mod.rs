@@ -209,6 +209,15 @@ impl MaterialHeader {
         ]
     }
 
+    /// Every number that such a material stores as 4 bytes, the papers' count: weights, factors, profile, coefficients, the shifts when
+    /// there are any, and the intensity range when there is a polynomial; metadata and positions are not counted.
+    pub fn bytes_f32(&self, shifted: bool) -> u64 {
+        let tensors: usize = self.shapes().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+        let shifts = if shifted { 2 * self.rows() } else { 0 };
+        let range = if self.degree.is_some() { 2 } else { 0 };
+        4 * (tensors + shifts + range) as u64
+    }
+
     /// Numbers of one row: dy, dx, channel.
     pub fn row_len(&self) -> usize {
         self.window[0] * self.window[1] * CHANNELS
@@ -216,12 +225,14 @@ impl MaterialHeader {
 }
 
 impl Material {
-    /// Every stored number as 4 bytes, the papers' count: weights, factors, profile, coefficients, the shifts when there are any, and
-    /// the intensity range when there is a polynomial; metadata and positions are not counted.
+    /// Every stored number as 4 bytes, see [`MaterialHeader::bytes_f32`].
     pub fn bytes_f32(&self) -> u64 {
-        let shifts = if self.shift.iter().any(|s| *s != [0, 0]) { 2 * self.shift.len() } else { 0 };
-        let range = if self.header.degree.is_some() { 2 } else { 0 };
-        4 * (self.stored().iter().map(|t| t.len()).sum::<usize>() + shifts + range) as u64
+        self.header.bytes_f32(self.is_shifted())
+    }
+
+    /// Whether any row is moved.
+    pub(crate) fn is_shifted(&self) -> bool {
+        self.shift.iter().any(|s| *s != [0, 0])
     }
 
     /// Tensors as they are stored, in the order of [`MaterialHeader::shapes`].

@@ -6,7 +6,7 @@ mod page;
 
 use crate::evaluate::evaluate;
 use crate::factor::{Backend, Factored, Options as FactorOptions, factor, regression_conditions};
-use crate::material::{Material, Model, Precision, Source, coded};
+use crate::material::{Material, Model, Precision, Source, coded, legendre};
 use crate::output::ScratchFolder;
 use crate::progress::Progress;
 use crate::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row};
@@ -132,7 +132,7 @@ pub fn tradeoff(reader: &MatrixReader, options: &Options, progress: &Progress) -
         if run.setting.model == Model::Tucker
             && (run.setting.terms, run.setting.degree) == (PUBLISHED.0, Some(PUBLISHED.1))
         {
-            out.regression_conditions = regression_conditions(matrix, &factored.material, crate::factor::MOST_DEGREE)?;
+            out.regression_conditions = regression_conditions(matrix, &factored.material, legendre::MOST_DEGREE)?;
         }
         for stored in run.store(&factored.material)? {
             out.measured.push(run.measure(stored, secs, peak_bytes)?);

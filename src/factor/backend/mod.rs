@@ -78,8 +78,7 @@ pub fn choose(rows: usize, columns: usize, accuracy: f64) -> Backend {
 }
 
 /// The `k` leading singular values and right vectors, fewer when the matrix is smaller than that; back ends that iterate may add some that
-/// are less accurate. `start` are right vectors to begin
-/// with, \[any, columns\], for back ends that iterate.
+/// are less accurate. `start` are right vectors for them to begin with, \[any, columns\].
 ///
 /// # Errors
 /// Those of the source; [`Error::Internal`] when a decomposition does not converge.
@@ -99,10 +98,8 @@ pub fn low_rank(
         Backend::Deflation => deflation::one_by_one(rows, k, accuracy)?,
     };
     for vector in low.vectors.chunks_exact_mut(m.max(1)) {
-        let largest = vector.iter().copied().fold(0.0_f64, |a, b| if b.abs() > a.abs() { b } else { a });
-        if largest < 0.0 {
-            vector.iter_mut().for_each(|v| *v = -*v);
-        }
+        let sign = sign_of_largest(vector);
+        vector.iter_mut().for_each(|v| *v *= sign);
     }
     Ok(low)
 }
@@ -160,8 +157,7 @@ pub fn triplets(rows: &dyn Rows, low: &LowRank, terms: usize, exact: bool) -> Re
     );
     let mut out = Triplets { weights: values, left: vec![0.0; n * terms], right };
     for (j, h) in out.right.chunks_exact_mut(m.max(1)).enumerate() {
-        let largest = h.iter().copied().fold(0.0_f64, |a, b| if b.abs() > a.abs() { b } else { a });
-        let sign = if largest < 0.0 { -1.0 } else { 1.0 };
+        let sign = sign_of_largest(h);
         h.iter_mut().for_each(|v| *v *= sign);
         let sigma = out.weights[j];
         if sigma > 0.0 {
@@ -169,6 +165,12 @@ pub fn triplets(rows: &dyn Rows, low: &LowRank, terms: usize, exact: bool) -> Re
         }
     }
     Ok(out)
+}
+
+/// What makes the largest entry in magnitude positive.
+fn sign_of_largest(vector: &[f64]) -> f64 {
+    let largest = vector.iter().copied().fold(0.0_f64, |a, b| if b.abs() > a.abs() { b } else { a });
+    if largest < 0.0 { -1.0 } else { 1.0 }
 }
 
 /// `out` (row-major) = a bᵀ.
@@ -196,13 +198,19 @@ fn transposed(v: MatRef<'_, f64>, k: usize) -> Vec<f64> {
 
 /// Eigenvectors of a symmetric matrix (lower half) for its `k` largest eigenvalues; square roots of those, descending.
 fn eigen(gram: MatRef<'_, f64>, k: usize) -> Result<(Vec<f64>, Mat<f64>)> {
+    let (values, vectors) = eigenpairs(gram, k)?;
+    Ok((values.into_iter().map(f64::sqrt).collect(), vectors))
+}
+
+/// The `k` largest eigenvalues of a symmetric positive matrix (lower half), descending, none below zero, and their vectors.
+pub(super) fn eigenpairs(gram: MatRef<'_, f64>, k: usize) -> Result<(Vec<f64>, Mat<f64>)> {
     let eigen = gram
         .self_adjoint_eigen(Side::Lower)
         .map_err(|e| Error::internal(format!("the eigendecomposition did not converge: {e:?}")))?;
     let n = gram.nrows();
     let values = eigen.S().column_vector();
-    let roots = (0..k).map(|j| values[n - 1 - j].max(0.0).sqrt()).collect();
-    Ok((roots, Mat::from_fn(n, k, |i, j| eigen.U()[(i, n - 1 - j)])))
+    let largest = (0..k).map(|j| values[n - 1 - j].max(0.0)).collect();
+    Ok((largest, Mat::from_fn(n, k, |i, j| eigen.U()[(i, n - 1 - j)])))
 }
 
 impl LowRank {

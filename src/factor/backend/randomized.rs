@@ -2,10 +2,10 @@
 //! leading triplets are taken from the span of all blocks (Rayleigh–Ritz). A power iteration forgets the earlier blocks, and needs
 //! about the square of the passes for the same accuracy.
 
-use super::{LowRank, Rows, product};
-use crate::{Error, Result};
+use super::{LowRank, Rows, eigenpairs, product};
+use crate::Result;
 use faer::linalg::matmul::matmul;
-use faer::{Accum, Mat, MatRef, Side, get_global_parallelism};
+use faer::{Accum, Mat, MatRef, get_global_parallelism};
 use rand::{Rng, SeedableRng};
 
 /// Columns of a block beyond the triplets asked for.
@@ -101,13 +101,8 @@ impl Ritz {
         let s = projected.nrows();
         // Symmetric but for rounding.
         let symmetric = Mat::from_fn(s, s, |i, j| (projected[(i, j)] + projected[(j, i)]) / 2.0);
-        let eigen = symmetric
-            .self_adjoint_eigen(Side::Lower)
-            .map_err(|e| Error::internal(format!("the eigendecomposition did not converge: {e:?}")))?;
-        let all = eigen.S().column_vector();
         let k = k.min(s);
-        let values: Vec<f64> = (0..k).map(|j| all[s - 1 - j].max(0.0)).collect();
-        let rotation = Mat::from_fn(s, k, |i, j| eigen.U()[(i, s - 1 - j)]);
+        let (values, rotation) = eigenpairs(symmetric.as_ref(), k)?;
         let vectors = basis * &rotation;
         let images = image * &rotation;
         let residual = |j: usize| {
