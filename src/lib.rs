@@ -4,6 +4,7 @@
 
 mod error;
 mod output;
+mod parse;
 mod warning;
 
 pub mod geometry;

@@ -65,16 +65,19 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     for warning in &summary.warnings {
         context.warn(warning);
     }
-    let dir = args.dir.display();
+    let (dir, secs) = (args.dir.display(), start.elapsed().as_secs_f64());
     let noise = summary.photon_noise.map_or(String::new(), |noise| format!(" (photon noise {:.2} %)", 100.0 * noise));
+    if options.truth_only {
+        context.done(format_args!("{dir}: the truth of {} shots{noise} in {secs:.1} s, no photographs", summary.shots));
+        return Ok(());
+    }
     context.done(format_args!(
-        "{dir}: {} photographs of {} shots, {} × {} px, {:.0} MB, and their truth{noise} in {:.1} s; next: acquire build-matrix {dir} --out {}.rd.zarr",
+        "{dir}: {} photographs of {} shots, {} × {} px, {:.0} MB, and their truth{noise} in {secs:.1} s; next: acquire build-matrix {dir} --out {}.rd.zarr",
         summary.photographs,
         summary.shots,
         summary.size_px[0],
         summary.size_px[1],
         summary.photograph_bytes as f64 / 1e6,
-        start.elapsed().as_secs_f64(),
         args.dir.with_extension("").display(),
     ));
     Ok(())

@@ -19,6 +19,7 @@ pub use spacing::{SpacingChoice, SpacingOptions, Tails, choose_spacing};
 use crate::capture::{Rig, Window};
 use crate::geometry::{Homography, Point};
 use crate::output::NewFolder;
+use crate::parse::{pair_of, secs};
 use crate::progress::Progress;
 use crate::{Error, Result};
 use layout::Layout;
@@ -281,37 +282,5 @@ impl PatternsOptions {
             return Err(Error::Setting { setting: "--window", expected: "an odd number".into(), found });
         }
         Ok(())
-    }
-}
-
-/// One number for both axes, or two as 30x20.
-fn pair_of<T: std::str::FromStr + Copy>(text: &str) -> std::result::Result<[T; 2], String> {
-    let one = |t: &str| t.trim().parse().map_err(|_| format!("a number or two as 30x20, not {text:?}"));
-    match text.split_once(['x', '×', ',']) {
-        Some((x, y)) => Ok([one(x)?, one(y)?]),
-        None => one(text).map(|v| [v; 2]),
-    }
-}
-
-/// Seconds, also as a fraction: 1/250.
-fn secs(text: &str) -> std::result::Result<f64, String> {
-    let number = |t: &str| t.trim().parse::<f64>().map_err(|_| format!("seconds as 0.004 or 1/250, not {text:?}"));
-    match text.split_once('/') {
-        Some((above, below)) => Ok(number(above)? / number(below)?),
-        None => number(text),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sizes_and_times_are_read_as_people_write_them() {
-        assert_eq!(pair_of::<f64>("20"), Ok([20.0, 20.0]));
-        assert_eq!(pair_of::<usize>("40x30"), Ok([40, 30]));
-        assert!(pair_of::<usize>("40x").is_err() && pair_of::<usize>("-1").is_err());
-        assert_eq!((secs("1/250"), secs("0.5")), (Ok(0.004), Ok(0.5)));
-        assert!(secs("1/").is_err() && secs("fast").is_err());
     }
 }

@@ -19,6 +19,7 @@
 //! Not simulated: specular reflection, depth of field, interreflection, colour crosstalk, fixed pattern noise but hot pixels.
 //! Responses are those of the design: π times the radiance at x_o towards the camera, per unit flux arriving at x_i, mm⁻².
 
+mod bench;
 mod camera;
 mod causes;
 mod light;
@@ -41,6 +42,7 @@ use crate::{
     progress::Progress,
     transport::{MatrixHeader, MatrixWriter, ShotRecord},
 };
+use bench::Bench;
 use plan::Plan;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -60,7 +62,7 @@ pub struct Summary {
     pub shots: usize,
     /// Number of photographs.
     pub photographs: usize,
-    /// Their width and height, px.
+    /// Their width and height, px, also when none was taken.
     pub size_px: [usize; 2],
     /// Bytes of all photographs.
     pub photograph_bytes: u64,
@@ -73,8 +75,9 @@ pub struct Summary {
 /// `truth.toml`: what a lab cannot know.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Truth {
-    /// Scale of the sensor: electrons per second and unit of radiance at the principal point.
-    pub electrons_per_sec_per_radiance: f64,
+    /// Scale of the sensor: electrons per second and unit of radiance at the principal point. `None` without photographs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub electrons_per_sec_per_radiance: Option<f64>,
     /// How far photon noise may put the matrix off the slab's own: see [`Summary::photon_noise`].
     #[serde(default)]
     pub photon_noise: Option<f64>,
@@ -115,7 +118,8 @@ pub struct ShotTruth {
     pub camera_drift_px: Point,
 }
 
-/// Writes a simulated capture to `dir`. The same options give the same bytes, whatever the number of threads.
+/// Writes a simulated capture to `dir`, or with `options.truth_only` its truth alone. The same options give the same bytes, whatever the
+/// number of threads.
 ///
 /// # Errors
 /// [`Error::Setting`] for options out of range or a `dir` that is not empty (unless `options.force`); [`Error::Io`].
@@ -127,44 +131,87 @@ pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Su
     let scratch = ScratchFolder::new(parent, ".acquire-simulate-", dir)?;
     // One folder deeper, for the permissions of an ordinary folder.
     let work = scratch.path().join("capture");
-    for folder in [work.clone(), work.join("photos"), work.join("calibration")] {
-        std::fs::create_dir(&folder).map_err(Error::io("create", &folder))?;
-    }
-
-    let studio = Studio::new(options, progress)?;
-    let options = &Options { voxels_blake3: studio.record.voxels_blake3.clone(), ..options.clone() };
-    let plan = Plan::new(options, &studio);
-
-    plan.manifest.write(&work)?;
-    let noise = (!options.rig_without_noise).then(|| studio.sensor.noise());
-    studio.scene.rig(noise).write(&work.join("calibration"))?;
-    let matrix = MatrixWriter::create(&work.join(TRUTH_MATRIX), header(options, &studio, &plan)?)?;
-
-    let bytes = AtomicU64::new(0);
-    let stage = progress.stage("photograph", plan.manifest.shots.len());
-    (0..plan.manifest.shots.len()).into_par_iter().try_for_each(|shot| -> Result<()> {
-        let written = studio.shoot(options, &plan, shot, &work, &matrix)?;
-        bytes.fetch_add(written, Ordering::Relaxed);
-        stage.advance(1);
-        Ok(())
-    })?;
-    drop(stage);
-    matrix.finish()?;
-    write_truth(options, &studio, &plan, &work)?;
+    create_folder(&work)?;
+    let bench = Bench::new(options, progress)?;
+    let options = &Options { voxels_blake3: bench.record.voxels_blake3.clone(), ..options.clone() };
+    let summary = match options.truth_only {
+        true => write_truth_only(options, bench, &work, progress)?,
+        false => write_capture(options, Studio::new(options, bench)?, &work, progress)?,
+    };
 
     if dir.exists() {
         // Leaves with the scratch folder: nothing is lost should the next step fail.
         std::fs::rename(dir, scratch.path().join("older")).map_err(Error::io("replace", dir))?;
     }
     std::fs::rename(&work, dir).map_err(Error::io("rename", dir))?;
-    Ok(Summary {
+    Ok(summary)
+}
+
+fn create_folder(path: &Path) -> Result<()> {
+    std::fs::create_dir(path).map_err(Error::io("create", path))
+}
+
+/// Photographs, manifest and rig, and the truth beside them.
+fn write_capture(options: &Options, studio: Studio, work: &Path, progress: &Progress) -> Result<Summary> {
+    let plan = Plan::new(options, &studio.bench.scene, |pattern| studio.bracket(options, pattern).len());
+    create_folder(&work.join("photos"))?;
+    create_folder(&work.join("calibration"))?;
+    plan.manifest.write(work)?;
+    let noise = (!options.rig_without_noise).then(|| studio.sensor.noise());
+    studio.bench.scene.rig(noise).write(&work.join("calibration"))?;
+    let matrix = MatrixWriter::create(&work.join(TRUTH_MATRIX), header(options, &studio.bench, &plan)?)?;
+
+    let bytes = AtomicU64::new(0);
+    let stage = progress.stage("photograph", plan.manifest.shots.len());
+    (0..plan.manifest.shots.len()).into_par_iter().try_for_each(|shot| -> Result<()> {
+        let written = studio.shoot(options, &plan, shot, work, &matrix)?;
+        bytes.fetch_add(written, Ordering::Relaxed);
+        stage.advance(1);
+        Ok(())
+    })?;
+    matrix.finish()?;
+    let truth = Truth {
+        electrons_per_sec_per_radiance: Some(studio.electrons_per_sec),
+        response_curve: options.response().samples(),
+        exposures_secs: studio.exposures(options),
+        ..truth(options, &studio.bench, &plan)
+    };
+    truth.write(work)?;
+    let photographs = plan.manifest.shots.iter().map(|s| s.photographs.len()).sum();
+    Ok(Summary { photographs, photograph_bytes: bytes.into_inner(), ..summary(studio.bench, &plan) })
+}
+
+/// The true matrix, and what else a lab cannot know; nothing that would be taken for a capture.
+fn write_truth_only(options: &Options, bench: Bench, work: &Path, progress: &Progress) -> Result<Summary> {
+    let plan = Plan::new(options, &bench.scene, |_| 0);
+    let matrix = MatrixWriter::create(&work.join(TRUTH_MATRIX), header(options, &bench, &plan)?)?;
+    let lit: Vec<([usize; 2], Point)> = plan.manifest.shots[plan.first_lattice..]
+        .iter()
+        .zip(&plan.lattices)
+        .flat_map(|(shot, moved)| plan::dots(shot).iter().map(|&dot| (dot, moved.drift_mm)))
+        .collect();
+    let stage = progress.stage("solve", lit.len());
+    lit.into_par_iter().try_for_each(|(dot, drift_mm)| -> Result<()> {
+        let glow = bench.glow(dot, drift_mm)?;
+        matrix.put(plan.manifest.grid.row_index(dot), &bench.row(options, dot, drift_mm, &glow))?;
+        stage.advance(1);
+        Ok(())
+    })?;
+    matrix.finish()?;
+    truth(options, &bench, &plan).write(work)?;
+    Ok(summary(bench, &plan))
+}
+
+/// Without photographs.
+fn summary(bench: Bench, plan: &Plan) -> Summary {
+    Summary {
         shots: plan.manifest.shots.len(),
-        photographs: plan.manifest.shots.iter().map(|s| s.photographs.len()).sum(),
-        size_px: studio.scene.camera.size_px,
-        photograph_bytes: bytes.into_inner(),
-        photon_noise: studio.photon_noise(),
-        warnings: studio.warnings,
-    })
+        photographs: 0,
+        size_px: bench.scene.camera.size_px,
+        photograph_bytes: 0,
+        photon_noise: bench.photon_noise(),
+        warnings: bench.warnings,
+    }
 }
 
 fn refuse_full(dir: &Path, force: bool) -> Result<()> {
@@ -191,33 +238,39 @@ fn refuse_full(dir: &Path, force: bool) -> Result<()> {
     Ok(())
 }
 
-fn write_truth(options: &Options, studio: &Studio, plan: &Plan, work: &Path) -> Result<()> {
-    let truth = Truth {
-        electrons_per_sec_per_radiance: studio.electrons_per_sec,
-        photon_noise: studio.photon_noise(),
-        layers_mm: studio.dots.slab.layers_mm.clone(),
-        response_curve: options.response().samples(),
-        exposures_secs: studio.exposures(options),
+/// What can be known of the truth without a camera's sensor.
+fn truth(options: &Options, bench: &Bench, plan: &Plan) -> Truth {
+    Truth {
+        electrons_per_sec_per_radiance: None,
+        photon_noise: bench.photon_noise(),
+        layers_mm: bench.dots.slab.layers_mm.clone(),
+        response_curve: Vec::new(),
+        exposures_secs: Vec::new(),
         options: options.clone(),
-        medium: studio.record.clone(),
-        camera_from_slab: studio.scene.view,
-        slab_from_projector: studio.scene.slab_from_projector.homography(),
-        projector_lens: Some(*studio.scene.slab_from_projector.lens()).filter(|l| !l.is_ideal()),
+        medium: bench.record.clone(),
+        camera_from_slab: bench.scene.view,
+        slab_from_projector: bench.scene.slab_from_projector.homography(),
+        projector_lens: Some(*bench.scene.slab_from_projector.lens()).filter(|l| !l.is_ideal()),
         shots: plan.lattices.clone(),
-    };
-    let path = work.join(TRUTH_FILE);
-    let text = toml::to_string(&truth).map_err(Error::internal)?;
-    std::fs::write(&path, text).map_err(Error::io("write", &path))
+    }
 }
 
-fn header(options: &Options, studio: &Studio, plan: &Plan) -> Result<MatrixHeader> {
-    let points = studio.scene.grid.points;
-    let mut lit_mm = vec![[0.0; 2]; studio.scene.grid.len()];
+impl Truth {
+    fn write(&self, work: &Path) -> Result<()> {
+        let path = work.join(TRUTH_FILE);
+        let text = toml::to_string(self).map_err(Error::internal)?;
+        std::fs::write(&path, text).map_err(Error::io("write", &path))
+    }
+}
+
+fn header(options: &Options, bench: &Bench, plan: &Plan) -> Result<MatrixHeader> {
+    let points = bench.scene.grid.points;
+    let mut lit_mm = vec![[0.0; 2]; bench.scene.grid.len()];
     let mut shot_of = vec![None; lit_mm.len()];
     for (lattice, shot) in plan.manifest.shots[plan.first_lattice..].iter().enumerate() {
         for &dot in plan::dots(shot) {
             let row = plan.manifest.grid.row_index(dot);
-            lit_mm[row] = studio.scene.dot_mm(dot, plan.lattices[lattice].drift_mm);
+            lit_mm[row] = bench.scene.dot_mm(dot, plan.lattices[lattice].drift_mm);
             shot_of[row] = Some(lattice);
         }
     }
@@ -228,13 +281,13 @@ fn header(options: &Options, studio: &Studio, plan: &Plan) -> Result<MatrixHeade
             return options.pitch_mm;
         }
         let end = std::array::from_fn(|b| if a == b { steps } else { 0 });
-        let (p, q) = (studio.scene.dot_mm([0, 0], [0.0; 2]), studio.scene.dot_mm(end, [0.0; 2]));
+        let (p, q) = (bench.scene.dot_mm([0, 0], [0.0; 2]), bench.scene.dot_mm(end, [0.0; 2]));
         (q[0] - p[0]).hypot(q[1] - p[1]) / steps as f64
     });
     let record = |s: &ShotTruth| ShotRecord { name: s.name.clone(), drift_px: s.drift_px, drift_sd_px: Some(0.0) };
     Ok(MatrixHeader {
         points,
-        window: [options.window; 2],
+        window: options.window,
         pitch_mm: options.pitch_mm,
         lit_pitch_mm,
         position_sd_mm: vec![0.0; lit_mm.len()],

@@ -1,6 +1,8 @@
 //! What to simulate.
 
 use super::slab::Material;
+use crate::geometry::Point;
+use crate::parse::{pair_of, whole};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -93,7 +95,7 @@ pub struct Options {
     #[arg(long, value_enum, default_value = "diffusion", help_heading = "Slab")]
     pub transport: Transport,
     /// Photons for a dot and channel, with --transport mc. 100,000: about half a per cent of noise in a row.
-    #[arg(long, value_name = "N", default_value_t = Options::default().photons, value_parser = photons, help_heading = "Slab")]
+    #[arg(long, value_name = "N", default_value_t = Options::default().photons, value_parser = whole, help_heading = "Slab")]
     pub photons: u64,
     /// Voxels of the transport solver across an outgoing cell.
     #[arg(long, value_name = "N", default_value_t = Options::default().voxels_per_sample, help_heading = "Slab")]
@@ -101,21 +103,25 @@ pub struct Options {
     /// Relative residual at which diffusion stops. 1e-6: far below what 5 exposures can see.
     #[arg(skip = Options::default().tolerance)]
     pub tolerance: f64,
-    /// Lit points along each axis. 16: minutes of a lab's time, seconds of ours.
-    #[arg(long, value_name = "N", default_value_t = Options::default().grid, help_heading = "Capture")]
-    pub grid: usize,
-    /// Outgoing samples of a window along each axis, odd. 15: the peak and most of the tails.
-    #[arg(long, value_name = "N", default_value_t = Options::default().window, help_heading = "Capture")]
-    pub window: usize,
+    /// Write the true matrix only: truth.rd.zarr and truth.toml, no photographs and no capture.toml.
+    #[arg(long, help_heading = "Capture")]
+    pub truth_only: bool,
+    /// Lit points along the projector's axes: 16 or 24x16. 18x14: minutes of a lab's time, seconds of ours.
+    #[arg(long, value_name = "N[xN]", default_value = "18x14", value_parser = pair_of::<usize>, help_heading = "Capture")]
+    pub grid: [usize; 2],
+    /// Outgoing samples of a window along the slab's axes, odd: 15 or 31x21. 17x13: the peak and most of the tails.
+    #[arg(long, value_name = "N[xN]", default_value = "17x13", value_parser = pair_of::<usize>, help_heading = "Capture")]
+    pub window: [usize; 2],
     /// Side of an outgoing cell, mm. 0.5: responses of most materials fall by 3 to 4 decades within a window of 31.
     #[arg(long, value_name = "MM", default_value_t = Options::default().pitch_mm, help_heading = "Capture")]
     pub pitch_mm: f64,
-    /// Distance of lit points, mm [default: the pitch]
-    #[arg(long, value_name = "MM", help_heading = "Capture")]
-    pub lit_pitch_mm: Option<f64>,
-    /// Distance of the dots of one shot, in lit points [default: one and a half windows]
-    #[arg(long, value_name = "N", help_heading = "Capture")]
-    pub spacing: Option<usize>,
+    /// Distance of lit points along the projector's axes, mm: 1 or 1x1.5 [default: the pitch along x, and along y what makes the
+    /// projector's pixels square]
+    #[arg(long, value_name = "MM[xMM]", value_parser = pair_of::<f64>, help_heading = "Capture")]
+    pub lit_pitch_mm: Option<Point>,
+    /// Distance of the dots of one shot, in lit points: 8 or 8x6 [default: one and a half windows]
+    #[arg(long, value_name = "N[xN]", value_parser = pair_of::<usize>, help_heading = "Capture")]
+    pub spacing: Option<[usize; 2]>,
     /// Exposures of each lattice shot.
     #[arg(long, value_name = "N", default_value_t = Options::default().exposures, help_heading = "Capture")]
     pub exposures: usize,
@@ -159,6 +165,12 @@ pub struct Options {
     /// Lens distortion, Brown's k1. −0.05: a good lens, 3 px at the corner of a picture of 1000; k2 is −k1/5.
     #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = Options::default().distortion, help_heading = "Camera")]
     pub distortion: f64,
+    /// Tilt of the camera about the slab's x and y axes, degrees: 5 or 5x-3.
+    #[arg(long, value_name = "DEG[xDEG]", allow_hyphen_values = true, default_value = "5x-3", value_parser = pair_of::<f64>, help_heading = "Camera")]
+    pub camera_tilt_deg: Point,
+    /// Turn of the camera about its axis, degrees. 2: set up by hand.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true, default_value_t = Options::default().camera_turn_deg, help_heading = "Camera")]
+    pub camera_turn_deg: f64,
     /// Sensitivity lost at the corner. 0.15: a good lens, stopped down.
     #[arg(long, value_name = "SHARE", default_value_t = Options::default().vignetting, help_heading = "Camera")]
     pub vignetting: f64,
@@ -171,9 +183,15 @@ pub struct Options {
     /// Share of the photosites that are hot.
     #[arg(long, value_name = "SHARE", default_value_t = Options::default().hot_pixels, help_heading = "Camera")]
     pub hot_pixels: f64,
-    /// Projector pixels between neighbouring lit points.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().step_projector_px, help_heading = "Projector")]
-    pub step_projector_px: usize,
+    /// Projector pixels between neighbouring lit points along each axis: 4 or 4x5.
+    #[arg(long, value_name = "PX[xPX]", default_value = "4x5", value_parser = pair_of::<usize>, help_heading = "Projector")]
+    pub step_projector_px: [usize; 2],
+    /// Turn of the projector's picture against the slab, degrees. 3: set up by hand; 90: a projector on its side.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true, default_value_t = Options::default().projector_turn_deg, help_heading = "Projector")]
+    pub projector_turn_deg: f64,
+    /// The projector's picture comes by a mirror: its columns run backwards.
+    #[arg(long, help_heading = "Projector")]
+    pub projector_mirrored: bool,
     /// Side of a dot, projector pixels. 3: a dark pixel between neighbours.
     #[arg(long, value_name = "PX", default_value_t = Options::default().dot_projector_px, help_heading = "Projector")]
     pub dot_projector_px: usize,
@@ -199,6 +217,10 @@ pub struct Options {
     /// five exposures all over the sample.
     #[arg(long, value_name = "RATIO", default_value_t = Options::default().projector_black, help_heading = "Projector")]
     pub projector_black: f64,
+    /// By how much the white reference's reflectance differs across it from what the rig file says, at most, of itself.
+    /// 0.002: a good reference.
+    #[arg(long, value_name = "SHARE", default_value_t = Options::default().white_unevenness, help_heading = "Capture")]
+    pub white_unevenness: f64,
     /// Irradiance lost towards the corner.
     #[arg(long, value_name = "SHARE", default_value_t = Options::default().falloff, help_heading = "Projector")]
     pub falloff: f64,
@@ -239,8 +261,9 @@ impl Default for Options {
             voxels_blake3: None,
             transport: Transport::Diffusion,
             photons: 100_000,
-            grid: 16,
-            window: 15,
+            truth_only: false,
+            grid: [18, 14],
+            window: [17, 13],
             seed: 1,
             noise_free: false,
             drift_px: 0.5,
@@ -259,6 +282,8 @@ impl Default for Options {
             exif_stops_error: 0.0,
             nominal_times: false,
             distortion: -0.05,
+            camera_tilt_deg: [5.0, -3.0],
+            camera_turn_deg: 2.0,
             vignetting: 0.15,
             psf_px: 0.0,
             glare: 0.0,
@@ -272,7 +297,10 @@ impl Default for Options {
             camera_px_per_sample: 3.0,
             thickness_mm: None,
             voxels_per_sample: 2,
-            step_projector_px: 4,
+            step_projector_px: [4, 5],
+            projector_turn_deg: 3.0,
+            projector_mirrored: false,
+            white_unevenness: 0.002,
             dot_projector_px: 3,
             projector_black: 2e-4,
             projector_distortion: 0.0,
@@ -290,9 +318,20 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Nominal distance of lit points, mm.
-    pub fn lit_pitch_mm(&self) -> f64 {
-        self.lit_pitch_mm.unwrap_or(self.pitch_mm)
+    /// Nominal distance of lit points along the projector's axes, mm.
+    pub fn lit_pitch_mm(&self) -> Point {
+        let [x, y] = self.step_projector_px.map(|step| step as f64);
+        self.lit_pitch_mm.unwrap_or([self.pitch_mm, self.pitch_mm * y / x])
+    }
+
+    /// Nominal side of a projector pixel on the slab along the projector's axes, mm.
+    pub(super) fn projector_px_mm(&self) -> Point {
+        [0, 1].map(|a| self.lit_pitch_mm()[a] / self.step_projector_px[a] as f64)
+    }
+
+    /// Width and height of a window, mm.
+    pub(super) fn window_mm(&self) -> Point {
+        self.window.map(|w| w as f64 * self.pitch_mm)
     }
 
     /// Thickness of the slab, mm (not of a voxel file, which says it itself).
@@ -302,10 +341,13 @@ impl Options {
 
     /// Distance of the dots of one shot, in lit points: by default one and a half windows, and 24 outgoing samples at least,
     /// so that their tails in each other's windows are below a thousandth of a peak (default materials and pitch).
-    pub fn spacing(&self) -> usize {
-        let samples = (1.5 * self.window as f64).max(24.0);
-        let wide = (samples * self.pitch_mm / self.lit_pitch_mm()).ceil() as usize;
-        self.spacing.unwrap_or(wide.max(1))
+    pub fn spacing(&self) -> [usize; 2] {
+        let samples = self.window.map(|w| (1.5 * w as f64).max(24.0));
+        // The window's extent along the projector's axes: its sides when the projector stands upright or on its side.
+        let upright = self.projector_turn_deg.to_radians().sin().abs() < 0.5_f64.sqrt();
+        let samples = if upright { samples } else { [samples[1], samples[0]] };
+        let wide = |a: usize| (samples[a] * self.pitch_mm / self.lit_pitch_mm()[a]).ceil() as usize;
+        self.spacing.unwrap_or([wide(0).max(1), wide(1).max(1)])
     }
 
     /// How code values encode light.
@@ -339,16 +381,25 @@ impl Options {
             Err(Error::Setting { setting, expected, found: crate::error::number(value) })
         };
         range("--photons", self.photons as f64, 1e3, 1e12)?;
-        range("--grid", self.grid as f64, 1.0, 1024.0)?;
-        range("--window", self.window as f64, 3.0, 255.0)?;
-        if self.window.is_multiple_of(2) {
-            let found = self.window.to_string();
-            return Err(Error::Setting { setting: "--window", expected: "an odd number".into(), found });
+        let lit_pitch_mm = self.lit_pitch_mm();
+        for a in 0..2 {
+            range("--grid", self.grid[a] as f64, 1.0, 1024.0)?;
+            range("--window", self.window[a] as f64, 3.0, 255.0)?;
+            range("--step-projector-px", self.step_projector_px[a] as f64, 1.0, 64.0)?;
+            range("--lit-pitch-mm", lit_pitch_mm[a], 1e-3, 1e3)?;
+            range("--spacing", self.spacing()[a] as f64, 1.0, 1e6)?;
+            range("--camera-tilt-deg", self.camera_tilt_deg[a], -45.0, 45.0)?;
         }
+        if let Some(even) = self.window.iter().find(|w| w.is_multiple_of(2)) {
+            let found = even.to_string();
+            return Err(Error::Setting { setting: "--window", expected: "odd numbers".into(), found });
+        }
+        // The picture's top left corner must stay the sample's.
+        range("--camera-turn-deg", self.camera_turn_deg, -30.0, 30.0)?;
+        range("--projector-turn-deg", self.projector_turn_deg, -180.0, 180.0)?;
+        range("--white-unevenness", self.white_unevenness, 0.0, 0.5)?;
         range("--drift-px", self.drift_px, 0.0, 20.0)?;
         range("--pitch-mm", self.pitch_mm, 1e-3, 1e3)?;
-        range("--lit-pitch-mm", self.lit_pitch_mm(), 1e-3, 1e3)?;
-        range("--spacing", self.spacing() as f64, 1.0, 1e6)?;
         range("--calibration-boards", self.calibration_boards as f64, 0.0, 100.0)?;
         range("--exposures", self.exposures as f64, 1.0, 10.0)?;
         range("--stops", self.stops, 0.1, 4.0)?;
@@ -370,8 +421,8 @@ impl Options {
         range("--anisotropy", self.anisotropy.unwrap_or(0.0), -0.99, 0.99)?;
         range("--thickness-mm", self.thickness_mm(), 1e-2, 1e3)?;
         range("--voxels-per-sample", self.voxels_per_sample as f64, 1.0, 8.0)?;
-        range("--step-projector-px", self.step_projector_px as f64, 1.0, 64.0)?;
-        range("--dot-projector-px", self.dot_projector_px as f64, 1.0, self.step_projector_px as f64)?;
+        let narrower = self.step_projector_px[0].min(self.step_projector_px[1]);
+        range("--dot-projector-px", self.dot_projector_px as f64, 1.0, narrower as f64)?;
         range("--projector-black", self.projector_black, 0.0, 0.5)?;
         range("--falloff", self.falloff, 0.0, 0.9)?;
         range("--projector-blur-px", self.projector_blur_px, 0.0, 2.0)?;
@@ -383,14 +434,4 @@ impl Options {
 /// A slow walk goes no farther than 3.4 times its root mean square (3.5 with some margin), jumps no farther than [`super::scene::JUMP_REACH`] of their size.
 fn reach_px(walk_px: f64, jump_px: f64) -> f64 {
     3.5 * walk_px + super::scene::JUMP_REACH * jump_px
-}
-
-/// A whole number, also as 1e6.
-fn photons(text: &str) -> std::result::Result<u64, String> {
-    let number: f64 = text.parse().map_err(|_| "a number such as 100000 or 1e6".to_owned())?;
-    if number.fract() == 0.0 && (0.0..1e15).contains(&number) {
-        Ok(number as u64)
-    } else {
-        Err("a whole number".into())
-    }
 }

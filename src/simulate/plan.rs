@@ -1,7 +1,7 @@
 //! The list of shots: what `capture.toml` says, with exposures and drift.
 
 use super::{
-    FileFormat, Options, ShotTruth, camera::photograph::ExposureTime, mix_seed, scene::drift::Motion, studio::Studio,
+    FileFormat, Options, ShotTruth, camera::photograph::ExposureTime, mix_seed, scene::Scene, scene::drift::Motion,
 };
 use crate::capture::{Axis, FORMAT, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Surface, Window};
 use crate::geometry::Point;
@@ -18,9 +18,8 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// Lists all shots.
-    pub fn new(options: &Options, studio: &Studio) -> Self {
-        let scene = &studio.scene;
+    /// Lists all shots; `photographs` says how many a shot has.
+    pub fn new(options: &Options, scene: &Scene, photographs: impl Fn(&Pattern) -> usize) -> Self {
         let mut patterns = vec![
             ("board".to_owned(), Pattern::Board),
             ("reference-white".to_owned(), Pattern::ReferenceWhite),
@@ -49,10 +48,11 @@ impl Plan {
             }
         }
         let first_lattice = patterns.len();
-        let spacing = options.spacing().min(options.grid);
-        for phase in 0..spacing * spacing {
-            let every = |start: usize| (start..options.grid).step_by(spacing);
-            let dots = every(phase / spacing).flat_map(|y| every(phase % spacing).map(move |x| [x, y])).collect();
+        let spacing: [usize; 2] = std::array::from_fn(|a| options.spacing()[a].min(options.grid[a]));
+        for phase in 0..spacing[0] * spacing[1] {
+            let every = |start: usize, a: usize| (start..options.grid[a]).step_by(spacing[a]);
+            let [first_x, first_y] = [phase % spacing[0], phase / spacing[0]];
+            let dots = every(first_y, 1).flat_map(|y| every(first_x, 0).map(move |x| [x, y])).collect();
             patterns.push((format!("lattice-{phase:04}"), Pattern::Lattice { dots }));
         }
         let names: Vec<String> = patterns[first_lattice..].iter().map(|(name, _)| name.clone()).collect();
@@ -60,13 +60,16 @@ impl Plan {
             patterns.push(("frame-after".to_owned(), Pattern::Frame));
         }
         let lattices = lattice_drift(options, names, |drift_px| scene.drift_mm(drift_px));
-        let shots = patterns.into_iter().map(|(name, pattern)| shot(options, studio, name, pattern)).collect();
+        let shots = patterns
+            .into_iter()
+            .map(|(name, pattern)| shot(options, photographs(&pattern), name, pattern))
+            .collect();
         let manifest = Manifest {
             format: FORMAT,
             name: format!("simulated {:?}", options.material).to_lowercase(),
             slab: Slab { size_mm: scene.slab_size_mm },
             grid: scene.grid.clone(),
-            window: Window { samples: [options.window; 2], pitch_mm: options.pitch_mm },
+            window: Window { samples: options.window, pitch_mm: options.pitch_mm },
             reference_dots: Some(ReferenceDots { projector_px: scene.reference_dots.clone() }),
             shots,
         };
@@ -94,12 +97,12 @@ fn lattice_drift(options: &Options, names: Vec<String>, drift_mm: impl Fn(Point)
     names.into_iter().zip(paths).map(truth).collect()
 }
 
-fn shot(options: &Options, studio: &Studio, name: String, pattern: Pattern) -> Shot {
+fn shot(options: &Options, photographs: usize, name: String, pattern: Pattern) -> Shot {
     let extension = match options.format {
         FileFormat::Png => "png",
         FileFormat::Jpeg => "jpg",
     };
-    let photographs = (0..studio.bracket(options, &pattern).len())
+    let photographs = (0..photographs)
         .map(|n| PhotographEntry { file: format!("photos/{name}_{n}.{extension}"), exposure_secs: None })
         .collect();
     Shot { name, pattern, photographs }

@@ -1,27 +1,24 @@
-//! One capture's light: solves for dots, renders shots, exposes and writes them.
+//! One capture's photographs: renders shots, exposes and writes them.
 
 #[cfg(test)]
 mod tests;
 
 use super::{
-    Options, Plan, ShotTruth, Transport,
+    Options, Plan, ShotTruth,
+    bench::Bench,
     camera::photograph::{ExposureTime, PhotographWriter},
     camera::{hot_pixels::hot_pixels, psf, sensor::Sensor},
     light::diffusion::Domain,
-    light::dots::{Dots, Glow},
+    light::dots::Glow,
     light::field::Field,
-    light::validity,
     mix_seed, plan,
+    scene::FRAME_ALBEDO,
     scene::render::{Brightness, FieldMean, GAUSS_1, GAUSS_6, GrayCode, Picture, PixelGrid, board_albedo, board_rule},
-    scene::{FRAME_ALBEDO, Scene},
-    slab::SlabRecord,
-    slab::layout::{self, Built, Place},
 };
 use crate::{
-    Result, Warning,
+    Result,
     capture::{Pattern, Surface},
     geometry::Point,
-    progress::Progress,
     transport::{MatrixWriter, Row},
 };
 use rand::SeedableRng;
@@ -41,15 +38,10 @@ const SLAB_MARGIN_PITCHES: f64 = 6.0;
 /// Dots per axis that are solved beforehand to set the exposure.
 const PILOTS: usize = 5;
 
-/// Everything that all shots share.
+/// The bench with its camera: everything that all shots share.
 #[derive(Debug)]
 pub(super) struct Studio {
-    pub scene: Scene,
-    pub dots: Dots,
-    /// The slab, readable.
-    pub record: SlabRecord,
-    /// Findings about the slab.
-    pub warnings: Vec<Warning>,
+    pub bench: Bench,
     pub sensor: Sensor,
     pixels: PixelGrid,
     vignetting: Vec<f32>,
@@ -61,8 +53,6 @@ pub(super) struct Studio {
     /// Electrons per second and unit of radiance at the principal point.
     pub electrons_per_sec: f64,
     white_shortest: ExposureTime,
-    /// Row, photon noise and light of every dot so far.
-    noise: Mutex<Vec<(usize, f64, f64)>>,
     /// Memory of shots that are done, for the next.
     spare: Mutex<Vec<Darkroom>>,
 }
@@ -77,49 +67,29 @@ struct Darkroom {
 }
 
 impl Studio {
-    /// Sets the bench up, solves for the light all over the sample, and chooses the sensitivity.
-    pub fn new(options: &Options, progress: &Progress) -> Result<Self> {
-        let scene = Scene::new(options)?;
-        let place =
-            Place { lit_origin_mm: scene.lit_origin_mm, lit_side_mm: scene.lit_side_mm, size_mm: scene.slab_size_mm };
-        let Built { volume, record, mut warnings } = layout::build(options, &place)?;
-        if options.transport == Transport::Diffusion {
-            warnings.extend(validity::warnings(&volume, &record, options.window as f64 * options.pitch_mm));
-        }
-        let middle = scene.beam([options.grid / 2; 2], [0.0; 2]);
-        let dots = Dots::new(options, volume, scene.eye_mm, &middle, progress)?;
-        let pixels = PixelGrid::new(&scene, [0.0; 2], psf::parts(options.psf_px))?;
+    /// Solves for the light all over the sample, and chooses the sensitivity.
+    pub fn new(options: &Options, bench: Bench) -> Result<Self> {
+        let scene = &bench.scene;
+        let pixels = PixelGrid::new(scene, [0.0; 2], psf::parts(options.psf_px))?;
         let [width, height] = scene.camera.size_px;
         let sensitivity = |i: usize| scene.camera.vignetting_at([(i % width) as f64, (i / width) as f64]) as f32;
+        let vignetting = (0..width * height).map(sensitivity).collect();
         let mut studio = Self {
             sensor: Sensor::new(options),
-            vignetting: (0..width * height).map(sensitivity).collect(),
+            vignetting,
             hot: hot_pixels(3 * width * height, options.hot_pixels, options.seed),
             dark_field: None,
             dark_sample: Vec::new(),
             electrons_per_sec: 0.0,
             white_shortest: ExposureTime::one_over(1),
-            noise: Mutex::default(),
             spare: Mutex::default(),
-            scene,
-            dots,
-            record,
-            warnings,
             pixels,
+            bench,
         };
         studio.dark_field = studio.solve_dark_sample(options)?;
         studio.dark_sample = studio.render_dark_sample(options, &studio.pixels);
         studio.set_sensitivity(options)?;
         Ok(studio)
-    }
-
-    /// The photon noise of the truth: the standard error of all rows over the rows, both Euclidean; `None` without noise.
-    pub fn photon_noise(&self) -> Option<f64> {
-        let mut noise = self.noise.lock().map(|noise| noise.clone()).unwrap_or_default();
-        // In the order of the rows, so that the sum does not depend on the threads.
-        noise.sort_by_key(|(row, ..)| *row);
-        let (error, light) = noise.iter().fold((0.0, 0.0), |(e, l), (_, error, light)| (e + error, l + light));
-        (error > 0.0).then(|| (error / light).sqrt())
     }
 
     /// The exposure times of a shot.
@@ -154,12 +124,12 @@ impl Studio {
             picture: Picture::new(),
             rate: Vec::new(),
             codes: Vec::new(),
-            writer: PhotographWriter::new(options.format, self.scene.camera.size_px),
+            writer: PhotographWriter::new(options.format, self.bench.scene.camera.size_px),
         });
         room.picture = match &entry.pattern {
             Pattern::Lattice { dots } => {
                 let moved = &plan.lattices[shot - plan.first_lattice];
-                let keep = |dot, row| truth.put(plan.manifest.grid.row_index(dot), &row);
+                let keep = |dot, row| truth.put(self.bench.scene.grid.row_index(dot), &row);
                 self.lattice(options, dots, moved, keep, room.picture)?
             }
             Pattern::Frame => self.lit_sample(options, &self.pixels_at(options, plan, shot)?, |_| 1.0, |_| 1.0),
@@ -168,8 +138,8 @@ impl Studio {
                 self.board(
                     options,
                     &PixelGrid::of_view(
-                        &self.scene.posed_view(earlier.count()),
-                        &self.scene,
+                        &self.bench.scene.posed_view(earlier.count()),
+                        &self.bench.scene,
                         psf::parts(options.psf_px),
                     )?,
                 )
@@ -194,7 +164,7 @@ impl Studio {
     /// Electrons per second of a picture, R G B interleaved, in the memory of `rate`.
     fn rate(&self, options: &Options, picture: &Picture, mut rate: Vec<f32>) -> Vec<f32> {
         let scale = (self.electrons_per_sec / PI) as f32;
-        let (size_px, parts) = (self.scene.camera.size_px, psf::parts(options.psf_px));
+        let (size_px, parts) = (self.bench.scene.camera.size_px, psf::parts(options.psf_px));
         rate.resize(3 * picture.len(), 0.0);
         rate.as_chunks_mut::<3>().0.iter_mut().zip(picture).for_each(|(to, light)| *to = light.map(|l| scale * l));
         let mut rate = psf::see(rate, size_px, parts, options.psf_px, options.glare);
@@ -205,14 +175,15 @@ impl Studio {
 
     /// A shot without dots.
     fn still(&self, options: &Options, pattern: &Pattern) -> Picture {
-        let (scene, black) = (&self.scene, options.projector_black);
+        let (scene, black) = (&self.bench.scene, options.projector_black);
         let irradiance = |p: Point, lit: f64| {
             let projected = black + (1.0 - black) * lit;
             scene.white_irradiance(p).map(|e| e * projected + options.ambient)
         };
         let white = |p: Point, lit: f64| {
             let light = irradiance(p, lit);
-            std::array::from_fn(|c| light[c] * scene.white.reflectance[c])
+            let reflectance = scene.white_reflectance(p);
+            std::array::from_fn(|c| light[c] * reflectance[c])
         };
         match *pattern {
             Pattern::Board | Pattern::CalibrationBoard => self.board(options, &self.pixels),
@@ -224,9 +195,10 @@ impl Studio {
             }
             Pattern::GrayCode { axis, bit, inverse, on: Surface::WhiteReference } => {
                 let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
-                let lit_mm = options.lit_pitch_mm() / options.step_projector_px as f64;
-                // Turn and keystone of the projector add little to a pixel's extent in projector px.
-                let pixel_px = 1.2 * self.pixels.pixel_mm() / lit_mm;
+                let [x, y] = options.projector_px_mm();
+                let (sin, cos) = options.projector_turn_deg.to_radians().sin_cos();
+                // The projector's keystone adds little to a pixel's extent in projector px, its turn up to the diagonal.
+                let pixel_px = 1.2 * (sin.abs() + cos.abs()) * self.pixels.pixel_mm() / x.min(y);
                 self.pixels.picture_of(|pixel| {
                     let q = scene.slab_from_projector.projector_from_slab(pixel.first_corner_mm());
                     let light = match code.around(q, pixel_px) {
@@ -244,7 +216,7 @@ impl Studio {
 
     /// The board under white light; in another pose it is lit as in the slab's plane, which moves no corner.
     fn board(&self, options: &Options, pixels: &PixelGrid) -> Picture {
-        let (scene, pixel_mm) = (&self.scene, pixels.pixel_mm());
+        let (scene, pixel_mm) = (&self.bench.scene, pixels.pixel_mm());
         let lit = |p: Point| scene.white_irradiance(p).map(|e| e + options.ambient);
         pixels.picture(|p| board_rule(scene, pixel_mm, p), |p| lit(p).map(|e| e * board_albedo(scene, p)))
     }
@@ -252,7 +224,7 @@ impl Studio {
     /// The pixels of a shot before or after the lattice shots: a camera that has moved stays where it is.
     fn pixels_at(&self, options: &Options, plan: &Plan, shot: usize) -> Result<PixelGrid> {
         let last = plan.lattices.last().filter(|_| shot > plan.first_lattice);
-        PixelGrid::new(&self.scene, last.map_or([0.0; 2], |l| l.camera_drift_px), psf::parts(options.psf_px))
+        PixelGrid::new(&self.bench.scene, last.map_or([0.0; 2], |l| l.camera_drift_px), psf::parts(options.psf_px))
     }
 
     /// Sample and frame under a pattern: `sharp` is its brightness (0 to 1) at projector px on the frame, `blurred` on the sample.
@@ -265,7 +237,7 @@ impl Studio {
         sharp: impl Fn(Point) -> f64 + Sync,
         blurred: impl Fn(Point) -> f64 + Sync,
     ) -> Picture {
-        let (scene, black) = (&self.scene, options.projector_black);
+        let (scene, black) = (&self.bench.scene, options.projector_black);
         let dark = black + options.ambient;
         let light = |p: Point| {
             let q = scene.slab_from_projector.projector_from_slab(p);
@@ -296,7 +268,7 @@ impl Studio {
         // A camera that has moved sees every pixel elsewhere.
         let own_pixels = match moved.camera_drift_px {
             [0.0, 0.0] => None,
-            shift_px => Some(PixelGrid::new(&self.scene, shift_px, psf::parts(options.psf_px))?),
+            shift_px => Some(PixelGrid::new(&self.bench.scene, shift_px, psf::parts(options.psf_px))?),
         };
         let pixels = own_pixels.as_ref().unwrap_or(&self.pixels);
         match &own_pixels {
@@ -306,38 +278,21 @@ impl Studio {
         // A few dots at a time: their order in the sum is fixed, and memory is bounded.
         for group in dots.chunks(16) {
             let solve = |&dot: &[usize; 2]| {
-                let (glow, flux) = self.dot(dot, drift_mm)?;
-                let center = self.scene.dot_mm(dot, drift_mm);
-                let response = glow.cell_means(center, [options.window; 2], options.pitch_mm);
-                if let Ok(mut noise) = self.noise.lock() {
-                    let light = response.iter().map(|r| f64::from(*r).powi(2)).sum();
-                    noise.push((self.scene.grid.row_index(dot), glow.variance_sum, light));
-                }
-                let (variance, valid) = (vec![0.0; response.len()], vec![true; response.len()]);
-                keep(dot, Row { response, variance, valid })?;
-                Ok((glow, flux))
+                let glow = self.bench.glow(dot, drift_mm)?;
+                keep(dot, self.bench.row(options, dot, drift_mm, &glow))?;
+                Ok((glow, self.bench.flux(dot, drift_mm)))
             };
             let glows: Vec<(Glow, [f64; 3])> = group.par_iter().map(solve).collect::<Result<_>>()?;
             for (glow, flux) in &glows {
                 for field in &glow.fields {
-                    pixels.add_field(&mut picture, &self.scene, field, flux.map(|f| lit * f));
+                    pixels.add_field(&mut picture, &self.bench.scene, field, flux.map(|f| lit * f));
                 }
             }
         }
-        for &dot_px in &self.scene.reference_dots {
-            pixels.add_frame_dot(&mut picture, &self.scene, dot_px, drift_mm, lit * FRAME_ALBEDO);
+        for &dot_px in &self.bench.scene.reference_dots {
+            pixels.add_frame_dot(&mut picture, &self.bench.scene, dot_px, drift_mm, lit * FRAME_ALBEDO);
         }
         Ok(picture)
-    }
-
-    /// The light of one dot per unit of its flux, and its flux under full white.
-    fn dot(&self, dot: [usize; 2], drift_mm: Point) -> Result<(Glow, [f64; 3])> {
-        let beam = self.scene.beam(dot, drift_mm);
-        let side = self.scene.grid.dot_projector_px;
-        let dot_px = self.scene.grid.dot_projector_px(dot);
-        let area_mm2 = (side * side) as f64 * self.scene.slab_from_projector.area_scale(dot_px);
-        let flux = self.scene.white_irradiance(beam.center_mm).map(|e| e * area_mm2);
-        Ok((self.dots.glow(&beam, self.scene.grid.row_index(dot))?, flux))
     }
 
     /// The light of the sample under the projector's black and the ambient light; `None` without either.
@@ -345,15 +300,15 @@ impl Studio {
         if options.projector_black == 0.0 && options.ambient == 0.0 {
             return Ok(None);
         }
-        let scene = &self.scene;
-        let voxel_mm = self.dots.voxel_mm;
+        let scene = &self.bench.scene;
+        let voxel_mm = self.bench.dots.voxel_mm;
         let margin = SLAB_MARGIN_PITCHES * options.pitch_mm;
         let domain = Domain {
             corner_mm: [-margin; 2],
             voxel_mm,
             voxels: scene.slab_size_mm.map(|s| (((s + 2.0 * margin) / voxel_mm).ceil() as usize).next_multiple_of(16)),
         };
-        self.dots.slab.check_size(&domain)?;
+        self.bench.dots.slab.check_size(&domain)?;
         let mut flux = [0, 1, 2].map(|_| vec![0.0; domain.columns()]);
         for i in 0..domain.columns() {
             let corner = domain.voxel_corner_mm([i % domain.voxels[0], i / domain.voxels[0]]);
@@ -363,16 +318,16 @@ impl Studio {
             let light = self.dark_irradiance(options, corner.map(|c| c + 0.5 * voxel_mm));
             flux.iter_mut().zip(light).for_each(|(flux, e)| flux[i] = e * area);
         }
-        self.dots.diffuse(&domain, [&flux[0], &flux[1], &flux[2]]).map(Some)
+        self.bench.dots.diffuse(&domain, [&flux[0], &flux[1], &flux[2]]).map(Some)
     }
 
     fn dark_irradiance(&self, options: &Options, p: Point) -> [f64; 3] {
-        self.scene.white_irradiance(p).map(|e| e * options.projector_black + options.ambient)
+        self.bench.scene.white_irradiance(p).map(|e| e * options.projector_black + options.ambient)
     }
 
     /// Sample and frame under the projector's black and the ambient light.
     fn render_dark_sample(&self, options: &Options, pixels: &PixelGrid) -> Picture {
-        let (scene, pixel_mm) = (&self.scene, pixels.pixel_mm());
+        let (scene, pixel_mm) = (&self.bench.scene, pixels.pixel_mm());
         let Some(field) = &self.dark_field else {
             return pixels.black();
         };
@@ -396,16 +351,16 @@ impl Studio {
 
     /// Sets the sensitivity so that the brightest of some dots reaches [`BRIGHTEST`] in the shortest exposure.
     fn set_sensitivity(&mut self, options: &Options) -> Result<()> {
-        let pilots = PILOTS.min(options.grid);
-        let place = |n: usize| ((2 * n + 1) * options.grid) / (2 * pilots);
+        let pilots = options.grid.map(|n| PILOTS.min(n));
+        let place = |n: usize, a: usize| ((2 * n + 1) * options.grid[a]) / (2 * pilots[a]);
+        let px_mm = options.pitch_mm / options.camera_px_per_sample;
         let peak = |n: usize| {
-            let dot = [place(n % pilots), place(n / pilots)];
-            let (glow, flux) = self.dot(dot, [0.0; 2])?;
-            let px_mm = options.pitch_mm / options.camera_px_per_sample;
-            let means = glow.cell_means(self.scene.dot_mm(dot, [0.0; 2]), [5, 5], px_mm);
+            let dot = [place(n % pilots[0], 0), place(n / pilots[0], 1)];
+            let (glow, flux) = (self.bench.glow(dot, [0.0; 2])?, self.bench.flux(dot, [0.0; 2]));
+            let means = glow.cell_means(self.bench.scene.dot_mm(dot, [0.0; 2]), [5, 5], px_mm);
             Ok(means.iter().enumerate().map(|(i, m)| f64::from(*m) * flux[i % 3]).fold(0.0, f64::max))
         };
-        let peaks: Vec<f64> = (0..pilots * pilots).into_par_iter().map(peak).collect::<Result<_>>()?;
+        let peaks: Vec<f64> = (0..pilots[0] * pilots[1]).into_par_iter().map(peak).collect::<Result<_>>()?;
         let brightest = peaks.into_iter().fold(FRAME_ALBEDO, f64::max);
         let wanted = BRIGHTEST * self.sensor.full_range_electrons();
         self.electrons_per_sec = wanted * f64::from(SHORTEST_PER_SEC) * PI / brightest;
@@ -413,12 +368,6 @@ impl Studio {
         let longer_per_sec = self.electrons_per_sec / PI / wanted;
         self.white_shortest = ExposureTime::one_over((4.0 * longer_per_sec).ceil() as u32);
         Ok(())
-    }
-
-    /// What [`Self::dot`] is made of, for tests.
-    #[cfg(test)]
-    pub fn dot_glow(&self, dot: [usize; 2], drift_mm: Point) -> Glow {
-        self.dot(dot, drift_mm).unwrap().0
     }
 }
 

@@ -38,7 +38,7 @@ pub(crate) struct Dots {
     pub voxel_mm: f64,
     eye_mm: [f64; 3],
     pitch_mm: f64,
-    box_voxels: usize,
+    box_voxels: [usize; 2],
     tracer: Option<Tracer>,
     /// For a slab that is the same everywhere: what leaves around a dot in its middle, and that dot's place.
     everywhere: Option<(Glow, Point)>,
@@ -74,7 +74,6 @@ impl Dots {
         progress: &Progress,
     ) -> Result<Self> {
         let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
-        let samples = options.window + 2 * BOX_MARGIN_PITCHES;
         let tracer = match options.transport {
             Transport::Diffusion => None,
             Transport::Mc => {
@@ -88,12 +87,14 @@ impl Dots {
             voxel_mm,
             eye_mm,
             pitch_mm: options.pitch_mm,
-            box_voxels: (samples * options.voxels_per_sample).next_multiple_of(8),
+            box_voxels: options.window.map(|samples| {
+                ((samples + 2 * BOX_MARGIN_PITCHES) * options.voxels_per_sample).next_multiple_of(8)
+            }),
             tracer,
             everywhere: None,
         };
         if uniform {
-            let all = options.photons.saturating_mul((options.grid * options.grid) as u64);
+            let all = options.photons.saturating_mul((options.grid[0] * options.grid[1]) as u64);
             let photons = all.min(options.photons.max(MOST_SHARED_PHOTONS));
             dots.everywhere = Some((dots.solve(middle, photons, 0, progress)?, middle.center_mm));
         }
@@ -159,9 +160,9 @@ impl Dots {
 
     fn domain(&self, center_mm: Point) -> Domain {
         Domain {
-            corner_mm: center_mm.map(|c| c - 0.5 * self.box_voxels as f64 * self.voxel_mm),
+            corner_mm: std::array::from_fn(|a| center_mm[a] - 0.5 * self.box_voxels[a] as f64 * self.voxel_mm),
             voxel_mm: self.voxel_mm,
-            voxels: [self.box_voxels; 2],
+            voxels: self.box_voxels,
         }
     }
 

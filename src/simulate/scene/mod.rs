@@ -22,12 +22,10 @@ const MARK_DARKNESS: f64 = 0.8;
 const PRINT_BLUR_PX: f64 = 0.2;
 /// What is seen around the frame, camera px.
 const IMAGE_MARGIN_PX: f64 = 10.0;
-/// Turn of the projector about its axis, degrees, and its keystone: change of scale over the lit area.
-const PROJECTOR_TURN_DEG: f64 = 0.5;
+/// Keystone of the projector: change of scale over the lit area.
 const KEYSTONE: [f64; 2] = [0.015, -0.010];
-/// Tilt and turn of the camera, degrees.
-const CAMERA_TILT_DEG: f64 = 5.0;
-const CAMERA_TURN_DEG: f64 = 0.7;
+/// How far beside the camera's axis the slab's centre is seen, of the sample's extent in the picture.
+const CAMERA_AIM: [f64; 2] = [0.04, -0.03];
 /// Softness (standard deviation, camera px) of the sharpest projected edge that six points a pixel average without
 /// displacing it by more than some thousandths of a pixel.
 const FINEST_EDGE_PX: f64 = 0.12;
@@ -35,6 +33,10 @@ const FINEST_EDGE_PX: f64 = 0.12;
 const LENS_K2: f64 = -0.2;
 /// The projector's colour.
 const PROJECTOR_COLOR: [f64; 3] = [1.0, 0.95, 0.85];
+/// Reflectance of the white reference: a little yellow, as such references are after some years.
+const WHITE_REFLECTANCE: [f64; 3] = [0.97, 0.94, 0.88];
+/// Where the reference dots lie along the sides of the frame: above, below, left, right. No turn, no mirror and no shift takes them into each other.
+const REFERENCE_DOTS_ALONG: [[f64; 2]; 4] = [[0.21, 0.8], [0.24, 0.75], [0.2, 0.73], [0.27, 0.78]];
 
 /// Everything that does not change from shot to shot.
 #[derive(Debug, Clone)]
@@ -42,9 +44,9 @@ pub(crate) struct Scene {
     pub slab_size_mm: Point,
     pub frame_mm: f64,
     pub grid: Grid,
-    /// First corner and side of the area that the nominal grid covers, half a lit pitch around it included.
+    /// First corner and size of the upright rectangle around the nominal grid, half a lit pitch around it included.
     pub lit_origin_mm: Point,
-    pub lit_side_mm: f64,
+    pub lit_size_mm: Point,
     pub slab_from_projector: SlabFromProjector,
     pub projector: Projector,
     pub view: CameraView,
@@ -57,6 +59,8 @@ pub(crate) struct Scene {
     pub white: WhiteReference,
     /// Irradiance lost from the projector's brightest point to the corner of the frame, of itself.
     falloff: f64,
+    /// Largest deviation of the white reference's reflectance from the rig file's, of itself.
+    white_unevenness: f64,
     /// Whether the lab has no board.
     without_board: bool,
     /// Width of a camera pixel on the slab, mm.
@@ -69,24 +73,25 @@ impl Scene {
     /// Builds the bench around the lit points.
     pub fn new(options: &Options) -> Result<Self> {
         let centered = projector_view(options);
-        let half = 0.5 * (options.grid as f64 - 1.0) * options.step_projector_px as f64;
-        let corners = [[-half, -half], [half, -half], [-half, half], [half, half]].map(|p| centered.map(p));
+        let corners = grid_corners(options, -1.0).map(|p| centered.map(p));
+        let lit = grid_corners(options, 0.0).map(|p| centered.map(p));
         // As far as dots drift; a third of a pitch more for rounding by anyone.
         let px_mm = options.pitch_mm / options.camera_px_per_sample;
-        let border = (0.5 * options.window as f64 + 0.35) * options.pitch_mm + options.drift_reach_px() * px_mm;
-        let low: Point = std::array::from_fn(|a| fold(&corners, a, f64::min) - border);
-        let slab_size_mm = std::array::from_fn(|a| fold(&corners, a, f64::max) + border - low[a]);
+        let border =
+            options.window_mm().map(|w| 0.5 * w + 0.35 * options.pitch_mm + options.drift_reach_px() * px_mm);
+        let low: Point = std::array::from_fn(|a| fold(&corners, a, f64::min) - border[a]);
+        let slab_size_mm = std::array::from_fn(|a| fold(&corners, a, f64::max) + border[a] - low[a]);
+        let lit_low: Point = std::array::from_fn(|a| fold(&lit, a, f64::min));
         let frame_mm = FRAME_PITCHES * options.pitch_mm;
         let slab_from_centered = Homography::similarity(1.0, low.map(|v| -v)).after(&centered);
         let raster = Raster::around(options, &slab_from_centered, &outline(slab_size_mm, frame_mm))?;
         let (view, camera, eye_mm) = camera(options, slab_size_mm, frame_mm);
-        let lit_side_mm = options.grid as f64 * options.lit_pitch_mm();
         let mut scene = Self {
             slab_size_mm,
             frame_mm,
             grid: raster.grid,
-            lit_origin_mm: low.map(|v| -v - 0.5 * lit_side_mm),
-            lit_side_mm,
+            lit_origin_mm: std::array::from_fn(|a| lit_low[a] - low[a]),
+            lit_size_mm: std::array::from_fn(|a| fold(&lit, a, f64::max) - lit_low[a]),
             slab_from_projector: raster.slab_from_projector,
             projector: Projector { size_px: raster.size_px, principal_px: None },
             view,
@@ -95,8 +100,9 @@ impl Scene {
             marks: options.frame_marks.then(|| marks(slab_size_mm, frame_mm)),
             camera,
             reference_dots: Vec::new(),
-            white: WhiteReference { reflectance: [0.99; 3] },
+            white: WhiteReference { reflectance: WHITE_REFLECTANCE },
             falloff: options.falloff,
+            white_unevenness: options.white_unevenness,
             without_board: options.without_board,
             px_mm,
             projector_blur_px: options.projector_blur_px.max(FINEST_EDGE_PX * projector_px_per_camera_px(options)),
@@ -205,6 +211,14 @@ impl Scene {
         PROJECTOR_COLOR.map(|c| c * falloff)
     }
 
+    /// Reflectance of the white reference at `p` (mm): the rig file's, but for a smooth unevenness that the lab does not know.
+    pub fn white_reflectance(&self, p: Point) -> [f64; 3] {
+        let [x, y] = [0, 1].map(|a| p[a] / self.slab_size_mm[a] - 0.5);
+        // A slope and a stain: between −1 and 1 over sample and frame, about 0 in the mean.
+        let uneven = 0.9 * (2.1 * x - 1.3 * y + 0.11).sin() - 0.1;
+        self.white.reflectance.map(|r| r * (1.0 + self.white_unevenness * uneven))
+    }
+
     /// Where a dot falls when the pattern has moved by `drift_mm`, mm.
     pub fn dot_mm(&self, dot: [usize; 2], drift_mm: Point) -> Point {
         let p = self.slab_from_projector.map(self.grid.dot_projector_px(dot));
@@ -231,8 +245,10 @@ impl Scene {
     /// Two dots on each side of the frame.
     fn reference_dots(&self, options: &Options) -> Vec<Point> {
         let (w, h, f) = (self.slab_size_mm[0], self.slab_size_mm[1], 0.5 * self.frame_mm);
-        let along = [0.2, 0.8];
-        let sides = along.iter().flat_map(|&t| [[t * w, -f], [t * w, h + f], [-f, t * h], [w + f, t * h]]);
+        let [above, below, left, right] = REFERENCE_DOTS_ALONG;
+        let sides = (0..2).flat_map(|k| {
+            [[above[k] * w, -f], [below[k] * w, h + f], [-f, left[k] * h], [w + f, right[k] * h]]
+        });
         sides.map(|p| self.slab_from_projector.projector_from_slab(p).map(|v| whole_dot(options, v))).collect()
     }
 }
@@ -250,18 +266,18 @@ impl Raster {
         let invert = |h: &Homography| h.inverse().ok_or_else(|| Error::internal("the projector's view is singular"));
         let centered_from_slab = invert(slab_from_centered)?;
         let lit: Vec<Point> = outline.iter().map(|&p| centered_from_slab.map(p)).collect();
-        let step = options.step_projector_px as f64;
+        let step = options.step_projector_px.map(|step| step as f64);
         let margin = (image_margin_px(options) + 4.0) * projector_px_per_camera_px(options);
-        let half = 0.5 * (options.grid as f64 - 1.0) * step;
+        let half: Point = std::array::from_fn(|a| 0.5 * (options.grid[a] as f64 - 1.0) * step[a]);
         let origin: Point =
-            std::array::from_fn(|a| whole_dot(options, (margin - fold(&lit, a, f64::min) - half).ceil()));
-        let center = origin.map(|o| o + half);
+            std::array::from_fn(|a| whole_dot(options, (margin - fold(&lit, a, f64::min) - half[a]).ceil()));
+        let center: Point = std::array::from_fn(|a| origin[a] + half[a]);
         let size_px =
             std::array::from_fn(|a| ((fold(&lit, a, f64::max) + center[a] + margin) as usize + 1).next_multiple_of(16));
         let grid = Grid {
-            points: [options.grid; 2],
+            points: options.grid,
             origin_projector_px: origin,
-            step_projector_px: [step, step],
+            step_projector_px: step,
             dot_projector_px: options.dot_projector_px,
         };
         let slab_from_projector = slab_from_centered.after(&Homography::similarity(1.0, center.map(|c| -c)));
@@ -293,34 +309,55 @@ fn outline(size: Point, frame: f64) -> [Point; 4] {
     [[x0, y0], [x1, y0], [x0, y1], [x1, y1]]
 }
 
-/// Projector px about the grid's centre to slab mm about the slab's centre.
-fn projector_view(options: &Options) -> Homography {
-    let scale = options.lit_pitch_mm() / options.step_projector_px as f64;
-    let (sin, cos) = PROJECTOR_TURN_DEG.to_radians().sin_cos();
-    let extent = options.grid.max(2) as f64 * options.step_projector_px as f64;
-    let [gx, gy] = KEYSTONE.map(|k| k / extent);
-    Homography { matrix: [[scale * cos, -scale * sin, 0.0], [scale * sin, scale * cos, 0.0], [gx, gy, 1.0]] }
+/// Corners of the grid about its centre, projector px: of its outer dots' centres with `more` −1, with half a step around them with 0.
+fn grid_corners(options: &Options, more: f64) -> [Point; 4] {
+    let [x, y] = [0, 1].map(|a| 0.5 * (options.grid[a] as f64 + more) * options.step_projector_px[a] as f64);
+    [[-x, -y], [x, -y], [-x, y], [x, y]]
 }
 
-/// A pinhole turned and tilted over the slab's centre, its lens, and an image just large enough for slab and frame.
+/// Projector px about the grid's centre to slab mm about the slab's centre.
+fn projector_view(options: &Options) -> Homography {
+    let [mut x, y] = options.projector_px_mm();
+    if options.projector_mirrored {
+        x = -x;
+    }
+    let (sin, cos) = options.projector_turn_deg.to_radians().sin_cos();
+    let keystone = |a: usize| KEYSTONE[a] / (options.grid[a].max(2) * options.step_projector_px[a]) as f64;
+    Homography { matrix: [[x * cos, -y * sin, 0.0], [x * sin, y * cos, 0.0], [keystone(0), keystone(1), 1.0]] }
+}
+
+/// A pinhole turned and tilted, its axis beside the slab's centre, its lens, and an image just large enough for slab and frame.
 fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera, [f64; 3]) {
     let px_per_mm = options.camera_px_per_sample / options.pitch_mm;
     let extent_px = size.map(|s| (s + 2.0 * frame) * px_per_mm);
     let focal_px = (2.0 * extent_px[0].max(extent_px[1])).round();
     let distance_mm = focal_px / px_per_mm;
-    let (sin_t, cos_t) = CAMERA_TILT_DEG.to_radians().sin_cos();
-    let (sin_r, cos_r) = CAMERA_TURN_DEG.to_radians().sin_cos();
-    // R = Rx(tilt) · Rz(turn); a point of the plane is (x, y, 0) about the slab's centre.
-    let columns =
-        [[cos_r, -sin_r, 0.0], [cos_t * sin_r, cos_t * cos_r, 0.0], [sin_t * sin_r, sin_t * cos_r, distance_mm]];
-    // The camera is where R · p + (0, 0, distance) = 0: against its third row.
-    let eye_mm = [
-        0.5 * size[0] - distance_mm * sin_t * sin_r,
-        0.5 * size[1] - distance_mm * sin_t * cos_r,
-        -distance_mm * cos_t,
+    let [(sin_x, cos_x), (sin_y, cos_y)] = options.camera_tilt_deg.map(|t| t.to_radians().sin_cos());
+    let (sin_r, cos_r) = options.camera_turn_deg.to_radians().sin_cos();
+    // R = Ry · Rx · Rz(turn); a point of the plane is (x, y, 0) about the slab's centre, which is seen at `aim_px` from the axis.
+    let [a, b, c] = [
+        [cos_r, -sin_r, 0.0],
+        [cos_x * sin_r, cos_x * cos_r, -sin_x],
+        [sin_x * sin_r, sin_x * cos_r, cos_x],
     ];
-    let pinhole =
-        Homography { matrix: std::array::from_fn(|i| columns[i].map(|v| if i < 2 { focal_px * v } else { v })) };
+    let rotation: [[f64; 3]; 3] = [
+        std::array::from_fn(|k| cos_y * a[k] + sin_y * c[k]),
+        b,
+        std::array::from_fn(|k| -sin_y * a[k] + cos_y * c[k]),
+    ];
+    let aim_px = [0, 1].map(|k| CAMERA_AIM[k] * extent_px[k]);
+    let center = [distance_mm * aim_px[0] / focal_px, distance_mm * aim_px[1] / focal_px, distance_mm];
+    // The camera is where R · p + center = 0.
+    let eye_mm = std::array::from_fn(|k| {
+        let middle = if k < 2 { 0.5 * size[k] } else { 0.0 };
+        middle - (0..3).map(|i| rotation[i][k] * center[i]).sum::<f64>()
+    });
+    let pinhole = Homography {
+        matrix: std::array::from_fn(|i| {
+            let row = [rotation[i][0], rotation[i][1], center[i]];
+            row.map(|v| if i < 2 { focal_px * v } else { v })
+        }),
+    };
     let about_center = pinhole.after(&Homography::similarity(1.0, [-0.5 * size[0], -0.5 * size[1]]));
     // The centre of distortion is not quite where the rig believes the principal point to be.
     let off = [1.3, -0.9];
@@ -337,9 +374,10 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera, [f
         })
         .map(|p| view.camera_from_slab(p))
         .collect();
-    let shift: Point = std::array::from_fn(|a| (image_margin_px(options) - fold(&edge, a, f64::min)).round());
-    let size_px: [usize; 2] =
-        std::array::from_fn(|a| (fold(&edge, a, f64::max) + shift[a] + image_margin_px(options)).ceil() as usize + 1);
+    // The axis meets the middle of the picture, which is as large as the farther side demands.
+    let reach = |a: usize| fold(&edge, a, f64::max).max(-fold(&edge, a, f64::min)) + image_margin_px(options);
+    let shift = [0, 1].map(|a| reach(a).ceil());
+    let size_px = shift.map(|s| 2 * s as usize + 1);
     view.ideal_from_slab = Homography::similarity(1.0, shift).after(&view.ideal_from_slab);
     view.lens.center_px = [off[0] + shift[0], off[1] + shift[1]];
     let principal_px = size_px.map(|s| 0.5 * (s as f64 - 1.0));
@@ -355,10 +393,10 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera, [f
     (view, camera, eye_mm)
 }
 
-/// Size of a camera pixel in projector pixels, about.
+/// Size of a camera pixel in projector pixels, about: along the axis where these are the smaller.
 fn projector_px_per_camera_px(options: &Options) -> f64 {
-    let camera_px_mm = options.pitch_mm / options.camera_px_per_sample;
-    camera_px_mm * options.step_projector_px as f64 / options.lit_pitch_mm()
+    let [x, y] = options.projector_px_mm();
+    options.pitch_mm / options.camera_px_per_sample / x.min(y)
 }
 
 /// What is seen around the frame, px: more when the camera moves.

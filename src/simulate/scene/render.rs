@@ -290,13 +290,12 @@ impl GrayCode {
     /// Brightness at `q` as a translucent sample shows it: the mean of the stripes over a Gaussian of two outgoing pitches.
     pub fn blurred(&self, q: Point, options: &Options) -> f64 {
         const POINTS: i32 = 9;
-        let px_per_mm = options.step_projector_px as f64 / options.lit_pitch_mm();
-        let sd = 2.0 * options.pitch_mm * px_per_mm;
+        let sd = options.projector_px_mm().map(|mm| 2.0 * options.pitch_mm / mm);
         let (mut sum, mut weights) = (0.0, 0.0);
         for k in -POINTS..=POINTS {
             let t = 3.0 * f64::from(k) / f64::from(POINTS);
             let weight = (-0.5 * t * t).exp();
-            sum += weight * self.brightness([q[0] + t * sd, q[1] + t * sd]);
+            sum += weight * self.brightness([q[0] + t * sd[0], q[1] + t * sd[1]]);
             weights += weight;
         }
         sum / weights

@@ -18,9 +18,9 @@ const TOP_SHARE: f64 = 0.25;
 /// Where the slab lies, mm.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Place {
-    /// First corner and side of the lit area.
+    /// First corner and size of the lit area.
     pub lit_origin_mm: Point,
-    pub lit_side_mm: f64,
+    pub lit_size_mm: Point,
     /// Size of the sample, whose first corner is the origin.
     pub size_mm: Point,
 }
@@ -141,7 +141,7 @@ fn from_file(path: &std::path::Path, options: &Options, place: &Place) -> Result
     }
     let mut volume = file.volume;
     volume.origin_mm = std::array::from_fn(|a| {
-        place.lit_origin_mm[a] + 0.5 * (place.lit_side_mm - volume.voxels[a] as f64 * volume.voxel_mm[a])
+        place.lit_origin_mm[a] + 0.5 * (place.lit_size_mm[a] - volume.voxels[a] as f64 * volume.voxel_mm[a])
     });
     let mut record = SlabRecord::new(&options.material, &volume);
     record.voxels_blake3 = Some(file.blake3);
@@ -166,11 +166,11 @@ impl SlabRecord {
     }
 }
 
-/// Squares over the lit area, and the same pattern endlessly: exactly 2 × 2 voxels that repeat.
-fn chessboard([a, b]: [Optics; 2], squares: usize, place: &Place, thickness_mm: f64) -> Volume {
+/// Fields over the lit area, and the same pattern endlessly: exactly 2 × 2 voxels that repeat.
+fn chessboard([a, b]: [Optics; 2], squares: [usize; 2], place: &Place, thickness_mm: f64) -> Volume {
     Volume {
         origin_mm: place.lit_origin_mm,
-        voxel_mm: [place.lit_side_mm / squares as f64; 2],
+        voxel_mm: std::array::from_fn(|a| place.lit_size_mm[a] / squares[a] as f64),
         voxels: [2, 2],
         beyond: Beyond::Repeat,
         optics: vec![a, b, b, a],
@@ -178,14 +178,14 @@ fn chessboard([a, b]: [Optics; 2], squares: usize, place: &Place, thickness_mm: 
     }
 }
 
-/// Veins along the zero lines of a turbulent noise whose coarsest wavelength is a third of the lit area.
+/// Veins along the zero lines of a turbulent noise whose coarsest wavelength is a third of the lit area's longer side.
 fn veins([stone, vein]: [Optics; 2], options: &Options, place: &Place, thickness_mm: f64) -> Volume {
     let margin = VEIN_MARGIN_PITCHES * options.pitch_mm;
     let extent = place.size_mm.map(|s| s + 2.0 * margin);
     let longest = extent[0].max(extent[1]);
     let voxel_mm = (options.pitch_mm / VEIN_VOXELS_PER_PITCH).max(longest / MOST_VEIN_VOXELS);
     let voxels = extent.map(|e| (e / voxel_mm).ceil().max(1.0) as usize);
-    let scale_mm = place.lit_side_mm / 3.0;
+    let scale_mm = place.lit_size_mm[0].max(place.lit_size_mm[1]) / 3.0;
     let cell = |i: usize| {
         let voxel = [i % voxels[0], i / voxels[0]];
         let at: Point = std::array::from_fn(|a| ((voxel[a] as f64 + 0.5) * voxel_mm - margin) / scale_mm);
@@ -231,7 +231,7 @@ fn value_noise(seed: u64, p: Point) -> f64 {
 mod tests {
     use super::*;
 
-    const PLACE: Place = Place { lit_origin_mm: [1.0, 2.0], lit_side_mm: 8.0, size_mm: [10.0, 12.0] };
+    const PLACE: Place = Place { lit_origin_mm: [1.0, 2.0], lit_size_mm: [8.0, 6.0], size_mm: [10.0, 12.0] };
 
     fn built(material: &str, thickness_mm: Option<f64>) -> Result<Built> {
         let material = material.parse().unwrap();

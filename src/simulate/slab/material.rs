@@ -6,7 +6,7 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// The most squares of a chessboard along each axis.
+/// The most fields of a chessboard along each axis.
 const MOST_SQUARES: usize = 256;
 /// The most layers of a layered slab.
 const MOST_LAYERS: usize = 64;
@@ -16,7 +16,7 @@ const MOST_LAYERS: usize = 64;
 /// | text | slab |
 /// |---|---|
 /// | `homogeneous`, `homogeneous:MEDIUM`, `MEDIUM` | one medium (marble) |
-/// | `chessboard-NxN`, `chessboard-NxN:MEDIUM,MEDIUM` | N × N squares over the lit area (skin2 and whole-milk), continued outside |
+/// | `chessboard-NxM`, `chessboard-NxM:MEDIUM,MEDIUM` | N × M fields over the lit area (skin2 and whole-milk), continued outside |
 /// | `marble`, `marble:MEDIUM,MEDIUM` | stone with veins (marble and vein); the bare word is not the medium |
 /// | `layered` | skin1, a quarter of the thickness, on whole-milk |
 /// | `layered:MEDIUM=MM,MEDIUM=MM,…` | layers from the top with their thickness |
@@ -29,11 +29,11 @@ const MOST_LAYERS: usize = 64;
 pub enum Material {
     /// One medium.
     Homogeneous(&'static Medium),
-    /// Two media in squares.
+    /// Two media in turn.
     Chessboard {
-        /// Squares over the lit area along each axis.
-        squares: usize,
-        /// The first square's medium and the other.
+        /// Fields over the lit area along x and y.
+        squares: [usize; 2],
+        /// The first field's medium and the other.
         media: [&'static Medium; 2],
     },
     /// A stone with veins of another.
@@ -53,8 +53,8 @@ impl Material {
         Self::Homogeneous(&MARBLE)
     }
 
-    /// Squares of skin2 and whole-milk.
-    pub fn chessboard(squares: usize) -> Self {
+    /// Fields of skin2 and whole-milk, so many along x and y.
+    pub fn chessboard(squares: [usize; 2]) -> Self {
         Self::Chessboard { squares, media: [known("skin2"), known("whole-milk")] }
     }
 
@@ -93,11 +93,12 @@ fn two_media(names: &str) -> Result<[&'static Medium; 2], String> {
     }
 }
 
-fn squares(text: &str) -> Result<usize, String> {
-    let wrong = || format!("expected chessboard-NxN with N from 1 to {MOST_SQUARES}, found \"chessboard-{text}\"");
+fn squares(text: &str) -> Result<[usize; 2], String> {
+    let wrong =
+        || format!("expected chessboard-NxM with N and M from 1 to {MOST_SQUARES}, found \"chessboard-{text}\"");
     let (a, b) = text.split_once('x').ok_or_else(wrong)?;
     match (a.parse::<usize>(), b.parse::<usize>()) {
-        (Ok(a), Ok(b)) if a == b && (1..=MOST_SQUARES).contains(&a) => Ok(a),
+        (Ok(a), Ok(b)) if [a, b].iter().all(|n| (1..=MOST_SQUARES).contains(n)) => Ok([a, b]),
         _ => Err(wrong()),
     }
 }
@@ -139,7 +140,7 @@ impl FromStr for Material {
                 (Some(size), Some(names)) => Ok(Self::Chessboard { squares: squares(size)?, media: two_media(names)? }),
                 (None, None) if table::medium(kind).is_some() => Ok(Self::Homogeneous(medium(kind)?)),
                 _ => Err(format!(
-                    "expected homogeneous[:MEDIUM], chessboard-NxN[:MEDIUM,MEDIUM], marble[:MEDIUM,MEDIUM], layered[:MEDIUM=MM,…] or a medium ({})",
+                    "expected homogeneous[:MEDIUM], chessboard-NxM[:MEDIUM,MEDIUM], marble[:MEDIUM,MEDIUM], layered[:MEDIUM=MM,…] or a medium ({})",
                     table::names()
                 )),
             },
@@ -156,7 +157,7 @@ impl fmt::Display for Material {
             Self::Homogeneous(medium) => write!(f, "homogeneous:{}", medium.name),
             Self::Chessboard { squares, media } => {
                 let usual = *self == Self::chessboard(*squares);
-                write!(f, "chessboard-{squares}x{squares}{}", if usual { String::new() } else { two(media) })
+                write!(f, "chessboard-{}x{}{}", squares[0], squares[1], if usual { String::new() } else { two(media) })
             }
             Self::Veined { media } => write!(f, "marble{}", two(media)),
             Self::Layered(None) => write!(f, "layered"),
@@ -199,8 +200,8 @@ mod tests {
         for text in [
             "homogeneous",
             "homogeneous:ketchup",
-            "chessboard-4x4",
-            "chessboard-256x256:apple,cream",
+            "chessboard-6x4",
+            "chessboard-256x255:apple,cream",
             "marble",
             "marble:potato,skin1",
             "layered",
@@ -219,7 +220,7 @@ mod tests {
         for text in [
             "",
             "chessboard-0x0",
-            "chessboard-4x5",
+            "chessboard-4",
             "chessboard-257x257",
             "chessboard-4x4:apple",
             "marble:apple,cream,skin1",

@@ -1,0 +1,75 @@
+//! What lies on the bench before any photograph: the scene, the slab, and the light of each of its dots.
+
+use super::{
+    Options, Transport,
+    light::dots::{Dots, Glow},
+    light::validity,
+    scene::Scene,
+    slab::SlabRecord,
+    slab::layout::{self, Built, Place},
+};
+use crate::{Result, Warning, geometry::Point, progress::Progress, transport::Row};
+use std::sync::Mutex;
+
+/// The scene, its slab, and what solves for the slab's light.
+#[derive(Debug)]
+pub(super) struct Bench {
+    pub scene: Scene,
+    pub dots: Dots,
+    /// The slab, readable.
+    pub record: SlabRecord,
+    /// Findings about the slab.
+    pub warnings: Vec<Warning>,
+    /// Row, photon noise and light of every dot so far.
+    noise: Mutex<Vec<(usize, f64, f64)>>,
+}
+
+impl Bench {
+    /// Sets the bench up.
+    pub fn new(options: &Options, progress: &Progress) -> Result<Self> {
+        let scene = Scene::new(options)?;
+        let place =
+            Place { lit_origin_mm: scene.lit_origin_mm, lit_size_mm: scene.lit_size_mm, size_mm: scene.slab_size_mm };
+        let Built { volume, record, mut warnings } = layout::build(options, &place)?;
+        if options.transport == Transport::Diffusion {
+            let [width, height] = options.window_mm();
+            warnings.extend(validity::warnings(&volume, &record, width.min(height)));
+        }
+        let middle = scene.beam(options.grid.map(|n| n / 2), [0.0; 2]);
+        let dots = Dots::new(options, volume, scene.eye_mm, &middle, progress)?;
+        Ok(Self { scene, dots, record, warnings, noise: Mutex::default() })
+    }
+
+    /// The light of one dot per unit of its flux.
+    pub fn glow(&self, dot: [usize; 2], drift_mm: Point) -> Result<Glow> {
+        self.dots.glow(&self.scene.beam(dot, drift_mm), self.scene.grid.row_index(dot))
+    }
+
+    /// Its flux under full white.
+    pub fn flux(&self, dot: [usize; 2], drift_mm: Point) -> [f64; 3] {
+        let side = self.scene.grid.dot_projector_px;
+        let area_mm2 =
+            (side * side) as f64 * self.scene.slab_from_projector.area_scale(self.scene.grid.dot_projector_px(dot));
+        self.scene.white_irradiance(self.scene.dot_mm(dot, drift_mm)).map(|e| e * area_mm2)
+    }
+
+    /// The true row of a dot; its photon noise is remembered.
+    pub fn row(&self, options: &Options, dot: [usize; 2], drift_mm: Point, glow: &Glow) -> Row {
+        let response = glow.cell_means(self.scene.dot_mm(dot, drift_mm), options.window, options.pitch_mm);
+        if let Ok(mut noise) = self.noise.lock() {
+            let light = response.iter().map(|r| f64::from(*r).powi(2)).sum();
+            noise.push((self.scene.grid.row_index(dot), glow.variance_sum, light));
+        }
+        let (variance, valid) = (vec![0.0; response.len()], vec![true; response.len()]);
+        Row { response, variance, valid }
+    }
+
+    /// The photon noise of the truth: the standard error of all rows over the rows, both Euclidean; `None` without noise.
+    pub fn photon_noise(&self) -> Option<f64> {
+        let mut noise = self.noise.lock().map(|noise| noise.clone()).unwrap_or_default();
+        // In the order of the rows, so that the sum does not depend on the threads.
+        noise.sort_by_key(|(row, ..)| *row);
+        let (error, light) = noise.iter().fold((0.0, 0.0), |(e, l), (_, error, light)| (e + error, l + light));
+        (error > 0.0).then(|| (error / light).sqrt())
+    }
+}
