@@ -84,8 +84,15 @@ impl Scene {
         let lit_low: Point = std::array::from_fn(|a| fold(&lit, a, f64::min));
         let frame_mm = FRAME_PITCHES * options.pitch_mm;
         let slab_from_centered = Homography::similarity(1.0, low.map(|v| -v)).after(&centered);
-        let raster = Raster::around(options, &slab_from_centered, &outline(slab_size_mm, frame_mm))?;
         let (view, camera, eye_mm) = camera(options, slab_size_mm, frame_mm);
+        // The projector lights all that the camera sees: beyond its raster a Gray code would begin again.
+        let [right, lower] = camera.size_px.map(|s| s as f64);
+        let mut lit: Vec<Point> = [[0.0, 0.0], [right, 0.0], [0.0, lower], [right, lower]]
+            .into_iter()
+            .filter_map(|q| view.slab_from_camera(q))
+            .collect();
+        lit.extend(outline(slab_size_mm, frame_mm));
+        let raster = Raster::around(options, &slab_from_centered, &lit)?;
         let mut scene = Self {
             slab_size_mm,
             frame_mm,
@@ -261,13 +268,13 @@ struct Raster {
 }
 
 impl Raster {
-    /// Covers `outline` (mm) and what the camera sees around it. Centred pixels count from the middle of the grid.
+    /// Covers `outline` (mm) and what the camera sees around it when it moves. Centred pixels count from the middle of the grid.
     fn around(options: &Options, slab_from_centered: &Homography, outline: &[Point]) -> Result<Self> {
         let invert = |h: &Homography| h.inverse().ok_or_else(|| Error::internal("the projector's view is singular"));
         let centered_from_slab = invert(slab_from_centered)?;
         let lit: Vec<Point> = outline.iter().map(|&p| centered_from_slab.map(p)).collect();
         let step = options.step_projector_px.map(|step| step as f64);
-        let margin = (image_margin_px(options) + 4.0) * projector_px_per_camera_px(options);
+        let margin = (options.camera_reach_px() + 4.0) * projector_px_per_camera_px(options);
         let half: Point = std::array::from_fn(|a| 0.5 * (options.grid[a] as f64 - 1.0) * step[a]);
         let origin: Point =
             std::array::from_fn(|a| whole_dot(options, (margin - fold(&lit, a, f64::min) - half[a]).ceil()));
