@@ -15,7 +15,7 @@ fn main() -> acquire::Result<()> {
     let named = std::env::args().skip(1).find(|a| !a.starts_with('-')).map(std::path::PathBuf::from);
     let dir = named.clone().unwrap_or_else(|| folder.path().join("capture"));
     if named.is_none() {
-        simulate(&Options { grid: 16, window: 31, ..Options::default() }, &dir, &Progress::silent())?;
+        simulate(&Options { grid: [18, 14], window: [33, 29], ..Options::default() }, &dir, &Progress::silent())?;
     }
     let capture = Capture::open(&dir, None)?;
     println!("{} photographs of {:?} px", capture.photographs(), capture.rig.camera.size_px);

@@ -28,8 +28,8 @@ fn main() -> acquire::Result<()> {
     let typed: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
     let number = |n: usize| typed.get(n).and_then(|a| a.parse::<f64>().ok());
     let options = Options {
-        grid: number(0).map_or(16, |n| n as usize),
-        window: 31,
+        grid: number(0).map_or([18, 14], |n| [n as usize; 2]),
+        window: [33, 29],
         camera_px_per_sample: number(1).unwrap_or(3.0),
         format: if typed.get(2).is_some_and(|f| f == "jpeg") { FileFormat::Jpeg } else { FileFormat::Png },
         ..Options::default()

@@ -74,10 +74,10 @@ fn main() -> Result<()> {
         let pitch_mm = Options::default().pitch_mm;
         let options = Options {
             material: "chessboard-4x4".parse().map_err(|what| Error::Internal { what })?,
-            lit_pitch_mm: Some(SAMPLES_PER_POINT as f64 * pitch_mm),
-            spacing: Some(spacing),
+            lit_pitch_mm: Some([SAMPLES_PER_POINT as f64 * pitch_mm; 2]),
+            spacing: Some([spacing; 2]),
             exposures: EXPOSURES,
-            ..Options { grid, window, seed, ..Options::default() }
+            ..Options { grid: [grid; 2], window: [window; 2], seed, ..Options::default() }
         };
         simulate(&options, &dir, &Progress::silent())?;
         let whole = Manifest::read(&dir)?;

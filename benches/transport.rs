@@ -81,7 +81,8 @@ fn materials(photons: u64) -> acquire::Result<()> {
         let mut noise = 0.0;
         let path = |transport| folder.path().join(format!("{transport:?}"));
         for transport in [Transport::Diffusion, Transport::Mc] {
-            let mut options = Options { transport, photons, grid: 2, window: 31, force: true, ..Options::default() };
+            let mut options =
+                Options { transport, photons, grid: [2, 3], window: [33, 29], force: true, ..Options::default() };
             options.material = material.parse().map_err(|_| acquire::Error::internal(material))?;
             options.exposures = 1;
             options.only(&[Cause::Drift]);

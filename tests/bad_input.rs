@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 /// A small capture, simulated once for all tests of this file.
 fn original() -> &'static Path {
     static CAPTURE: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
-    let options = Options { grid: 3, window: 5, exposures: 2, ..Options::default() };
+    let options = Options { grid: [4, 3], window: [7, 5], exposures: 2, ..Options::default() };
     &CAPTURE.get_or_init(|| common::capture(&options)).1
 }
 
@@ -287,8 +287,13 @@ fn numbers_that_make_no_sense_are_refused_by_name() {
 
 #[test]
 fn a_jpeg_cut_in_its_pixels_is_refused() {
-    let options =
-        Options { grid: 3, window: 5, exposures: 2, format: acquire::simulate::FileFormat::Jpeg, ..Options::default() };
+    let options = Options {
+        grid: [4, 3],
+        window: [7, 5],
+        exposures: 2,
+        format: acquire::simulate::FileFormat::Jpeg,
+        ..Options::default()
+    };
     let (folder, dir) = common::capture(&options);
     let bench = Bench { folder };
     let photograph = dir.join("photos/reference-white_0.jpg");

@@ -12,7 +12,7 @@ use std::sync::OnceLock;
 /// Nine lattice shots of four dots each, simulated once for all tests of this file.
 fn original() -> &'static Path {
     static CAPTURE: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
-    let options = Options { grid: 6, window: 5, spacing: Some(3), exposures: 3, ..Options::default() };
+    let options = Options { grid: [7, 5], window: [7, 5], spacing: Some([3, 2]), exposures: 3, ..Options::default() };
     &CAPTURE.get_or_init(|| common::capture(&options)).1
 }
 
@@ -253,9 +253,9 @@ fn a_white_reference_that_is_saturated_in_all_exposures_is_named_with_its_share(
 fn a_lens_out_of_focus_is_found_and_told() {
     let (_folder, sharp) = copy();
     let (_other, blurred) = common::capture(&Options {
-        grid: 6,
-        window: 5,
-        spacing: Some(3),
+        grid: [7, 5],
+        window: [7, 5],
+        spacing: Some([3, 2]),
         exposures: 3,
         psf_px: 1.5,
         ..Options::default()

@@ -56,27 +56,27 @@ fn registration_rms(dir: &Path, report: &BuildReport) -> [f64; 2] {
 }
 
 fn small() -> Options {
-    // A picture of some 160 px in which squares of the board have 11, with nine lattice shots.
+    // A picture of some 160 px in which squares of the board have 11, with twelve lattice shots.
     Options {
-        material: Material::chessboard(4),
-        grid: 3,
-        lit_pitch_mm: Some(3.0),
-        step_projector_px: 24,
-        window: 21,
+        material: Material::chessboard([4, 3]),
+        grid: [4, 3],
+        lit_pitch_mm: Some([3.0, 2.5]),
+        step_projector_px: [24, 20],
+        window: [23, 19],
         exposures: 2,
         seed: 3,
         ..Options::default()
     }
 }
 
-/// Sixteen shots of sixteen dots on a chessboard whose cells are a shot's spacing: every dot lies near an edge.
+/// Twelve shots of twenty dots on a chessboard whose fields are about a shot's spacing: every dot lies near an edge.
 fn dense() -> Options {
     Options {
-        grid: 16,
-        window: 11,
-        lit_pitch_mm: Some(1.5),
-        step_projector_px: 4,
-        spacing: Some(4),
+        grid: [16, 15],
+        window: [13, 9],
+        lit_pitch_mm: Some([1.5, 2.0]),
+        step_projector_px: [4, 5],
+        spacing: Some([4, 3]),
         exposures: 3,
         seed: 3,
         ..small()
@@ -173,11 +173,11 @@ fn drift_without_reference_dots_is_not_pulled_by_edges_or_by_depth() {
 #[test]
 fn a_pattern_that_may_be_its_neighbours_is_refused_by_the_shots_name() {
     let options = Options {
-        grid: 9,
+        grid: [10, 8],
         lit_pitch_mm: None,
-        step_projector_px: 4,
-        window: 7,
-        spacing: Some(3),
+        step_projector_px: [4, 5],
+        window: [9, 7],
+        spacing: Some([3, 2]),
         drift_px: 0.1,
         ..small()
     };
@@ -197,7 +197,8 @@ fn a_pattern_that_may_be_its_neighbours_is_refused_by_the_shots_name() {
 #[test]
 fn a_camera_that_moves_is_told_and_followed_and_one_that_stands_is_not_suspected() {
     for (moves, limit_px) in [(false, 0.02), (true, 0.1)] {
-        let mut options = Options { grid: 8, lit_pitch_mm: None, step_projector_px: 4, exposures: 5, ..small() };
+        let mut options =
+            Options { grid: [9, 7], lit_pitch_mm: None, step_projector_px: [4, 5], exposures: 5, ..small() };
         if moves {
             options.with(&[Cause::CameraJumps]);
         }
@@ -214,7 +215,7 @@ fn a_camera_that_moves_is_told_and_followed_and_one_that_stands_is_not_suspected
 #[test]
 fn the_glow_of_dots_near_the_rim_is_no_movement_of_the_camera() {
     // A sample of 10 mm, whose rim every dot lights.
-    let (_folder, dir) = common::capture(&Options { grid: 6, window: 15, seed: 3, ..Options::default() });
+    let (_folder, dir) = common::capture(&Options { grid: [7, 5], window: [17, 13], seed: 3, ..Options::default() });
     let report = build(&dir);
     let told = report.warnings.iter().any(|w| matches!(w, Warning::CameraMoved { .. }));
     assert!(!told, "{:?}", report.warnings);
@@ -247,7 +248,7 @@ fn a_frame_that_is_seen_elsewhere_at_the_end_is_told_with_the_figure() {
 
 #[test]
 fn a_capture_that_lacks_what_its_shots_need_is_refused_before_any_work() {
-    let (_folder, dir) = common::capture(&Options { frame_marks: true, grid: 2, ..small() });
+    let (_folder, dir) = common::capture(&Options { frame_marks: true, grid: [2, 3], ..small() });
     let rig_path = dir.join("calibration");
     let rig = Rig::read(&rig_path.join("rig.toml")).unwrap();
     Rig { frame: None, ..rig.clone() }.write(&rig_path).unwrap();
@@ -271,7 +272,7 @@ fn a_capture_that_lacks_what_its_shots_need_is_refused_before_any_work() {
 
 #[test]
 fn a_frame_without_its_marks_is_refused_by_the_shots_name() {
-    let (_folder, dir) = common::capture(&Options { frame_marks: true, grid: 2, ..small() });
+    let (_folder, dir) = common::capture(&Options { frame_marks: true, grid: [2, 3], ..small() });
     let rig_path = dir.join("calibration");
     let mut rig = Rig::read(&rig_path.join("rig.toml")).unwrap();
     // Marks where there are none.

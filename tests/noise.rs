@@ -19,9 +19,9 @@ fn build(dir: &Path) -> acquire::Result<(std::path::PathBuf, Vec<Warning>)> {
 #[test]
 fn a_rig_without_noise_gets_it_from_the_photographs_and_the_variance_stays_right() {
     let options = Options {
-        material: Material::chessboard(4),
-        grid: 8,
-        window: 31,
+        material: Material::chessboard([4, 3]),
+        grid: [9, 7],
+        window: [33, 29],
         psf_px: 0.3,
         flicker: 0.003,
         rig_without_noise: true,
@@ -60,7 +60,7 @@ fn is_near(warnings: &[Warning], gain: f64, read: f64, black: f64) -> bool {
 #[test]
 fn a_rig_whose_noise_the_photographs_contradict_is_warned_about_and_a_right_one_is_not() {
     for sensor in [SensorKind::SonyA7r3, SensorKind::SonyA7r1, SensorKind::CanonT1, SensorKind::Phone] {
-        let (_folder, dir) = common::capture(&Options { grid: 6, window: 15, sensor, ..Options::default() });
+        let (_folder, dir) = common::capture(&Options { grid: [7, 5], window: [17, 13], sensor, ..Options::default() });
         let doubts = |w: &Warning| matches!(w, Warning::NoiseDisagrees { .. });
         assert!(!build(&dir).unwrap().1.iter().any(doubts), "{sensor:?}: {:?}", build(&dir).unwrap().1);
         let rig = dir.join("calibration/rig.toml");
@@ -79,8 +79,13 @@ fn a_rig_whose_noise_the_photographs_contradict_is_warned_about_and_a_right_one_
 
 #[test]
 fn photographs_that_cannot_tell_the_noise_are_refused_by_the_name_of_the_section() {
-    let options =
-        Options { grid: 4, window: 9, format: FileFormat::Jpeg, rig_without_noise: true, ..Options::default() };
+    let options = Options {
+        grid: [5, 4],
+        window: [11, 7],
+        format: FileFormat::Jpeg,
+        rig_without_noise: true,
+        ..Options::default()
+    };
     let (_folder, dir) = common::capture(&options);
     match build(&dir) {
         Err(Error::Field { path, field, found, .. }) => {

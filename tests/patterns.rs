@@ -14,7 +14,14 @@ use std::path::{Path, PathBuf};
 
 /// A simulated capture of nine lattice shots with its truth.
 fn simulated() -> (tempfile::TempDir, PathBuf, Truth) {
-    let options = Options { grid: 6, window: 5, spacing: Some(3), exposures: 2, drift_px: 0.0, ..Options::default() };
+    let options = Options {
+        grid: [7, 5],
+        window: [7, 5],
+        spacing: Some([3, 2]),
+        exposures: 2,
+        drift_px: 0.0,
+        ..Options::default()
+    };
     let (folder, dir) = common::capture(&options);
     let truth = toml::from_str(&std::fs::read_to_string(dir.join("truth.toml")).unwrap()).unwrap();
     (folder, dir, truth)
@@ -208,15 +215,15 @@ fn settings_that_make_no_patterns_are_refused_by_name() {
     }
 }
 
-/// A quick capture of four single dots on a material whose light dies within a few samples.
+/// A quick capture of six single dots on a material whose light dies within a few samples.
 fn probe() -> (tempfile::TempDir, Probe, Rig) {
     let options = Options {
         material: "nearly-opaque".parse().unwrap(),
-        grid: 2,
-        lit_pitch_mm: Some(4.0),
-        step_projector_px: 32,
-        spacing: Some(2),
-        window: 25,
+        grid: [2, 3],
+        lit_pitch_mm: Some([4.0, 3.5]),
+        step_projector_px: [32, 28],
+        spacing: Some([2, 3]),
+        window: [27, 23],
         ..Options::default()
     };
     let (folder, dir) = common::capture(&options);
@@ -258,9 +265,10 @@ fn what_the_probe_says_of_cross_talk_is_what_a_capture_with_that_spacing_has() {
     let light = |spacing: usize| {
         let options = Options {
             material: "nearly-opaque".parse().unwrap(),
-            grid: 15,
-            window: 7,
-            spacing: Some(spacing),
+            grid: [15, 13],
+            window: [7, 7],
+            lit_pitch_mm: Some([0.5; 2]),
+            spacing: Some([spacing; 2]),
             noise_free: true,
             drift_px: 0.0,
             ..Options::default()
@@ -270,7 +278,7 @@ fn what_the_probe_says_of_cross_talk_is_what_a_capture_with_that_spacing_has() {
         let keep = BuildOptions { keep_crosstalk: true, ..BuildOptions::default() };
         build_matrix(&dir, &keep, &out, &Progress::silent()).unwrap();
         let matrix = MatrixReader::open(&out).unwrap();
-        let row = matrix.read(7 * 15 + 7..7 * 15 + 8).unwrap();
+        let row = matrix.read(6 * 15 + 7..6 * 15 + 8).unwrap();
         [0, 1, 2].map(|c| row.response.iter().skip(c).step_by(3).map(|&r| f64::from(r)).sum::<f64>())
     };
     let (near, alone) = (light(spacing), light(15));

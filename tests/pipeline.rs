@@ -44,9 +44,16 @@ fn registration_rms(dir: &Path, report: &BuildReport) -> [f64; 2] {
 
 #[test]
 fn a_noise_free_capture_of_every_material_gives_the_matrix_to_one_percent() {
-    for material in [Material::homogeneous(), Material::chessboard(4), Material::chessboard(8), Material::marble()] {
-        let options =
-            Options { material: material.clone(), grid: 8, window: 15, noise_free: true, ..Options::default() };
+    for material in
+        [Material::homogeneous(), Material::chessboard([4, 3]), Material::chessboard([8, 6]), Material::marble()]
+    {
+        let options = Options {
+            material: material.clone(),
+            grid: [9, 7],
+            window: [17, 13],
+            noise_free: true,
+            ..Options::default()
+        };
         let (_folder, dir) = common::capture(&options);
         let (matrix, report) = build(&dir);
         let found = compare(&matrix, &dir.join("truth.rd.zarr"));
@@ -61,8 +68,8 @@ fn a_noise_free_capture_of_every_material_gives_the_matrix_to_one_percent() {
 
 #[test]
 fn a_noisy_capture_gives_the_matrix_to_three_percent_and_its_variance_is_right() {
-    for material in [Material::homogeneous(), Material::chessboard(4)] {
-        let options = Options { material: material.clone(), grid: 8, window: 31, ..Options::default() };
+    for material in [Material::homogeneous(), Material::chessboard([4, 3])] {
+        let options = Options { material: material.clone(), grid: [9, 7], window: [33, 29], ..Options::default() };
         let (_folder, dir) = common::capture(&options);
         let (matrix, report) = build(&dir);
         let found = compare(&matrix, &dir.join("truth.rd.zarr"));
@@ -80,8 +87,13 @@ fn a_noisy_capture_gives_the_matrix_to_three_percent_and_its_variance_is_right()
 fn a_capture_by_monte_carlo_gives_its_matrix() {
     let mc = Options { transport: acquire::simulate::Transport::Mc, photons: 20_000, ..Options::default() };
     for material in ["homogeneous", "chessboard-4x4", "layered:skin1=0.4,ketchup=1"] {
-        let options =
-            Options { material: material.parse().unwrap(), grid: 3, window: 11, noise_free: true, ..mc.clone() };
+        let options = Options {
+            material: material.parse().unwrap(),
+            grid: [4, 3],
+            window: [13, 9],
+            noise_free: true,
+            ..mc.clone()
+        };
         let (_folder, dir) = common::capture(&options);
         let (matrix, _) = build(&dir);
         let found = compare(&matrix, &dir.join("truth.rd.zarr"));
@@ -91,7 +103,7 @@ fn a_capture_by_monte_carlo_gives_its_matrix() {
 
 #[test]
 fn the_blur_of_an_ordinary_lens_is_found_and_taken_out() {
-    let options = Options { psf_px: 0.5, window: 31, grid: 4, seed: 5, ..Options::default() };
+    let options = Options { psf_px: 0.5, window: [33, 29], grid: [5, 4], seed: 5, ..Options::default() };
     let (_folder, dir) = common::capture(&options);
     let (out, report) = build(&dir);
     let found = report.registration.point_spread.unwrap();
@@ -106,8 +118,9 @@ fn the_blur_of_an_ordinary_lens_is_found_and_taken_out() {
 #[test]
 fn the_noise_of_a_single_exposure_is_not_taken_for_a_halo() {
     let material = Material::homogeneous();
-    let lit_pitch_mm = Some(1.0);
-    let options = Options { material, grid: 8, window: 31, lit_pitch_mm, exposures: 1, seed: 3, ..Options::default() };
+    let lit_pitch_mm = Some([1.0, 1.2]);
+    let options =
+        Options { material, grid: [9, 7], window: [33, 29], lit_pitch_mm, exposures: 1, seed: 3, ..Options::default() };
     let (_folder, dir) = common::capture(&options);
     let (matrix, report) = build(&dir);
     let found = compare(&matrix, &dir.join("truth.rd.zarr"));
@@ -119,8 +132,13 @@ fn the_noise_of_a_single_exposure_is_not_taken_for_a_halo() {
 #[test]
 fn a_lattice_of_many_dots_gives_the_matrix_to_one_percent() {
     let pitch_mm = Options::default().pitch_mm;
-    let options =
-        Options { grid: 12, window: 13, lit_pitch_mm: Some(3.0 * pitch_mm), noise_free: true, ..Options::default() };
+    let options = Options {
+        grid: [13, 11],
+        window: [15, 11],
+        lit_pitch_mm: Some([3.0 * pitch_mm, 4.0 * pitch_mm]),
+        noise_free: true,
+        ..Options::default()
+    };
     let (_folder, dir) = common::capture(&options);
     let (matrix, report) = build(&dir);
     // Eight lit points, 24 samples, apart: four dots in some shots.
@@ -132,8 +150,9 @@ fn a_lattice_of_many_dots_gives_the_matrix_to_one_percent() {
 
 #[test]
 fn dots_nearer_than_their_windows_are_told_apart_and_warned_of() {
-    let material = Material::chessboard(4);
-    let options = Options { material, grid: 12, window: 15, spacing: Some(6), seed: 2, ..Options::default() };
+    let material = Material::chessboard([4, 3]);
+    let options =
+        Options { material, grid: [13, 11], window: [17, 13], spacing: Some([6, 5]), seed: 2, ..Options::default() };
     let (_folder, dir) = common::capture(&options);
     let (matrix, report) = build(&dir);
     assert_eq!(report.shots.len(), 36);
@@ -150,7 +169,8 @@ fn dots_nearer_than_their_windows_are_told_apart_and_warned_of() {
 
 #[test]
 fn photographs_in_eight_bit_jpeg_give_a_matrix_too() {
-    let options = Options { grid: 4, window: 11, format: acquire::simulate::FileFormat::Jpeg, ..Options::default() };
+    let options =
+        Options { grid: [5, 4], window: [13, 9], format: acquire::simulate::FileFormat::Jpeg, ..Options::default() };
     let (_folder, dir) = common::capture(&options);
     let (matrix, _) = build(&dir);
     let found = compare(&matrix, &dir.join("truth.rd.zarr"));
@@ -160,7 +180,7 @@ fn photographs_in_eight_bit_jpeg_give_a_matrix_too() {
 
 #[test]
 fn one_thread_and_two_give_the_same_matrix() {
-    let options = Options { grid: 4, window: 7, ..Options::default() };
+    let options = Options { grid: [5, 4], window: [9, 7], ..Options::default() };
     let (folder, dir) = common::capture(&options);
     let matrices = ["1", "2"].map(|threads| {
         let out = folder.path().join(format!("{threads}.rd.zarr"));
@@ -180,7 +200,7 @@ fn one_thread_and_two_give_the_same_matrix() {
 
 #[test]
 fn grid_points_that_no_shot_lights_are_invalid_and_reported() {
-    let options = Options { grid: 3, window: 5, exposures: 2, ..Options::default() };
+    let options = Options { grid: [4, 3], window: [7, 5], exposures: 2, ..Options::default() };
     let (_folder, dir) = common::capture(&options);
     let mut manifest = acquire::capture::Manifest::read(&dir).unwrap();
     let last = manifest.shots.pop().unwrap();
@@ -196,7 +216,7 @@ fn grid_points_that_no_shot_lights_are_invalid_and_reported() {
 
 #[test]
 fn an_exposure_in_the_manifest_overrides_exif_and_the_difference_is_told() {
-    let options = Options { grid: 2, window: 5, exposures: 2, ..Options::default() };
+    let options = Options { grid: [2, 3], window: [7, 5], exposures: 2, ..Options::default() };
     let (_folder, dir) = common::capture(&options);
     let mut manifest = acquire::capture::Manifest::read(&dir).unwrap();
     let (before, _) = build(&dir);

@@ -13,7 +13,7 @@ use common::compare;
 use std::path::Path;
 
 fn bench() -> Options {
-    Options { material: Material::chessboard(4), grid: 8, window: 15, seed: 3, ..Options::default() }
+    Options { material: Material::chessboard([4, 3]), grid: [9, 7], window: [17, 13], seed: 3, ..Options::default() }
 }
 
 fn build(dir: &Path, exposure_from: ExposureFrom) -> (std::path::PathBuf, BuildReport) {
@@ -177,7 +177,7 @@ fn flicker_is_measured_and_mostly_taken_out() {
 
 #[test]
 fn a_missing_or_damaged_curve_file_is_named() {
-    let (_folder, dir) = common::capture(&Options { grid: 2, window: 5, exposures: 3, ..bench() });
+    let (_folder, dir) = common::capture(&Options { grid: [2, 3], window: [7, 5], exposures: 3, ..bench() });
     let mut rig = Rig::read(&dir.join("calibration/rig.toml")).unwrap();
     rig.camera.response = ResponseCurve::File("mine.toml".into());
     rig.write(&dir.join("calibration")).unwrap();

@@ -10,7 +10,7 @@ use npyz::WriterBuilder;
 use std::path::Path;
 
 fn tiny() -> Options {
-    Options { material: Material::chessboard(4), grid: 3, window: 5, exposures: 2, ..Options::default() }
+    Options { material: Material::chessboard([4, 3]), grid: [4, 3], window: [7, 5], exposures: 2, ..Options::default() }
 }
 
 /// All files below `dir` with their bytes, sorted by name.
@@ -62,7 +62,7 @@ fn the_capture_and_its_truth_read_back() {
     let dir = tempfile::tempdir().unwrap();
     for (format, extension) in [(FileFormat::Png, "png"), (FileFormat::Jpeg, "jpg")] {
         let path = dir.path().join(extension);
-        let options = Options { format, spacing: Some(2), ..tiny() };
+        let options = Options { format, spacing: Some([2, 3]), ..tiny() };
         let summary = simulate(&options, &path, &Progress::silent()).unwrap();
         let manifest = Manifest::read(&path).unwrap();
         let rig = Rig::read(&Rig::find(&path, None).unwrap()).unwrap();
@@ -109,7 +109,7 @@ fn a_folder_is_replaced_only_when_asked_and_only_an_earlier_simulation() {
     let path = dir.path().join("capture");
     std::fs::create_dir(&path).unwrap();
     std::fs::write(path.join("precious.txt"), "keep").unwrap();
-    let options = Options { grid: 1, window: 3, exposures: 1, ..Options::default() };
+    let options = Options { grid: [1, 1], window: [5, 3], exposures: 1, ..Options::default() };
     let error = simulate(&options, &path, &Progress::silent()).unwrap_err();
     assert!(error.to_string().contains("--force"), "{error}");
     assert!(path.join("precious.txt").exists());
@@ -140,7 +140,7 @@ fn the_truth_records_the_media_and_findings_are_told() {
     .into_iter()
     .enumerate()
     {
-        let options = Options { material: text.parse().unwrap(), grid: 2, ..tiny() };
+        let options = Options { material: text.parse().unwrap(), grid: [2, 3], ..tiny() };
         let path = dir.path().join(n.to_string());
         let summary = simulate(&options, &path, &Progress::silent()).unwrap();
         assert_eq!(summary.warnings.len(), findings, "{text}: {:?}", summary.warnings);
@@ -193,4 +193,28 @@ fn a_voxel_file_is_simulated_and_its_hash_is_kept() {
     write(7.37);
     let error = simulate(&recorded, &dir.path().join("other"), &Progress::silent()).unwrap_err();
     assert!(error.to_string().contains("BLAKE3") && !dir.path().join("other").exists(), "{error}");
+}
+
+#[test]
+fn the_truth_alone_is_that_of_the_capture_and_is_no_capture() {
+    let traced = Options { transport: Transport::Mc, photons: 2_000, ..tiny() };
+    for options in [tiny(), traced] {
+        let dir = tempfile::tempdir().unwrap();
+        let [whole, alone] = ["whole", "alone"].map(|name| dir.path().join(name));
+        let with = simulate(&options, &whole, &Progress::silent()).unwrap();
+        let options = Options { truth_only: true, ..options };
+        let without = simulate(&options, &alone, &Progress::silent()).unwrap();
+        assert_eq!((without.photographs, without.photograph_bytes), (0, 0));
+        assert_eq!((with.shots, with.photon_noise), (without.shots, without.photon_noise));
+        let names: Vec<String> = std::fs::read_dir(&alone)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned())
+            .collect();
+        assert!(names.len() == 2 && names.iter().all(|name| name.starts_with("truth.")), "{names:?}");
+        let [a, b] = [&whole, &alone].map(|p| MatrixReader::open(&p.join("truth.rd.zarr")).unwrap());
+        assert_eq!((&a.header().lit_mm, &a.header().shots), (&b.header().lit_mm, &b.header().shots));
+        assert_eq!(a.read(0..a.header().rows()).unwrap(), b.read(0..b.header().rows()).unwrap());
+        // Replaced as any simulation.
+        simulate(&Options { force: true, ..options }, &alone, &Progress::silent()).unwrap();
+    }
 }

@@ -28,6 +28,8 @@ pub enum Cause {
     Ambient,
     /// Uneven projector light.
     Falloff,
+    /// An uneven white reference.
+    WhiteUnevenness,
     /// Light of black projector pixels.
     ProjectorBlack,
     /// Blurred projector pixels.
@@ -46,7 +48,7 @@ pub enum Cause {
 
 impl Cause {
     /// All of them.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 19] = [
         Self::Noise,
         Self::Psf,
         Self::Glare,
@@ -58,6 +60,7 @@ impl Cause {
         Self::Flicker,
         Self::Ambient,
         Self::Falloff,
+        Self::WhiteUnevenness,
         Self::ProjectorBlack,
         Self::Blur,
         Self::ProjectorDistortion,
@@ -80,6 +83,7 @@ impl Cause {
             Self::Flicker => (&mut options.flicker, 0.003),
             Self::Ambient => (&mut options.ambient, 5e-5),
             Self::Falloff => (&mut options.falloff, 0.12),
+            Self::WhiteUnevenness => (&mut options.white_unevenness, 0.002),
             Self::ProjectorBlack => (&mut options.projector_black, 2e-4),
             Self::Blur => (&mut options.projector_blur_px, 0.3),
             Self::ProjectorDistortion => (&mut options.projector_distortion, -0.01),

@@ -60,10 +60,8 @@ impl Plan {
             patterns.push(("frame-after".to_owned(), Pattern::Frame));
         }
         let lattices = lattice_drift(options, names, |drift_px| scene.drift_mm(drift_px));
-        let shots = patterns
-            .into_iter()
-            .map(|(name, pattern)| shot(options, photographs(&pattern), name, pattern))
-            .collect();
+        let shots =
+            patterns.into_iter().map(|(name, pattern)| shot(options, photographs(&pattern), name, pattern)).collect();
         let manifest = Manifest {
             format: FORMAT,
             name: format!("simulated {:?}", options.material).to_lowercase(),

@@ -87,9 +87,9 @@ impl Dots {
             voxel_mm,
             eye_mm,
             pitch_mm: options.pitch_mm,
-            box_voxels: options.window.map(|samples| {
-                ((samples + 2 * BOX_MARGIN_PITCHES) * options.voxels_per_sample).next_multiple_of(8)
-            }),
+            box_voxels: options
+                .window
+                .map(|samples| ((samples + 2 * BOX_MARGIN_PITCHES) * options.voxels_per_sample).next_multiple_of(8)),
             tracer,
             everywhere: None,
         };

@@ -8,7 +8,7 @@ use super::solution::Balance;
 use crate::geometry::Point;
 use crate::simulate::slab::layout::{Place, build};
 use crate::simulate::slab::{Material, Volume, boundary_factor, normal_reflectance};
-use crate::simulate::{FileFormat, Options, studio::Studio};
+use crate::simulate::{FileFormat, Options, bench::Bench};
 use std::f64::consts::PI;
 
 const THICKNESS_MM: f64 = 4.0;
@@ -19,7 +19,7 @@ const BLUR_PX: f64 = 0.3;
 
 /// The slab of diffusion alone, without flights before it.
 fn slab(material: Material, voxel_mm: f64) -> Slab {
-    let place = Place { lit_origin_mm: [-8.0; 2], lit_side_mm: 16.0, size_mm: [16.0; 2] };
+    let place = Place { lit_origin_mm: [-8.0; 2], lit_size_mm: [16.0; 2], size_mm: [16.0; 2] };
     let options = Options { material, thickness_mm: Some(THICKNESS_MM), ..Options::default() };
     Slab { flights: 0, ..Slab::new(build(&options, &place).unwrap().volume, voxel_mm, 1e-6) }
 }
@@ -115,7 +115,7 @@ fn the_sides_of_the_box_do_not_shape_the_window() {
 
 #[test]
 fn energy_balances() {
-    for material in [Material::homogeneous(), Material::chessboard(4), Material::marble()] {
+    for material in [Material::homogeneous(), Material::chessboard([4, 3]), Material::marble()] {
         for flights in [0, 2] {
             let slab = Slab { flights, ..slab(material.clone(), 0.25) };
             let (_, b) = respond(&slab, &domain(0.25, 64, [0.7, -0.3]), [0.7, -0.3]);
@@ -160,11 +160,11 @@ fn point_sources_and_detectors_are_reciprocal() {
 
 #[test]
 fn the_response_moves_with_its_dot() {
-    let options = Options { grid: 4, window: 9, material: Material::homogeneous(), ..Options::default() };
-    let studio = Studio::new(&options, &crate::progress::Progress::silent()).unwrap();
+    let options = Options { grid: [5, 4], window: [11, 7], material: Material::homogeneous(), ..Options::default() };
+    let bench = Bench::new(&options, &crate::progress::Progress::silent()).unwrap();
     let means = |drift: Point| {
-        let field = studio.dot_glow([1, 2], drift);
-        field.cell_means(studio.scene.dot_mm([1, 2], drift), [9, 9], options.pitch_mm)
+        let field = bench.glow([1, 2], drift).unwrap();
+        field.cell_means(bench.scene.dot_mm([1, 2], drift), [9, 9], options.pitch_mm)
     };
     let still = means([0.0, 0.0]);
     for drift in [[0.013, 0.0], [0.1, -0.07], [0.125, 0.125]] {
@@ -175,11 +175,11 @@ fn the_response_moves_with_its_dot() {
         assert!(worst < 1e-2, "{drift:?}: {worst}");
     }
     // Over a chessboard of 1 mm squares, towards an edge, the peak changes smoothly: second differences stay small.
-    let options = Options { material: Material::chessboard(8), grid: 16, ..options };
-    let studio = Studio::new(&options, &crate::progress::Progress::silent()).unwrap();
+    let options = Options { material: Material::chessboard([8, 6]), grid: [18, 14], ..options };
+    let bench = Bench::new(&options, &crate::progress::Progress::silent()).unwrap();
     let peak = |x: f64| {
-        let field = studio.dot_glow([1, 2], [x, 0.0]);
-        f64::from(field.cell_means(studio.scene.dot_mm([1, 2], [x, 0.0]), [1, 1], options.pitch_mm)[0])
+        let field = bench.glow([1, 2], [x, 0.0]).unwrap();
+        f64::from(field.cell_means(bench.scene.dot_mm([1, 2], [x, 0.0]), [1, 1], options.pitch_mm)[0])
     };
     let steps: Vec<f64> = (0..9).map(|i| peak(0.02 * f64::from(i))).collect();
     for triple in steps.windows(3) {
@@ -192,11 +192,14 @@ fn the_response_moves_with_its_dot() {
 #[test]
 fn defaults_are_sound_and_bad_options_are_named() {
     Options::default().check().unwrap();
-    let even = Options { window: 8, ..Options::default() };
+    let even = Options { window: [9, 8], ..Options::default() };
     assert!(even.check().unwrap_err().to_string().contains("--window"));
     let wide = Options { dot_projector_px: 9, ..Options::default() };
     assert!(wide.check().unwrap_err().to_string().contains("--dot-projector-px"));
-    assert_eq!(Options { window: 31, ..Options::default() }.spacing(), 47);
+    assert_eq!(Options { window: [31, 11], ..Options::default() }.spacing(), [47, 20]);
+    let sideways = Options { window: [31, 11], projector_turn_deg: -80.0, ..Options::default() };
+    // 46.5 samples along the projector's y, whose dots are 1.25 samples apart.
+    assert_eq!(sideways.spacing(), [24, 38]);
     let text = toml::to_string(&Options { format: FileFormat::Jpeg, ..Options::default() }).unwrap();
     assert_eq!(toml::from_str::<Options>(&text).unwrap().format, FileFormat::Jpeg);
 }

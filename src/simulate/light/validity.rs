@@ -73,7 +73,7 @@ mod tests {
     use crate::simulate::slab::layout::{Place, build};
 
     fn found(material: &str) -> Vec<Warning> {
-        let place = Place { lit_origin_mm: [0.0; 2], lit_side_mm: 8.0, size_mm: [16.0; 2] };
+        let place = Place { lit_origin_mm: [0.0; 2], lit_size_mm: [8.0; 2], size_mm: [16.0; 2] };
         let built = build(&Options { material: material.parse().unwrap(), ..Options::default() }, &place).unwrap();
         warnings(&built.volume, &built.record, 7.5)
     }
@@ -102,7 +102,7 @@ mod tests {
         };
         let optics = vec![medium(1.0, 0.0), medium(0.1, 0.0), medium(0.0, 0.0), medium(1.0, 2.0)];
         let volume = Volume { voxels: [4, 1], optics, ..Volume::uniform(medium(1.0, 0.0), 1.3, 4.0) };
-        let place = Place { lit_origin_mm: [0.0; 2], lit_side_mm: 8.0, size_mm: [16.0; 2] };
+        let place = Place { lit_origin_mm: [0.0; 2], lit_size_mm: [8.0; 2], size_mm: [16.0; 2] };
         let mut record = build(&Options::default(), &place).unwrap().record;
         record.media.clear();
         let found = warnings(&volume, &record, 7.5);

@@ -77,8 +77,7 @@ impl Scene {
         let lit = grid_corners(options, 0.0).map(|p| centered.map(p));
         // As far as dots drift; a third of a pitch more for rounding by anyone.
         let px_mm = options.pitch_mm / options.camera_px_per_sample;
-        let border =
-            options.window_mm().map(|w| 0.5 * w + 0.35 * options.pitch_mm + options.drift_reach_px() * px_mm);
+        let border = options.window_mm().map(|w| 0.5 * w + 0.35 * options.pitch_mm + options.drift_reach_px() * px_mm);
         let low: Point = std::array::from_fn(|a| fold(&corners, a, f64::min) - border[a]);
         let slab_size_mm = std::array::from_fn(|a| fold(&corners, a, f64::max) + border[a] - low[a]);
         let lit_low: Point = std::array::from_fn(|a| fold(&lit, a, f64::min));
@@ -253,9 +252,8 @@ impl Scene {
     fn reference_dots(&self, options: &Options) -> Vec<Point> {
         let (w, h, f) = (self.slab_size_mm[0], self.slab_size_mm[1], 0.5 * self.frame_mm);
         let [above, below, left, right] = REFERENCE_DOTS_ALONG;
-        let sides = (0..2).flat_map(|k| {
-            [[above[k] * w, -f], [below[k] * w, h + f], [-f, left[k] * h], [w + f, right[k] * h]]
-        });
+        let sides =
+            (0..2).flat_map(|k| [[above[k] * w, -f], [below[k] * w, h + f], [-f, left[k] * h], [w + f, right[k] * h]]);
         sides.map(|p| self.slab_from_projector.projector_from_slab(p).map(|v| whole_dot(options, v))).collect()
     }
 }
@@ -342,11 +340,8 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera, [f
     let [(sin_x, cos_x), (sin_y, cos_y)] = options.camera_tilt_deg.map(|t| t.to_radians().sin_cos());
     let (sin_r, cos_r) = options.camera_turn_deg.to_radians().sin_cos();
     // R = Ry · Rx · Rz(turn); a point of the plane is (x, y, 0) about the slab's centre, which is seen at `aim_px` from the axis.
-    let [a, b, c] = [
-        [cos_r, -sin_r, 0.0],
-        [cos_x * sin_r, cos_x * cos_r, -sin_x],
-        [sin_x * sin_r, sin_x * cos_r, cos_x],
-    ];
+    let [a, b, c] =
+        [[cos_r, -sin_r, 0.0], [cos_x * sin_r, cos_x * cos_r, -sin_x], [sin_x * sin_r, sin_x * cos_r, cos_x]];
     let rotation: [[f64; 3]; 3] = [
         std::array::from_fn(|k| cos_y * a[k] + sin_y * c[k]),
         b,
@@ -441,12 +436,13 @@ mod tests {
 
     #[test]
     fn every_window_lies_on_the_sample_and_the_picture_holds_the_frame() {
-        let options = Options { grid: 8, window: 9, lit_pitch_mm: Some(1.1), ..Options::default() };
+        let options = Options { grid: [9, 8], window: [9, 7], lit_pitch_mm: Some([1.1, 0.8]), ..Options::default() };
         let scene = Scene::new(&options).unwrap();
-        for dot in [[0, 0], [7, 0], [0, 7], [7, 7]] {
+        for dot in [[0, 0], [8, 0], [0, 7], [8, 7]] {
             let p = scene.slab_from_projector.map(scene.grid.dot_projector_px(dot));
-            let half = 4.5 * options.pitch_mm;
-            assert!(scene.on_sample([p[0] - half, p[1] - half]) && scene.on_sample([p[0] + half, p[1] + half]));
+            let half = [4.5, 3.5].map(|samples| samples * options.pitch_mm);
+            assert!(scene.on_sample([p[0] - half[0], p[1] - half[1]]));
+            assert!(scene.on_sample([p[0] + half[0], p[1] + half[1]]));
         }
         for p in outline(scene.slab_size_mm, scene.frame_mm) {
             let q = scene.view.camera_from_slab(p);
@@ -476,6 +472,72 @@ mod tests {
         let corner = |scene: &Scene| scene.white_irradiance([-scene.frame_mm; 2])[0];
         // The brightest point is a little off the middle, so that the corner loses a little more or less.
         assert!((corner(&real) - 0.88).abs() < 0.02 && corner(&ideal) == 1.0, "{}", corner(&real));
+    }
+
+    #[test]
+    fn the_camera_is_where_its_view_says_and_looks_beside_the_slab_s_middle() {
+        for camera_tilt_deg in [[5.0, -3.0], [-20.0, 12.0], [0.0, 0.0]] {
+            let options = Options { camera_tilt_deg, camera_turn_deg: -14.0, ..Options::default() };
+            let scene = Scene::new(&options).unwrap();
+            // The lens's axis is 1.3 and 0.9 px beside the picture's middle, which the pinhole's meets.
+            let middle = scene.camera.size_px.map(|s| 0.5 * (s as f64 - 1.0));
+            let lens = Lens { center_px: middle, ..scene.view.lens };
+            let eye = CameraView { lens, ..scene.view }.eye_mm().unwrap();
+            // `eye_mm` takes the homography apart by Zhang's method: exact for an ideal pinhole, to rounding.
+            for a in 0..3 {
+                assert!((eye[a] - scene.eye_mm[a]).abs() < 1e-6 * scene.eye_mm[2].abs(), "{eye:?} {:?}", scene.eye_mm);
+            }
+            let seen = scene.view.camera_from_slab(scene.center_mm());
+            // 4 % of the width and -3 % of the height that sample and frame have in the picture.
+            let extent = [0, 1].map(|a| (scene.slab_size_mm[a] + 2.0 * scene.frame_mm) / scene.px_mm);
+            for (a, share) in [(0, 0.04), (1, -0.03)] {
+                assert!((seen[a] - middle[a] - share * extent[a]).abs() < 0.1, "{seen:?} {middle:?} {extent:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_mirrored_projector_runs_backwards_and_a_turned_one_along_the_other_axis() {
+        let steps = |projector_turn_deg, projector_mirrored| {
+            let grid = [4, 3];
+            let options = Options { projector_turn_deg, projector_mirrored, grid, ..Options::default() };
+            let scene = Scene::new(&options).unwrap();
+            let [o, x, y] = [[0, 0], [1, 0], [0, 1]].map(|dot| scene.dot_mm(dot, [0.0; 2]));
+            [[x[0] - o[0], x[1] - o[1]], [y[0] - o[0], y[1] - o[1]]]
+        };
+        // Nominal steps are 0.5 and 0.625 mm; the keystone changes them by 2 % at most.
+        for (turn, mirrored, expected) in [
+            (0.0, false, [[0.5, 0.0], [0.0, 0.625]]),
+            (0.0, true, [[-0.5, 0.0], [0.0, 0.625]]),
+            (90.0, false, [[0.0, 0.5], [-0.625, 0.0]]),
+            (180.0, true, [[0.5, 0.0], [0.0, -0.625]]),
+        ] {
+            let found = steps(turn, mirrored);
+            for (a, b) in found.as_flattened().iter().zip(expected.as_flattened()) {
+                assert!((a - b).abs() < 0.015, "{turn} {mirrored}: {found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn no_turn_or_mirror_takes_the_reference_dots_into_each_other() {
+        let scene = Scene::new(&Options::default()).unwrap();
+        let dots: Vec<Point> = scene.reference_dots.iter().map(|&q| scene.slab_from_projector.map(q)).collect();
+        let [w, h] = scene.slab_size_mm;
+        let turns: [fn(Point, Point) -> Point; 7] = [
+            |[x, y], [w, h]| [w - x, h - y],
+            |[x, y], [w, _]| [w - x, y],
+            |[x, y], [_, h]| [x, h - y],
+            |[x, y], [w, h]| [y * w / h, x * h / w],
+            |[x, y], [w, h]| [w - y * w / h, x * h / w],
+            |[x, y], [w, h]| [y * w / h, h - x * h / w],
+            |[x, y], [w, h]| [w - y * w / h, h - x * h / w],
+        ];
+        for (k, turn) in turns.iter().enumerate() {
+            let nearest = |p: Point| dots.iter().map(|q| (p[0] - q[0]).hypot(p[1] - q[1])).fold(f64::MAX, f64::min);
+            let off = dots.iter().map(|&d| nearest(turn(d, [w, h]))).fold(0.0, f64::max);
+            assert!(off > 0.2, "{k}: every dot is within {off} mm of another's image");
+        }
     }
 
     #[test]
