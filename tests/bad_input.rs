@@ -263,8 +263,8 @@ fn a_shot_whose_reference_dots_are_not_where_they_should_be_is_refused() {
 #[test]
 fn numbers_that_make_no_sense_are_refused_by_name() {
     for (file, from, to, field) in [
-        ("capture.toml", "points = [3, 3]", "points = [65535, 65535]", "grid.points"),
-        ("capture.toml", "samples = [5, 5]", "samples = [4095, 4095]", "window.samples"),
+        ("capture.toml", "points = [4, 3]", "points = [65535, 65535]", "grid.points"),
+        ("capture.toml", "samples = [7, 5]", "samples = [4095, 4095]", "window.samples"),
         ("capture.toml", "pitch_mm = 0.5", "pitch_mm = 1e-308", "window.pitch_mm"),
         ("capture.toml", "pitch_mm = 0.5", "pitch_mm = nan", "window.pitch_mm"),
         ("capture.toml", "size_mm = [", "size_mm = [1e308, 1.0] # [", "slab.size_mm"),
@@ -356,7 +356,7 @@ fn options_are_checked_before_any_work() {
 #[test]
 fn a_truth_of_another_shape_is_refused_before_any_work() {
     let bench = Bench::new();
-    bench.edit("capture.toml", |t| t.replace("samples = [5, 5]", "samples = [3, 5]"));
+    bench.edit("capture.toml", |t| t.replace("samples = [7, 5]", "samples = [5, 7]"));
     let (capture, out) = (bench.path("capture"), bench.path("results"));
     let run = ["run", capture.to_str().unwrap(), "--out", out.to_str().unwrap()];
     bench.fails(&run, &["truth.rd.zarr", "capture.toml", "window"]);
@@ -385,7 +385,7 @@ fn a_matrix_that_announces_more_than_it_holds_is_refused() {
     };
     rewrite("", &|v| v["attributes"]["points"] = serde_json::json!([65535, 65535]));
     for name in ["response", "variance", "valid"] {
-        rewrite(name, &|v| v["shape"] = serde_json::json!([65535, 65535, 5, 5, 3]));
+        rewrite(name, &|v| v["shape"] = serde_json::json!([65535, 65535, 5, 7, 3]));
     }
     for name in ["x_i_mm", "y_i_mm", "position_sd_mm", "shot"] {
         rewrite(name, &|v| v["shape"] = serde_json::json!([65535, 65535]));

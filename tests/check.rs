@@ -12,7 +12,7 @@ use std::sync::OnceLock;
 /// Nine lattice shots of four dots each, simulated once for all tests of this file.
 fn original() -> &'static Path {
     static CAPTURE: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
-    let options = Options { grid: [7, 5], window: [7, 5], spacing: Some([3, 2]), exposures: 3, ..Options::default() };
+    let options = Options { grid: [9, 6], window: [7, 5], spacing: Some([3, 3]), exposures: 3, ..Options::default() };
     &CAPTURE.get_or_init(|| common::capture(&options)).1
 }
 
@@ -75,7 +75,7 @@ fn secs(numerator: u32, denominator: u32) -> Value {
 #[test]
 fn a_good_capture_would_build_and_its_figures_are_those_of_the_bench() {
     let (status, object) = check(original(), &[]);
-    // Dots of one shot are three samples apart, windows are five wide: that alone is to be said.
+    // Dots of one shot are three samples apart, windows are seven wide: that alone is to be said.
     assert_eq!((status, object["would_build"].as_bool()), (0, Some(true)));
     let findings = object["findings"].as_array().unwrap();
     assert_eq!(findings.len(), 1, "{findings:?}");
@@ -83,7 +83,7 @@ fn a_good_capture_would_build_and_its_figures_are_those_of_the_bench() {
     let figures = &object["figures"];
     let files = std::fs::read_dir(original().join("photos")).unwrap().count() as u64;
     assert_eq!((figures["photographs"].as_u64(), figures["lattice_shots"].as_u64()), (Some(files), Some(9)));
-    assert_eq!((figures["points_lit"].as_u64(), figures["dots_looked_at"].as_u64()), (Some(36), Some(32)));
+    assert_eq!((figures["points_lit"].as_u64(), figures["dots_looked_at"].as_u64()), (Some(54), Some(48)));
     // The simulated lens does not blur; noise of some per cent at the board's edges is worth a tenth of a pixel.
     assert!(figures["psf_px"].as_f64().unwrap() < 0.1, "{figures}");
     // The bench has three px a sample, seen at an angle.
@@ -216,7 +216,7 @@ fn exchanged_lattice_shots_are_out_of_order_and_their_dots_are_not_there() {
     let order = &found(&object, "out-of-order")[0];
     assert_eq!((order["severity"].as_str(), order["lattice"].as_bool()), (Some("warning"), Some(true)));
     let dead = &found(&object, "dead-dots")[0];
-    assert_eq!((dead["dots"].as_u64(), dead["of"].as_u64()), (Some(8), Some(36)));
+    assert_eq!((dead["dots"].as_u64(), dead["of"].as_u64()), (Some(12), Some(54)));
     assert_eq!(dead["shot"], "lattice-0000");
 }
 
@@ -228,7 +228,7 @@ fn points_that_no_shot_lights_are_counted() {
         m.shots.remove(shot);
     });
     let (_, object) = check(&dir, &[]);
-    assert_eq!(found(&object, "unlit-points")[0]["points"], 4);
+    assert_eq!(found(&object, "unlit-points")[0]["points"], 6);
     assert_eq!(found(&object, "unlit-points").len(), 1);
 }
 

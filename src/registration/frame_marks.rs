@@ -7,7 +7,7 @@ use super::drift::median;
 use super::fit::{Observation, ViewFit, fit_homography, fit_view};
 use super::small::solve;
 use crate::capture::{Camera, FrameMarks};
-use crate::geometry::{CameraView, Lens, Point};
+use crate::geometry::{CameraView, Homography, Lens, Point};
 use crate::radiance::Radiance;
 
 /// Softness of printed edges that is tried besides the pixel's own width, scale of a logistic distribution, px.
@@ -248,44 +248,73 @@ fn settle(
     None
 }
 
-/// A first view from discs that nobody has numbered: their layout upright in the picture, as slab coordinates are defined.
+/// Turns of the picture that are tried for the first match of the marks, degrees: to either side of upright, as slab coordinates are defined.
+const TURNS_DEG: [f64; 9] = [0.0, 8.0, -8.0, 16.0, -16.0, 24.0, -24.0, 32.0, -32.0];
+
+/// A first view from discs that nobody has numbered: their layout about upright in the picture, as slab coordinates are defined. Of the
+/// turns tried the one counts that matches most marks.
 fn match_layout(blobs: &[Blob], frame: &FrameMarks, camera: &Camera) -> Result<CameraView, String> {
     let all = frame.marks_mm.len();
     let few = || format!("{} discs of one size were found in the picture, but the frame has {all} marks", blobs.len());
     if blobs.len() < LEAST_MARKS || 2 * blobs.len() < all {
         return Err(few());
     }
-    let extent = |points: &mut dyn Iterator<Item = Point>| {
-        points.fold([[f64::MAX; 2], [f64::MIN; 2]], |[l, h], p| {
-            [[l[0].min(p[0]), l[1].min(p[1])], [h[0].max(p[0]), h[1].max(p[1])]]
-        })
-    };
-    let [low, high] = extent(&mut frame.marks_mm.iter().copied());
-    let [first, last] = extent(&mut blobs.iter().map(|b| b.center_px));
-    let scale = [0, 1].map(|a| (last[a] - first[a]) / (high[a] - low[a]));
-    if !scale.iter().all(|s| s.is_finite() && *s > 0.0) {
-        return Err("the frame's marks lie on a line".into());
+    let seen: Vec<Point> = blobs.iter().map(|b| b.center_px).collect();
+    let (marks, discs) = (Cloud::of(&frame.marks_mm), Cloud::of(&seen));
+    if !(marks.spread > 0.0 && discs.spread > 0.0) {
+        return Err("the frame's marks lie on a point".into());
     }
-    let mut view = None;
-    for _ in 0..6 {
-        let expected = |mark: Point| match view {
-            None => [0, 1].map(|a| first[a] + scale[a] * (mark[a] - low[a])),
-            Some(CameraView { ideal_from_slab, .. }) => ideal_from_slab.map(mark),
-        };
+    let scale = discs.spread / marks.spread;
+    let mut best: Option<(usize, Homography)> = None;
+    for turn in TURNS_DEG {
+        let (sin, cos) = turn.to_radians().sin_cos();
+        let about_middle = Homography::similarity(1.0, marks.middle.map(|v| -v));
+        let turned = [[scale * cos, -scale * sin, 0.0], [scale * sin, scale * cos, 0.0], [0.0, 0.0, 1.0]];
+        let start =
+            Homography::similarity(1.0, discs.middle).after(&Homography { matrix: turned }.after(&about_middle));
+        let matched = settle_layout(start, &seen, frame, scale);
+        if let Some((count, view)) = matched.filter(|(count, _)| best.as_ref().is_none_or(|(most, _)| count > most)) {
+            best = Some((count, view));
+        }
+    }
+    let (_, ideal_from_slab) = best.ok_or_else(few)?;
+    Ok(CameraView { ideal_from_slab, lens: Lens::ideal(camera.principal_px, camera.focal_px) })
+}
+
+/// Middle and root mean square distance from it.
+struct Cloud {
+    middle: Point,
+    spread: f64,
+}
+
+impl Cloud {
+    fn of(points: &[Point]) -> Self {
+        let n = points.len() as f64;
+        let middle = [0, 1].map(|a| points.iter().map(|p| p[a]).sum::<f64>() / n);
+        let square = |p: &Point| (p[0] - middle[0]).powi(2) + (p[1] - middle[1]).powi(2);
+        Self { middle, spread: (points.iter().map(square).sum::<f64>() / n).sqrt() }
+    }
+}
+
+/// Matches each mark with the disc nearest to where the view expects it, and fits the view anew, by turns: the number of marks that have one, and the view.
+fn settle_layout(mut view: Homography, seen: &[Point], frame: &FrameMarks, scale: f64) -> Option<(usize, Homography)> {
+    const ROUNDS: usize = 6;
+    let mut matched = 0;
+    for _ in 0..ROUNDS {
         let observations: Vec<Observation> = frame
             .marks_mm
             .iter()
             .filter_map(|&mark| {
-                let q = expected(mark);
-                let far = |b: &Blob| (b.center_px[0] - q[0]).hypot(b.center_px[1] - q[1]);
-                let nearest = blobs.iter().min_by(|a, b| far(a).total_cmp(&far(b)))?;
+                let q = view.map(mark);
+                let far = |d: &Point| (d[0] - q[0]).hypot(d[1] - q[1]);
+                let nearest = seen.iter().min_by(|a, b| far(a).total_cmp(&far(b)))?;
                 // Half the way to another mark at the least: discs are farther apart than they are wide.
-                (far(nearest) < frame.diameter_mm * scale[0].max(scale[1])).then_some((mark, nearest.center_px))
+                (far(nearest) < frame.diameter_mm * scale).then_some((mark, *nearest))
             })
             .flat_map(|(from, to)| [0, 1].map(|axis| Observation { from, axis, to: to[axis] }))
             .collect();
-        let (ideal_from_slab, _) = fit_homography(&observations).ok_or_else(few)?;
-        view = Some(CameraView { ideal_from_slab, lens: Lens::ideal(camera.principal_px, camera.focal_px) });
+        matched = observations.len() / 2;
+        (view, _) = fit_homography(&observations)?;
     }
-    view.ok_or_else(few)
+    Some((matched, view))
 }
