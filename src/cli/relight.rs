@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "\
 Examples:
   acquire relight slab.safetensors --light spot --out spot.exr
-  acquire relight slab.rd.zarr --light window.png --out window.exr      the measured matrix itself
-  acquire relight slab.safetensors --light point:12,8 --out point.exr   one lit point")]
+  acquire relight slab.rd.zarr --light window.png --out relit.exr       the measured matrix itself
+  acquire relight slab.safetensors --light point:3,5 --out point.exr    one lit point")]
 pub struct Args {
     /// A material or a matrix.
     source: PathBuf,
