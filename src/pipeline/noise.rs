@@ -257,6 +257,7 @@ fn disagreements(given: &Noise, found: &NoiseEstimate) -> Vec<Warning> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::{Axis, Surface};
 
     #[test]
     fn code_values_below_saturation_are_summed_and_the_others_counted() {
@@ -323,5 +324,31 @@ mod tests {
         // And the read noise by that many electrons beside a quarter of itself.
         let read = |extra: f64| doubted(&noise(2e-4, 0.125 + extra * least / 2e-4, 0.0, 1.0), &found).len();
         assert_eq!((read(0.99), read(1.01)), (0, 1));
+    }
+
+    #[test]
+    fn the_widest_stripes_of_both_axes_are_paired_at_equal_exposures() {
+        let code = |axis, bit, inverse| Pattern::GrayCode { axis, bit, inverse, on: Surface::default() };
+        let capture = super::super::tests::capture(&[
+            (Pattern::SampleBlack, &[0.1, 0.4]),
+            (code(Axis::X, 2, false), &[0.1, 0.4]),
+            (code(Axis::Y, 4, false), &[0.1, 0.4, 0.8]),
+            (code(Axis::X, 4, false), &[0.1004, 0.2, 0.4]),
+            (code(Axis::X, 3, true), &[0.1, 0.4]),
+            (code(Axis::Y, 3, false), &[0.1, 0.4]),
+            (code(Axis::X, 3, false), &[0.1, 0.4]),
+            (code(Axis::Y, 3, true), &[0.3, 0.41]),
+            (code(Axis::X, 1, true), &[0.1]),
+        ]);
+        let found: Vec<_> =
+            pairs(&capture).iter().map(|(a, b)| [a.path.to_str(), b.path.to_str()].map(Option::unwrap)).collect();
+        // Bit 4 of x with bit 4 of y, bit 3 with bit 3; the inverses of bit 3 share no exposure to a hundredth, and bit 1 has no partner.
+        let expected = [
+            ["3-0.1004.png", "2-0.1.png"],
+            ["3-0.4.png", "2-0.4.png"],
+            ["6-0.1.png", "5-0.1.png"],
+            ["6-0.4.png", "5-0.4.png"],
+        ];
+        assert_eq!(found, expected);
     }
 }

@@ -365,4 +365,44 @@ mod tests {
         let [Warning::ExposuresUnlinked { groups }] = &warnings[..] else { panic!("{warnings:?}") };
         assert_eq!(*groups, [vec![0.01, 0.16], vec![0.04]]);
     }
+
+    #[test]
+    fn settings_are_the_distinct_times_and_are_corrected_each_by_its_own_factor() {
+        let mut capture = super::super::tests::capture(&[
+            (Pattern::Board, &[0.01, 0.04]),
+            (Pattern::ReferenceWhite, &[0.04, 0.160_000_01]),
+            (Pattern::SampleBlack, &[0.16]),
+        ]);
+        let settings = Settings::of(&capture);
+        assert_eq!(settings.secs, [0.01, 0.04, 0.16]);
+        let fit = ExposureFit {
+            // 0.04 is really 0.2: longer than what 0.16 is.
+            log_scale: vec![0.0, 5f64.ln(), 0.5f64.ln()],
+            variance: vec![0.0; 3],
+            group: vec![0; 3],
+            flicker_sd: None,
+        };
+        settings.apply(&fit, &mut capture);
+        let secs = |k: usize| capture.brackets[k].iter().map(|p| p.effective_secs).collect::<Vec<_>>();
+        let close = |found: Vec<f64>, expected: &[f64]| {
+            found.len() == expected.len() && found.iter().zip(expected).all(|(f, e)| (f / e - 1.0).abs() < 1e-6)
+        };
+        assert!(close(secs(0), &[0.01, 0.2]) && close(secs(1), &[0.08, 0.2]) && close(secs(2), &[0.08]));
+        // What the camera was set to stays.
+        assert_eq!(capture.brackets[1][1].exposure_secs, 0.04);
+    }
+
+    #[test]
+    fn shots_are_looked_at_until_every_setting_has_been_seen() {
+        let lattice = |k: usize| Pattern::Lattice { dots: vec![[k, 0]] };
+        let mut shots: Vec<(Pattern, &[f64])> = (0..40).map(|k| (lattice(k), &[0.1, 0.4][..])).collect();
+        shots.push((Pattern::ReferenceBlack, &[0.1]));
+        shots.push((Pattern::SampleBlack, &[0.1]));
+        shots.push((Pattern::Frame, &[0.1, 1.6]));
+        shots.push((Pattern::CalibrationBoard, &[1.6]));
+        let capture = super::super::tests::capture(&shots);
+        // Eight lattice shots, the middles of eighths; the black of the sample; the first that has 1.6 s.
+        let chosen = choose_shots(&capture, &Settings::of(&capture));
+        assert_eq!(chosen, [2, 7, 12, 17, 22, 27, 32, 37, 41, 42]);
+    }
 }
