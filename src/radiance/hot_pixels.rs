@@ -171,9 +171,8 @@ mod tests {
     /// 6 × 5 photosites at (100, 40), three channels apart, no two alike.
     fn small(value: impl Fn(usize, usize, usize) -> f32, variance: impl Fn(usize, usize, usize) -> f32) -> Radiance {
         let at = |k: usize| (100 + k / 3 % 6, 40 + k / 18, k % 3);
-        let all = |f: &dyn Fn(usize, usize, usize) -> f32| {
-            (0..90).map(|k| at(k)).map(|(x, y, c)| f(x, y, c)).collect::<Vec<_>>()
-        };
+        let all =
+            |f: &dyn Fn(usize, usize, usize) -> f32| (0..90).map(at).map(|(x, y, c)| f(x, y, c)).collect::<Vec<_>>();
         let rect = Rect { x: 100, y: 40, width: 6, height: 5 };
         Radiance { rect, value: all(&value), variance: all(&variance), used: vec![2; 90] }
     }

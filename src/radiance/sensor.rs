@@ -167,9 +167,10 @@ impl Encoding {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::{Camera, Projector, WhiteReference};
 
     const NOISE: Noise =
-        Noise { black_dn: 3.0, saturation_dn: 240.0, gain_dn_per_electron: 0.4, read_noise_electrons: 5.0 };
+        Noise { black_dn: 3.0, saturation_dn: 240.0, gain_dn_per_electron: 0.4, read_noise_electrons: 6.0 };
 
     fn linear_sensor(compression: [f64; 3]) -> Sensor {
         Sensor::with_curve(&NOISE, None, FileNoise { sixteen_bit: false, compression })
@@ -206,15 +207,15 @@ mod tests {
     #[test]
     fn variance_is_that_of_reading_of_whole_code_values_of_compression_and_of_photons() {
         let (whole, float) = (Samples::U8(vec![]), Samples::F32(vec![]));
-        // (0.4 DN/e · 5 e)² = 4; 1/12 for rounding; the mean of the channels' compression, 3.
+        // (0.4 DN/e · 6 e)² = 5.76; 1/12 for rounding; the mean of the channels' compression, 3.
         let sensor = linear_sensor([0.0; 3]);
         let close = |a: f32, b: f64| (f64::from(a) / b - 1.0).abs() < 1e-6; // f32
-        assert!(close(sensor.floor(&whole), 4.0 + 1.0 / 12.0) && close(sensor.floor(&float), 4.0));
+        assert!(close(sensor.floor(&whole), 5.76 + 1.0 / 12.0) && close(sensor.floor(&float), 5.76));
         let compressed = linear_sensor([1.0, 2.0, 6.0]);
-        assert!(close(compressed.floor(&whole), 7.0 + 1.0 / 12.0) && close(compressed.floor(&float), 4.0));
+        assert!(close(compressed.floor(&whole), 8.76 + 1.0 / 12.0) && close(compressed.floor(&float), 5.76));
         for c in 0..3 {
-            assert!(close(compressed.variance(150.0, c), 0.4 * 150.0 + 7.0 + 1.0 / 12.0));
-            assert!(close(compressed.variance(-150.0, c), 7.0 + 1.0 / 12.0));
+            assert!(close(compressed.variance(150.0, c), 0.4 * 150.0 + 8.76 + 1.0 / 12.0));
+            assert!(close(compressed.variance(-150.0, c), 8.76 + 1.0 / 12.0));
             assert_eq!(compressed.rounding(150.0, c), 0.0);
         }
         assert!(!FileNoise::default().is_compressed());
@@ -282,13 +283,30 @@ mod tests {
                     // A table of 1024 entries over the root of the light, whose entry below is taken.
                     assert!((found / expected - 1.0).abs() < 0.02, "{c} {code}: {found} {expected}");
                     let all = f64::from(sensor.variance((light(code, c) - 3.0) as f32, c));
-                    let sum = 0.4 * (light(code, c) - 3.0) + 4.0 + found;
+                    let sum = 0.4 * (light(code, c) - 3.0) + 5.76 + found;
                     assert!((all / sum - 1.0).abs() < 1e-5, "{c} {code}: {all} {sum}");
                 }
             }
             // What a curve's table holds is not added once more.
-            assert!((sensor.floor(&Samples::U8(vec![])) - 4.0).abs() < 1e-6);
+            assert!((sensor.floor(&Samples::U8(vec![])) - 5.76).abs() < 1e-6);
             assert!(sensor.is_curved() && sensor.rounding(1e9, 0).is_finite() && sensor.rounding(-50.0, 2) >= 0.0);
+        }
+    }
+
+    #[test]
+    fn a_rigs_own_sensor_needs_its_noise_and_takes_unknown_curves_for_srgb() {
+        let of = |response: ResponseCurve, noise: Option<Noise>| {
+            let camera =
+                Camera { size_px: [9, 7], focal_px: 9.0, principal_px: [4.0; 2], response, vignetting: vec![] };
+            let projector = Projector { size_px: [64, 36], principal_px: None };
+            let white_reference = WhiteReference { reflectance: [0.91, 0.74, 0.52] };
+            Sensor::of_rig(&Rig { format: 1, camera, noise, projector, board: None, frame: None, white_reference })
+        };
+        assert!(of(ResponseCurve::Linear, None).is_none());
+        let linear = of(ResponseCurve::Linear, Some(NOISE)).unwrap();
+        assert!(linear.curve().is_none() && linear.full_range() == 237.0);
+        for response in [ResponseCurve::Srgb, ResponseCurve::Estimate, ResponseCurve::File("a.toml".into())] {
+            assert_eq!(of(response, Some(NOISE)).unwrap().curve(), Some(&Curve::srgb()));
         }
     }
 }

@@ -226,9 +226,10 @@ fn encoded_photographs_add_the_variance_of_their_code_values_by_the_curves_slope
     let noise = Noise { black_dn: 0.0, saturation_dn: 250.0, gain_dn_per_electron: 0.01, read_noise_electrons: 3.0 };
     let compression = [0.3, 2.0, 0.02];
     let sensor = Sensor::with_curve(&noise, Some(Curve::srgb()), FileNoise { sixteen_bit: false, compression });
-    let rect = Rect { x: 0, y: 0, width: 2, height: 1 };
-    let codes = [90u8, 120, 150, 60, 200, 180];
-    let merged = merge(&[Exposure { samples: Samples::U8(codes.to_vec()), secs: 0.25 }], rect, &sensor);
+    // Enough of them that a number of a sample is not taken for one of a channel.
+    let rect = Rect { x: 0, y: 0, width: 40, height: 2 };
+    let codes = [90u8, 120, 150, 60, 200, 180].repeat(40);
+    let merged = merge(&[Exposure { samples: Samples::U8(codes.clone()), secs: 0.25 }], rect, &sensor);
     for (k, &code) in codes.iter().enumerate() {
         let (light, slope) = srgb(f64::from(code));
         // Noise of the code makes its light too large by half the second derivative times the variance: 1.4 slopes over (code + 14).
@@ -270,13 +271,13 @@ fn radiance(
 ) -> Radiance {
     let at = |k: usize| (rect.x + k / 3 % rect.width, rect.y + k / 3 / rect.width, k % 3);
     let all = |f: &dyn Fn(usize, usize, usize) -> f32| {
-        (0..3 * rect.area()).map(|k| at(k)).map(|(x, y, c)| f(x, y, c)).collect::<Vec<_>>()
+        (0..3 * rect.area()).map(at).map(|(x, y, c)| f(x, y, c)).collect::<Vec<_>>()
     };
     Radiance {
         rect,
         value: all(&value),
         variance: all(&|x, y, c| value(x, y, c) * 0.5 + c as f32),
-        used: (0..3 * rect.area()).map(|k| at(k)).map(|(x, y, c)| used(x, y, c)).collect(),
+        used: (0..3 * rect.area()).map(at).map(|(x, y, c)| used(x, y, c)).collect(),
     }
 }
 
