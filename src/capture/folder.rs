@@ -297,3 +297,52 @@ fn require_shots(manifest: &Manifest, path: &Path) -> Result<()> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn exif(iso: Option<f64>, f_number: Option<f64>) -> ExifExposure {
+        ExifExposure { iso, f_number, ..ExifExposure::default() }
+    }
+
+    #[test]
+    fn light_per_second_goes_with_iso_and_with_the_inverse_square_of_the_f_number() {
+        let first = exif(Some(100.0), Some(2.8));
+        let of = |iso, f_number| relative_sensitivity(&exif(Some(iso), Some(f_number)), &first);
+        // Two stops less by the aperture, three more by ISO; f64.
+        assert!((of(100.0, 5.6) - 0.25).abs() < 1e-12);
+        assert!((of(800.0, 2.8) - 8.0).abs() < 1e-12);
+        assert!((of(800.0, 5.6) - 2.0).abs() < 1e-12);
+        // (2.8 / 1.4)² = 4.
+        assert!((of(50.0, 1.4) - 2.0).abs() < 1e-12);
+        // What one of the two does not say is taken to be the same.
+        assert_eq!(relative_sensitivity(&exif(None, None), &first), 1.0);
+        assert!((relative_sensitivity(&exif(None, Some(1.4)), &first) - 4.0).abs() < 1e-12);
+        assert!((relative_sensitivity(&exif(Some(25.0), None), &first) - 0.25).abs() < 1e-12);
+        assert_eq!(relative_sensitivity(&first, &exif(None, None)), 1.0);
+    }
+
+    fn head(name: &str, exposure_secs: f64, effective_secs: f64) -> Head {
+        let photograph = Photograph { path: name.into(), shot: "lattice-7".into(), exposure_secs, effective_secs };
+        Head { name: name.into(), photograph, exif: ExifExposure::default() }
+    }
+
+    #[test]
+    fn a_bracket_is_sorted_by_the_light_that_it_gathers_and_not_by_the_shutter() {
+        let heads = vec![head("a", 0.5, 0.125), head("b", 0.25, 0.25), head("c", 0.01, 1.0), head("d", 1.0, 0.1)];
+        let sorted = sorted_bracket(heads, Path::new("capture.toml")).unwrap();
+        let names: Vec<_> = sorted.iter().map(|p| p.path.to_str().unwrap()).collect();
+        assert_eq!(names, ["d", "a", "b", "c"]);
+    }
+
+    #[test]
+    fn two_photographs_of_the_same_light_are_refused_by_name() {
+        let path = Path::new("capture.toml");
+        // Nearer than a hundredth.
+        let refused = sorted_bracket(vec![head("z", 0.5, 0.1), head("m", 1.0, 0.3), head("b", 0.2, 0.1009)], path);
+        let Err(Error::SameExposure { shot, first, second, .. }) = refused else { panic!("{refused:?}") };
+        assert_eq!((shot.as_str(), first.as_str(), second.as_str()), ("lattice-7", "b", "z"));
+        assert!(sorted_bracket(vec![head("z", 0.5, 0.1), head("b", 0.2, 0.1011)], path).is_ok());
+    }
+}

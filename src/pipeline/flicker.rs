@@ -221,3 +221,77 @@ impl Prepared<'_> {
         sum
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scales_are_drawn_towards_none_by_what_is_known_of_them_and_of_the_flicker() {
+        // Two photographs of which only the ratio is known, with information 5000 on each; a flicker of variance 1e-4.
+        let (known, prior) = (5000.0, 1e-4);
+        let information = [known, -known, -known, known];
+        let (mean, covariance) = shrink(&[0.05, 0.01], &information, prior).unwrap();
+        // Half the difference is left of each, times 2 · 5000 / (2 · 5000 + 1e4); small systems in f64.
+        assert!((mean[0] - 0.01).abs() < 1e-12 && (mean[1] + 0.01).abs() < 1e-12, "{mean:?}");
+        // What both have in common stays at its prior; their difference is known to 1 / 2e4.
+        let (common, contrast) = (prior, 1.0 / (2.0 * known + 1.0 / prior));
+        let expected = [0.5 * (common + contrast), 0.5 * (common - contrast)];
+        for (k, e) in [(0, expected[0]), (1, expected[1]), (2, expected[1]), (3, expected[0])] {
+            assert!((covariance[k] / e - 1.0).abs() < 1e-9, "{k}: {covariance:?}");
+        }
+        // Unequal ones, each known by itself.
+        let (mean, covariance) = shrink(&[0.05, 0.01], &[3e4, 0.0, 0.0, 1e3], prior).unwrap();
+        assert!((mean[0] - 0.05 * 0.75).abs() < 1e-12 && (mean[1] - 0.01 / 11.0).abs() < 1e-12);
+        assert!((covariance[0] - 1.0 / 4e4).abs() < 1e-12 && (covariance[3] - 1.0 / 1.1e4).abs() < 1e-12);
+    }
+
+    /// Two dots in three channels, one of them not measured in green, at `level` of their mean.
+    fn light(level: f64, variance: f64) -> DotLight {
+        let of = |mean: f64| Some([mean * (1.0 + level), variance * mean * mean]);
+        vec![of(100.0), of(250.0), of(40.0), of(900.0), None, of(60.0)]
+    }
+
+    #[test]
+    fn a_shots_level_is_the_mean_over_dots_and_channels_by_their_relative_variances() {
+        let mean = vec![Some(100.0), Some(200.0), None, Some(10.0)];
+        let level = Level { mean, variance: 4e-4, mean_variance: 1e-5 };
+        // Relative: 0.02 ± 0.01, 0.05 ± 0.02; the third has no mean, the last no light.
+        let seen = vec![Some([102.0, 1.0]), Some([210.0, 16.0]), Some([7.0, 1e-9]), None];
+        let (weights, total) = ([1e4, 2500.0], 12_500.0);
+        let expected = (weights[0] * 0.02 + weights[1] * 0.05) / total;
+        let (found, variance) = level.measured(&seen).unwrap();
+        // f64.
+        assert!((found - expected).abs() < 1e-12 && (variance * total - 1.0).abs() < 1e-12, "{found} {variance}");
+        // Drawn towards none by its own variance of 8e-5 against that of shots, 4e-4.
+        let (scale, left) = level.scale_of(&seen).unwrap();
+        let share = 4e-4 / (4e-4 + 8e-5);
+        assert!((scale - share * expected).abs() < 1e-12 && (left - (share * 8e-5 + 1e-5)).abs() < 1e-12);
+        assert!(level.measured(&vec![None; 4]).is_none());
+        // A light without any noise does not rule alone for ever: 1e-12 of itself is left to it.
+        let (_, variance) = level.measured(&vec![Some([100.0, 0.0]), None, None, None]).unwrap();
+        assert!((variance - 1e-12).abs() < 1e-18);
+    }
+
+    #[test]
+    fn the_level_of_shots_varies_by_what_their_measurement_does_not_explain() {
+        let levels = [0.03, -0.01, 0.02, -0.04, 0.01, -0.01];
+        let level = Level::of(&levels.map(|l| light(l, 5e-5))).unwrap();
+        let expected = [Some(100.0), Some(250.0), Some(40.0), Some(900.0), None, Some(60.0)];
+        for (found, expected) in level.mean.iter().zip(expected) {
+            assert_eq!(found.is_some(), expected.is_some());
+            // The levels add up to none.
+            assert!(found.zip(expected).is_none_or(|(f, e)| (f / e - 1.0).abs() < 1e-9));
+        }
+        // Σ level² / 5, less a fifth (five lights of one shot) of their variance; a sixth of the spread is the mean's.
+        let spread = (9.0 + 1.0 + 4.0 + 16.0 + 1.0 + 1.0) * 1e-4 / 5.0;
+        assert!((level.variance - (spread - 1e-5)).abs() < 1e-9, "{}", level.variance);
+        assert!((level.mean_variance - spread / 6.0).abs() < 1e-9);
+        // Noise that explains it: 6.4e-4 against 2e-4 and 3 · 2e-4 · √(2/6).
+        assert!(Level::of(&levels.map(|l| light(l, 1.5e-3))).is_none());
+        assert!(Level::of(&levels.map(|l| light(l, 1.0e-3))).is_some());
+        // Too few shots, and none.
+        assert!(Level::of(&levels.map(|l| light(l, 5e-5))[..3]).is_none());
+        assert!(Level::of(&[]).is_none());
+    }
+}

@@ -276,3 +276,48 @@ pub(super) fn overlap(a: Rect, b: Rect) -> Option<Rect> {
     let (right, bottom) = ((a.x + a.width).min(b.x + b.width), (a.y + a.height).min(b.y + b.height));
     (right > x && bottom > y).then(|| Rect { x, y, width: right - x, height: bottom - y })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn albedo_is_the_light_that_leaves_the_window_in_the_brightest_channel() {
+        // Two samples of three channels, half a millimetre apart: 0.25 mm² each.
+        let row = Row { response: vec![0.1, 0.5, 0.2, 0.3, 0.6, 1.2], variance: vec![9.0; 6], valid: vec![true; 6] };
+        let window = Window { samples: [2, 1], pitch_mm: 0.5 };
+        // 0.4, 1.1 and 1.4 (f32 values).
+        assert!((albedo(&row, &window) - 0.35).abs() < 1e-6);
+        let dark = Row { response: vec![-1.0; 3], variance: vec![0.0; 3], valid: vec![true; 3] };
+        assert_eq!(albedo(&dark, &window), 0.0);
+    }
+
+    #[test]
+    fn a_square_of_pixels_holds_its_corners_and_ends_with_the_photograph() {
+        let rect = |x, y, width, height| Some(Rect { x, y, width, height });
+        // 10.3 ± 2.5 is 7.8 to 12.8, 20.6 ± 2.5 is 18.1 to 23.1.
+        assert_eq!(square([10.3, 20.6], 2.5, [60, 40]), rect(7, 18, 7, 7));
+        assert_eq!(square([1.0, 38.5], 2.5, [60, 40]), rect(0, 36, 5, 4));
+        assert_eq!(square([58.5, 1.0], 2.5, [60, 40]), rect(56, 0, 4, 5));
+        assert_eq!(square([-3.6, 20.0], 2.5, [60, 40]), None);
+        assert_eq!(square([63.0, 20.0], 2.5, [60, 40]), None);
+        assert_eq!(square([20.0, 43.0], 2.5, [60, 40]), None);
+        assert_eq!(square([45.0, 20.0], 2.0, [60, 40]), rect(43, 18, 5, 5));
+        assert_eq!(square([20.0, 45.0], 2.0, [60, 40]), None, "the photograph is wider than high");
+    }
+
+    #[test]
+    fn rectangles_grow_to_the_photographs_rim_and_overlap_where_both_are() {
+        let rect = |x, y, width, height| Rect { x, y, width, height };
+        assert_eq!(grown(rect(10, 20, 5, 7), 3, [60, 40]), rect(7, 17, 11, 13));
+        assert_eq!(grown(rect(2, 1, 5, 7), 3, [60, 40]), rect(0, 0, 10, 11));
+        assert_eq!(grown(rect(50, 30, 9, 9), 3, [60, 40]), rect(47, 27, 13, 13));
+        let a = rect(10, 20, 5, 7);
+        assert_eq!(overlap(a, rect(12, 15, 30, 8)), Some(rect(12, 20, 3, 3)));
+        assert_eq!(overlap(rect(12, 15, 30, 8), a), Some(rect(12, 20, 3, 3)));
+        assert_eq!(overlap(a, rect(14, 26, 9, 9)), Some(rect(14, 26, 1, 1)));
+        assert_eq!(overlap(a, rect(15, 20, 9, 9)), None);
+        assert_eq!(overlap(a, rect(10, 27, 9, 9)), None);
+        assert_eq!(overlap(a, rect(11, 22, 2, 3)), Some(rect(11, 22, 2, 3)));
+    }
+}

@@ -155,3 +155,6 @@ fn empty_header(capture: &Capture) -> MatrixHeader {
         provenance: serde_json::Value::Null,
     }
 }
+
+#[cfg(test)]
+mod tests;

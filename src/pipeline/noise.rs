@@ -253,3 +253,102 @@ fn disagreements(given: &Noise, found: &NoiseEstimate) -> Vec<Warning> {
         .map(|(field, given, found, sd, _)| Warning::NoiseDisagrees { field: field.to_owned(), given, found, sd })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::{Axis, Surface};
+
+    #[test]
+    fn code_values_below_saturation_are_summed_and_the_others_counted() {
+        assert_eq!(sums(&Samples::U8(vec![10, 20, 200, 250, 30]), 200.0), (60.0, 3.0, 2.0));
+        assert_eq!(sums(&Samples::U16(vec![1000, 4000, 4001]), 4001.0), (5000.0, 2.0, 1.0));
+        // NaN is below nothing.
+        assert_eq!(sums(&Samples::F32(vec![0.25, f32::NAN, f32::INFINITY, -0.5]), 1.0), (-0.25, 2.0, 2.0));
+        assert_eq!(sums(&Samples::U8(vec![]), 200.0), (0.0, 0.0, 0.0));
+    }
+
+    fn estimate(noise: Noise, sd: [f64; 3]) -> NoiseEstimate {
+        NoiseEstimate {
+            noise,
+            gain_sd: sd[0],
+            read_noise_sd: sd[1],
+            black_sd: sd[2],
+            saturation_seen: true,
+            blocks: 500,
+        }
+    }
+
+    fn noise(gain_dn_per_electron: f64, read_noise_electrons: f64, black_dn: f64, saturation_dn: f64) -> Noise {
+        Noise { black_dn, saturation_dn, gain_dn_per_electron, read_noise_electrons }
+    }
+
+    fn doubted(given: &Noise, found: &NoiseEstimate) -> Vec<String> {
+        let name = |w: &Warning| match w {
+            Warning::NoiseDisagrees { field, given, found, sd } => format!("{field} {given} {found} {sd}"),
+            other => format!("{other:?}"),
+        };
+        disagreements(given, found).iter().map(name).collect()
+    }
+
+    #[test]
+    fn a_rigs_figure_is_doubted_when_it_is_off_by_five_deviations_and_by_a_share_that_matters() {
+        let measured = noise(0.5, 8.0, 512.0, 16_000.0);
+        let small = estimate(measured.clone(), [1e-4, 1e-3, 1e-3]);
+        let of = |gain, read, black| doubted(&noise(gain, read, black, 16_000.0), &small);
+        assert!(of(0.5, 8.0, 512.0).is_empty());
+        // A tenth of the gain; a quarter of the read noise and half an electron (0.25 DN); a quarter of 4 DN of read noise.
+        assert!(
+            of(0.549, 8.0, 512.0).is_empty() && of(0.5, 10.49, 512.0).is_empty() && of(0.5, 8.0, 512.99).is_empty()
+        );
+        assert!(of(0.451, 8.0, 512.0).is_empty() && of(0.5, 5.51, 512.0).is_empty() && of(0.5, 8.0, 511.01).is_empty());
+        assert_eq!(of(0.551, 8.0, 512.0), ["gain_dn_per_electron 0.551 0.5 0.0001"]);
+        assert_eq!(of(0.449, 8.0, 512.0), ["gain_dn_per_electron 0.449 0.5 0.0001"]);
+        assert_eq!(of(0.5, 10.51, 512.0), ["read_noise_electrons 10.51 8 0.001"]);
+        assert_eq!(of(0.5, 8.0, 513.01), ["black_dn 513.01 512 0.001"]);
+        assert_eq!(of(0.6, 2.0, 500.0).len(), 3);
+        // Little known: five standard deviations of each.
+        let large = estimate(measured, [0.1, 3.0, 2.0]);
+        assert!(doubted(&noise(0.99, 22.9, 521.9, 16_000.0), &large).is_empty());
+        assert_eq!(doubted(&noise(1.01, 23.1, 522.1, 16_000.0), &large).len(), 3);
+    }
+
+    #[test]
+    fn of_floating_point_photographs_a_code_value_may_be_all_there_is() {
+        // A range of 1: 0.25 of 16,384ths. Read noise of 0.1 · 2e-4 DN is less than that; black may be off by that.
+        let least = 0.25 / 16_384.0;
+        let found = estimate(noise(2e-4, 0.1, 0.0, 1.0), [1e-9, 1e-9, 1e-9]);
+        let of = |black| doubted(&noise(2e-4, 0.1, black, 1.0 + black), &found);
+        assert!(of(0.99 * least).is_empty());
+        assert_eq!(of(1.01 * least).len(), 1);
+        // And the read noise by that many electrons beside a quarter of itself.
+        let read = |extra: f64| doubted(&noise(2e-4, 0.125 + extra * least / 2e-4, 0.0, 1.0), &found).len();
+        assert_eq!((read(0.99), read(1.01)), (0, 1));
+    }
+
+    #[test]
+    fn the_widest_stripes_of_both_axes_are_paired_at_equal_exposures() {
+        let code = |axis, bit, inverse| Pattern::GrayCode { axis, bit, inverse, on: Surface::default() };
+        let capture = super::super::tests::capture(&[
+            (Pattern::SampleBlack, &[0.1, 0.4]),
+            (code(Axis::X, 2, false), &[0.1, 0.4]),
+            (code(Axis::Y, 4, false), &[0.1, 0.4, 0.8]),
+            (code(Axis::X, 4, false), &[0.1004, 0.2, 0.4]),
+            (code(Axis::X, 3, true), &[0.1, 0.4]),
+            (code(Axis::Y, 3, false), &[0.1, 0.4]),
+            (code(Axis::X, 3, false), &[0.1, 0.4]),
+            (code(Axis::Y, 3, true), &[0.3, 0.41]),
+            (code(Axis::X, 1, true), &[0.1]),
+        ]);
+        let found: Vec<_> =
+            pairs(&capture).iter().map(|(a, b)| [a.path.to_str(), b.path.to_str()].map(Option::unwrap)).collect();
+        // Bit 4 of x with bit 4 of y, bit 3 with bit 3; the inverses of bit 3 share no exposure to a hundredth, and bit 1 has no partner.
+        let expected = [
+            ["3-0.1004.png", "2-0.1.png"],
+            ["3-0.4.png", "2-0.4.png"],
+            ["6-0.1.png", "5-0.1.png"],
+            ["6-0.4.png", "5-0.4.png"],
+        ];
+        assert_eq!(found, expected);
+    }
+}

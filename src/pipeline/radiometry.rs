@@ -302,3 +302,107 @@ fn record(
         })),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn photograph(secs: f64) -> Photograph {
+        Photograph { path: "a.png".into(), shot: "white".into(), exposure_secs: 9.0, effective_secs: secs }
+    }
+
+    #[test]
+    fn a_photograph_belongs_to_the_setting_of_its_effective_time() {
+        let settings = Settings { secs: vec![0.01, 0.04, 0.16] };
+        let index = |secs: f64| settings.index(&photograph(secs));
+        assert_eq!([0.01, 0.04, 0.16].map(index), [0, 1, 2]);
+        // Nearer than a millionth is the same.
+        assert_eq!([0.040_000_02, 0.039_999_98].map(index), [1, 1]);
+    }
+
+    #[test]
+    fn pixels_of_light_sums_are_lit_and_half_of_them_show_both_parts() {
+        let noise = Noise { black_dn: 0.0, saturation_dn: 200.0, gain_dn_per_electron: 1.0, read_noise_electrons: 1.0 };
+        let sensor = Sensor::with_curve(&noise, None, FileNoise::default());
+        // Green only counts: an edge (30 and 40), a lit part alone (3 and 70), the dark frame (1 and 2), a saturated one, a second edge.
+        let green = [[30u8, 40, 70], [3, 70, 73], [1, 2, 3], [150, 60, 200], [20, 3, 23]];
+        let of = |k: usize| Samples::U8(green.iter().flat_map(|g| [255 - g[k], g[k], 0]).collect());
+        let samples = [0, 1, 2].map(of);
+        assert_eq!(sum_pixels([&samples[0], &samples[1], &samples[2]], &sensor), [0, 1, 4]);
+        let none = Samples::U8(vec![]);
+        assert!(sum_pixels([&none, &samples[1], &samples[2]], &sensor).is_empty());
+    }
+
+    #[test]
+    fn the_worst_exposure_time_is_told_when_it_is_off_by_more_than_noise_and_nominal_rounding() {
+        let settings = Settings { secs: vec![0.01, 0.04, 0.16] };
+        let of = |log_scale: [f64; 3], sd: f64, compression: f64| {
+            let fit = ExposureFit {
+                log_scale: log_scale.to_vec(),
+                variance: vec![sd * sd; 3],
+                group: vec![0; 3],
+                flicker_sd: None,
+            };
+            let file = FileNoise { sixteen_bit: false, compression: [compression; 3] };
+            judge(&fit, &settings, &BuildOptions::default(), file)
+        };
+        assert!(of([0.004, -0.004, 0.0], 1e-5, 0.0).is_empty());
+        assert!(of([0.0, -0.02, 0.02], 0.01, 0.0).is_empty(), "two standard deviations");
+        assert!(of([0.0, -0.014, 0.014], 1e-5, 0.3).is_empty(), "of compressed files");
+        for compression in [0.0, 0.3] {
+            let warnings = of([0.02, -0.05, 0.03], 0.001, compression);
+            let [Warning::ExposureRatios { nominal_secs, measured_secs, relative_sd }] = warnings[..] else {
+                panic!("{warnings:?}")
+            };
+            // 0.04 e^−0.05; the standard deviation is the root of the variance (f64).
+            assert_eq!(nominal_secs, 0.04);
+            assert!((measured_secs - 0.038_049_177).abs() < 1e-8 && (relative_sd - 0.001).abs() < 1e-12);
+        }
+        let fit =
+            ExposureFit { log_scale: vec![0.9; 3], variance: vec![0.0; 3], group: vec![0, 1, 0], flicker_sd: None };
+        let options = BuildOptions { exposure_from: ExposureFrom::Estimate, ..BuildOptions::default() };
+        let warnings = judge(&fit, &settings, &options, FileNoise::default());
+        let [Warning::ExposuresUnlinked { groups }] = &warnings[..] else { panic!("{warnings:?}") };
+        assert_eq!(*groups, [vec![0.01, 0.16], vec![0.04]]);
+    }
+
+    #[test]
+    fn settings_are_the_distinct_times_and_are_corrected_each_by_its_own_factor() {
+        let mut capture = super::super::tests::capture(&[
+            (Pattern::Board, &[0.01, 0.04]),
+            (Pattern::ReferenceWhite, &[0.04, 0.160_000_01]),
+            (Pattern::SampleBlack, &[0.16]),
+        ]);
+        let settings = Settings::of(&capture);
+        assert_eq!(settings.secs, [0.01, 0.04, 0.16]);
+        let fit = ExposureFit {
+            // 0.04 is really 0.2: longer than what 0.16 is.
+            log_scale: vec![0.0, 5f64.ln(), 0.5f64.ln()],
+            variance: vec![0.0; 3],
+            group: vec![0; 3],
+            flicker_sd: None,
+        };
+        settings.apply(&fit, &mut capture);
+        let secs = |k: usize| capture.brackets[k].iter().map(|p| p.effective_secs).collect::<Vec<_>>();
+        let close = |found: Vec<f64>, expected: &[f64]| {
+            found.len() == expected.len() && found.iter().zip(expected).all(|(f, e)| (f / e - 1.0).abs() < 1e-6)
+        };
+        assert!(close(secs(0), &[0.01, 0.2]) && close(secs(1), &[0.08, 0.2]) && close(secs(2), &[0.08]));
+        // What the camera was set to stays.
+        assert_eq!(capture.brackets[1][1].exposure_secs, 0.04);
+    }
+
+    #[test]
+    fn shots_are_looked_at_until_every_setting_has_been_seen() {
+        let lattice = |k: usize| Pattern::Lattice { dots: vec![[k, 0]] };
+        let mut shots: Vec<(Pattern, &[f64])> = (0..40).map(|k| (lattice(k), &[0.1, 0.4][..])).collect();
+        shots.push((Pattern::ReferenceBlack, &[0.1]));
+        shots.push((Pattern::SampleBlack, &[0.1]));
+        shots.push((Pattern::Frame, &[0.1, 1.6]));
+        shots.push((Pattern::CalibrationBoard, &[1.6]));
+        let capture = super::super::tests::capture(&shots);
+        // Eight lattice shots, the middles of eighths; the black of the sample; the first that has 1.6 s.
+        let chosen = choose_shots(&capture, &Settings::of(&capture));
+        assert_eq!(chosen, [2, 7, 12, 17, 22, 27, 32, 37, 41, 42]);
+    }
+}

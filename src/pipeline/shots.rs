@@ -292,3 +292,70 @@ impl<'a> Shots<'a> {
         Some(variance)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::capture;
+    use super::*;
+    use crate::capture::Noise;
+    use crate::radiance::FileNoise;
+
+    const BLACK: f32 = 3.0;
+
+    fn shots(capture: &Capture) -> Shots<'_> {
+        let noise =
+            Noise { black_dn: 100.0, saturation_dn: 4000.0, gain_dn_per_electron: 0.5, read_noise_electrons: 4.0 };
+        let sensor = Sensor::with_curve(&noise, None, FileNoise::default());
+        let found = FoundNoise { noise, estimate: None, from_rig: true, warnings: vec![] };
+        let radiometry =
+            Radiometry { sensor, flicker_sd: Some(0.01), warnings: vec![], record: serde_json::Value::Null };
+        Shots::new(capture, found, radiometry)
+    }
+
+    /// The white of a pixel: no two alike, three channels apart; every fourth is not lit.
+    fn light(p: usize) -> f32 {
+        if p % 4 == 2 { 8.0 } else { 60.0 + p as f32 }
+    }
+
+    fn picture(of: impl Fn(usize) -> f32, variance: f32) -> Radiance {
+        let rect = Rect { x: 0, y: 0, width: 17, height: 11 };
+        // The luminance of each is `of`, which channels share unevenly.
+        let value = (0..187).flat_map(|p| [0.5, 0.9, 1.6].map(|c| c * of(p))).collect();
+        Radiance { rect, value, variance: vec![variance; 561], used: vec![1; 561] }
+    }
+
+    /// What the lamp at `levels` makes of the sums of pattern and inverse.
+    fn steadied(levels: &[f32]) -> (Radiance, Option<f64>) {
+        let capture = capture(&[]);
+        let shots = shots(&capture);
+        // White is seen with the black; a sum holds it twice.
+        let sum = |level: &f32| {
+            (0..187).step_by(SUM_STEP).map(|p| (light(p) * level + BLACK) * if p == 26 { 40.0 } else { 1.0 }).collect()
+        };
+        shots.sums.set(levels.iter().map(sum).collect()).unwrap();
+        let mut white = picture(light, 2.0);
+        let variance = shots.steady_white(&mut white, &picture(|_| BLACK, 1.0));
+        (white, variance)
+    }
+
+    #[test]
+    fn the_white_reference_is_brought_to_the_lamps_mean_over_the_gray_code() {
+        let (white, variance) = steadied(&[1.02, 1.05, 0.99, 1.06]);
+        // Mean 1.03; of four deviations −1, 2, −4, 3 per cent, Σ² / 3 / 4. One pixel that is wrong in all of them is not the median's.
+        assert!((variance.unwrap() / (30e-4 / 12.0) - 1.0).abs() < 1e-3, "{variance:?}");
+        for (found, before) in white.value.iter().zip(picture(light, 2.0).value) {
+            // f32.
+            assert!((found / before - 1.03).abs() < 1e-5);
+        }
+        assert!(white.variance.iter().all(|v| (v / 2.0 - 1.03 * 1.03).abs() < 1e-5));
+    }
+
+    #[test]
+    fn fewer_than_three_sums_or_a_tenth_of_difference_leave_the_white_reference_as_it_is() {
+        for levels in [&[1.02f32, 1.05][..], &[1.2, 1.1, 1.15], &[0.85, 0.8, 0.9], &[]] {
+            let (white, variance) = steadied(levels);
+            assert_eq!((white, variance), (picture(light, 2.0), None), "{levels:?}");
+        }
+        assert!(steadied(&[1.09, 1.08, 1.1]).1.is_some());
+    }
+}

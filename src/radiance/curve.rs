@@ -200,4 +200,129 @@ mod tests {
         std::fs::write(&path, "format = 1\nlinear = [[0.0]]\nrelative_sd = [[0.0]]").unwrap();
         assert!(Curve::read(&path).unwrap_err().to_string().contains("lists of 256"));
     }
+
+    #[test]
+    fn the_srgb_table_has_the_published_values() {
+        let curve = Curve::srgb();
+        // IEC 61966-2-1: (1/255)/12.92 below 0.04045, ((v + 0.055)/1.055)^2.4 above; by a pocket calculator.
+        for (code, linear) in [(0.0, 0.0), (1.0, 3.035_27e-4), (10.0, 3.035_27e-3), (128.0, 0.215_861), (255.0, 1.0)] {
+            assert!((curve.linear_at(2, code) / 255.0 - linear).abs() < 1e-6, "{code}");
+        }
+        assert!(!curve.is_per_channel());
+    }
+
+    /// Squares, cubes and a line, each from 0 to 255.
+    fn three() -> Curve {
+        let table = |power: i32| (0..CODES).map(|k| 255.0 * (k as f64 / 255.0).powi(power)).collect::<Vec<_>>();
+        let sd = |scale: f64| (0..CODES).map(|k| scale * k as f64).collect::<Vec<_>>();
+        Curve::new(vec![table(2), table(3), table(1)], vec![sd(1e-4), sd(2e-4), sd(5e-4)]).unwrap()
+    }
+
+    #[test]
+    fn each_channel_has_its_own_table_slope_and_bend() {
+        let curve = three();
+        assert!(curve.is_per_channel());
+        for code in [3.0, 100.0, 180.0, 252.0] {
+            let (v, n) = (code / 255.0, 255.0);
+            let expected = [[n * v * v, 2.0 * v, 2.0 / n], [n * v * v * v, 3.0 * v * v, 6.0 * v / n], [code, 1.0, 0.0]];
+            for c in 0..3 {
+                let found = [curve.linear_at(c, code), curve.slope_at(c, code), curve.bend_at(c, code)];
+                // Over two codes the slope of a cube is too large by 1/255²; the rest is f64.
+                let tolerance = [1e-9, 2e-5, 1e-9];
+                assert!((0..3).all(|k| (found[k] - expected[c][k]).abs() < tolerance[k]), "{code} {c}: {found:?}");
+                assert!((curve.code_at(c, expected[c][0]) - code).abs() < 1e-9, "{code} {c}");
+            }
+        }
+        // A fourth channel is the last; beyond the table its ends.
+        assert_eq!(curve.linear_at(7, 31.0), 31.0);
+        assert_eq!([curve.linear_at(0, -5.0), curve.linear_at(0, 300.0)], [0.0, 255.0]);
+        assert_eq!([curve.code_at(1, -5.0), curve.code_at(1, 300.0)], [0.0, 255.0]);
+    }
+
+    #[test]
+    fn between_codes_the_curve_is_the_monotone_cubic_with_harmonic_slopes() {
+        let curve = three();
+        // Of squares, steps before and after code k are 2k − 1 and 2k + 1 (over 255): their harmonic mean, and the Hermite cubic.
+        let slope = |k: f64| 2.0 * (2.0 * k - 1.0) * (2.0 * k + 1.0) / (4.0 * k) / 255.0;
+        for (k, t) in [(4.0, 0.3), (90.0, 0.5), (200.0, 0.9)] {
+            let (a, b) = (k * k / 255.0, (k + 1.0) * (k + 1.0) / 255.0);
+            let (t2, t3) = (t * t, t * t * t);
+            let expected = (2.0 * t3 - 3.0 * t2 + 1.0) * a
+                + (t3 - 2.0 * t2 + t) * slope(k)
+                + (3.0 * t2 - 2.0 * t3) * b
+                + (t3 - t2) * slope(k + 1.0);
+            // f64.
+            assert!((curve.linear_at(0, k + t) - expected).abs() < 1e-11, "{k} {t}");
+            // Codes of light are linear between those of the table.
+            assert!((curve.code_at(0, a + t * (b - a)) - k - t).abs() < 1e-9, "{k} {t}");
+        }
+        // At its ends the slope is that of the only step: of the first 1/255, of the second 3/255, of the last two 507/255 and 509/255.
+        let (t, second) = (0.25f64, 2.0 * 1.0 * 3.0 / 4.0 / 255.0);
+        let (t2, t3) = (t * t, t * t * t);
+        let first = (t3 - 2.0 * t2 + t) / 255.0 + (3.0 * t2 - 2.0 * t3) / 255.0 + (t3 - t2) * second;
+        assert!((curve.linear_at(0, 0.25) - first).abs() < 1e-12);
+        let (before, last) = (2.0 * 507.0 * 509.0 / 1016.0 / 255.0, 509.0 / 255.0);
+        let end = (2.0 * t3 - 3.0 * t2 + 1.0) * 254.0 * 254.0 / 255.0
+            + (t3 - 2.0 * t2 + t) * before
+            + (3.0 * t2 - 2.0 * t3) * 255.0
+            + (t3 - t2) * last;
+        assert!((curve.linear_at(0, 254.25) - end).abs() < 1e-10);
+    }
+
+    #[test]
+    fn slopes_and_bends_at_the_ends_are_taken_inside() {
+        let curve = three();
+        // Between codes 0 and 1, and 254 and 255.
+        assert!((curve.slope_at(0, 0.0) - 1.0 / 255.0).abs() < 1e-12);
+        assert!((curve.slope_at(0, 255.0) - 509.0 / 255.0).abs() < 1e-9);
+        // Of a cube 6 v / 255 at codes 2 and 253.
+        assert!((curve.bend_at(1, 0.0) - 12.0 / 255.0 / 255.0).abs() < 1e-9);
+        assert!((curve.bend_at(1, 255.0) - 6.0 * 253.0 / 255.0 / 255.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_curves_uncertainty_is_linear_between_codes_and_averaged_over_the_middle_of_all_channels() {
+        let curve = three();
+        for c in 0..3 {
+            let expected = [1e-4, 2e-4, 5e-4][c] * 77.25;
+            assert!((curve.relative_sd_at(c, 77.25) - expected).abs() < 1e-12, "{c}");
+        }
+        // Σ k² from 10 to 245 is 245·246·491/6 − 9·10·19/6 = 4,931,810; over 236 codes and three channels, of 30e-8 k².
+        let expected = (245.0 * 246.0 * 491.0 - 9.0 * 10.0 * 19.0) / 6.0 / (3.0 * 236.0) * 30e-8;
+        assert!((curve.relative_variance() / expected - 1.0).abs() < 1e-9, "{} {expected}", curve.relative_variance());
+    }
+
+    #[test]
+    fn tables_that_are_no_curve_are_refused() {
+        let rising = || (0..CODES).map(|k| k as f64).collect::<Vec<_>>();
+        let none = || vec![0.0; CODES];
+        assert!(Curve::new(vec![rising()], vec![none()]).is_some());
+        assert!(Curve::new(vec![], vec![]).is_none());
+        assert!(Curve::new(vec![rising(); 2], vec![none(); 2]).is_none());
+        assert!(Curve::new(vec![rising(); 3], vec![none()]).is_none());
+        assert!(Curve::new(vec![rising()[1..].to_vec()], vec![none()]).is_none());
+        assert!(Curve::new(vec![rising()], vec![none()[1..].to_vec()]).is_none());
+        for (k, v) in [(5, f64::NAN), (255, f64::INFINITY), (9, 8.0)] {
+            let mut table = rising();
+            table[k] = v;
+            assert!(Curve::new(vec![rising(), table, rising()], vec![none(); 3]).is_none(), "{k} {v}");
+        }
+        for v in [-1e-9, f64::NAN] {
+            let mut sd = none();
+            sd[200] = v;
+            assert!(Curve::new(vec![rising()], vec![sd]).is_none(), "{v}");
+        }
+    }
+
+    #[test]
+    fn a_curves_file_of_another_format_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("response.toml");
+        three().write(&path).unwrap();
+        assert_eq!(Curve::read(&path).unwrap(), three());
+        let text = std::fs::read_to_string(&path).unwrap().replace("format = 1", "format = 2");
+        std::fs::write(&path, text).unwrap();
+        assert!(Curve::read(&path).unwrap_err().to_string().contains("format"));
+        assert!(Curve::read(&dir.path().join("none.toml")).is_err());
+    }
 }

@@ -167,4 +167,155 @@ mod tests {
         // In units of the stated standard deviation: never far above one; it may be below, the doubt is on the safe side.
         assert!((square / count).sqrt() < 1.1 && worst < 3.5, "{} {worst}", (square / count).sqrt());
     }
+
+    /// 6 × 5 photosites at (100, 40), three channels apart, no two alike.
+    fn small(value: impl Fn(usize, usize, usize) -> f32, variance: impl Fn(usize, usize, usize) -> f32) -> Radiance {
+        let at = |k: usize| (100 + k / 3 % 6, 40 + k / 18, k % 3);
+        let all =
+            |f: &dyn Fn(usize, usize, usize) -> f32| (0..90).map(at).map(|(x, y, c)| f(x, y, c)).collect::<Vec<_>>();
+        let rect = Rect { x: 100, y: 40, width: 6, height: 5 };
+        Radiance { rect, value: all(&value), variance: all(&variance), used: vec![2; 90] }
+    }
+
+    #[test]
+    fn a_photosite_is_hot_six_deviations_above_the_brightest_beside_it() {
+        // Green photosite (103, 41) among neighbours of 10 to 19, whose middle four spread over 17 − 12 = 5.
+        let ring = [[10.0, 11.0, 12.0], [13.0, 0.0, 15.0], [17.0, 18.0, 19.0]];
+        let around = |x: usize, y: usize, hot: f32| match (x, y) {
+            (103, 41) => hot,
+            (102..=104, 40..=42) => ring[y - 40][x - 102],
+            _ => 14.0,
+        };
+        let found = |hot: f32, variance: f32| {
+            find_hot_pixels(&small(|x, y, c| if c == 1 { around(x, y, hot) } else { 14.0 }, |_, _, _| variance))
+        };
+        assert_eq!(found(19.0 + 30.0, 1.0), []);
+        // The median of the eight is 14.
+        assert_eq!(found(49.5, 1.0), [HotPixel { at: [103, 41, 1], excess: Some(35.5) }]);
+        // With more noise than scatter, that of the noise: 19 + 6 · 8.
+        assert_eq!(found(67.0, 64.0), []);
+        assert_eq!(found(67.5, 64.0), [HotPixel { at: [103, 41, 1], excess: Some(53.5) }]);
+        // A dark photosite is not hot.
+        assert_eq!(found(-400.0, 1.0), []);
+    }
+
+    #[test]
+    fn a_photosite_that_saturates_among_seven_that_do_not_is_hot() {
+        let mut dark = small(|x, y, _| (x + 2 * y) as f32, |_, _, _| 1.0);
+        let (k, beside) = (dark.at(104, 43) + 2, dark.at(105, 44) + 2);
+        (dark.value[k], dark.used[k]) = (0.0, 0);
+        assert_eq!(find_hot_pixels(&dark), [HotPixel { at: [104, 43, 2], excess: None }]);
+        dark.used[beside] = 0;
+        assert_eq!(find_hot_pixels(&dark), [HotPixel { at: [104, 43, 2], excess: None }]);
+        let other = dark.at(103, 42) + 2;
+        dark.used[other] = 0;
+        // Six are too few; that one has seven itself.
+        assert_eq!(find_hot_pixels(&dark), [HotPixel { at: [103, 42, 2], excess: None }]);
+        // On the rim nothing is told, and in pictures without an inside.
+        let mut rim = small(|_, _, _| 1.0, |_, _, _| 1e-6);
+        for (x, y) in [(100, 42), (105, 42), (102, 40), (102, 44)] {
+            let k = rim.at(x, y);
+            rim.value[k] = 1e6;
+        }
+        assert_eq!(find_hot_pixels(&rim), []);
+        let rect = Rect { x: 0, y: 0, width: 1, height: 1 };
+        assert_eq!(
+            find_hot_pixels(&Radiance { rect, value: vec![9.0; 3], variance: vec![1.0; 3], used: vec![1; 3] }),
+            []
+        );
+    }
+
+    /// A quadratic, whose value in the middle the neighbours know: twice the mean of the four beside less that of the four at the corners.
+    fn bowl(x: usize, y: usize, c: usize) -> f32 {
+        let (x, y) = (x as f32 - 102.0, y as f32 - 41.0);
+        [100.0 + 3.0 * x - 2.0 * y + x * x, 200.0 + 5.0 * x + 2.0 * x * x - 4.0 * y * y, 50.0 - x + 6.0 * y * y][c]
+    }
+
+    fn spread(x: usize, y: usize, c: usize) -> f32 {
+        (c + 1) as f32 * (1.0 + (x - 100) as f32 + 10.0 * (y - 40) as f32)
+    }
+
+    /// What the eight around (102, 41) say: value, variance.
+    fn expected(c: usize) -> (f32, f32) {
+        let sum = |places: [[usize; 2]; 4]| places.iter().map(|p| spread(p[0], p[1], c)).sum::<f32>() / 16.0;
+        let beside = sum([[101, 41], [103, 41], [102, 40], [102, 42]]);
+        let corners = sum([[101, 40], [103, 40], [101, 42], [103, 42]]);
+        // Half the second derivatives: 1, 2 − 4, 6; their half is what corners and sides differ by.
+        let curve = [0.5, -1.0, 3.0][c];
+        ([100.0, 200.0, 50.0][c], 4.0 * beside + corners + curve * curve)
+    }
+
+    #[test]
+    fn a_photosite_that_says_nothing_is_what_a_quadratic_through_its_neighbours_is() {
+        for c in 0..3 {
+            let mut light = small(bowl, spread);
+            let k = light.at(102, 41) + c;
+            let before = light.clone();
+            (light.value[k], light.used[k]) = (1e9, 0);
+            mend(&mut light, &[HotPixel { at: [102, 41, c], excess: None }]);
+            let (value, variance) = expected(c);
+            // f32 sums of a few numbers.
+            assert!((light.value[k] - value).abs() < 1e-4 && (light.variance[k] / variance - 1.0).abs() < 1e-5, "{c}");
+            assert_eq!(light.used[k], 1);
+            // Nothing else is touched.
+            light.value[k] = before.value[k];
+            assert_eq!(light.value, before.value);
+        }
+    }
+
+    #[test]
+    fn a_hot_photosite_counts_by_what_a_tenth_of_its_dark_current_leaves_it() {
+        for (c, excess) in [(0, 30.0), (1, 300.0), (2, 1e5)] {
+            let mut light = small(bowl, spread);
+            let k = light.at(102, 41) + c;
+            light.value[k] += 7.0;
+            mend(&mut light, &[HotPixel { at: [102, 41, c], excess: Some(excess) }]);
+            let (value, variance) = expected(c);
+            let own = spread(102, 41, c) + (0.1 * excess).powi(2);
+            let (a, b) = (1.0 / variance, 1.0 / own);
+            let both = (a * value + b * (value + 7.0)) / (a + b);
+            // f32.
+            assert!((light.value[k] - both).abs() < 1e-3, "{c}: {} {both}", light.value[k]);
+            assert!((light.variance[k] * (a + b) - 1.0).abs() < 1e-5, "{c}");
+            assert_eq!(light.used[k], 2);
+        }
+    }
+
+    #[test]
+    fn with_some_neighbours_missing_the_others_mean_and_scatter_are_taken() {
+        // In the corner three are left, and with a fourth from nowhere nothing is done; on the rim five.
+        let hot = |x, y| HotPixel { at: [x, y, 1], excess: None };
+        let mut light = small(bowl, spread);
+        let before = light.clone();
+        mend(&mut light, &[hot(100, 40)]);
+        assert_eq!(light, before);
+        let k = light.at(105, 42) + 1;
+        light.used[k] = 0;
+        mend(&mut light, &[hot(105, 42)]);
+        let places = [[104, 41], [105, 41], [104, 42], [104, 43], [105, 43]];
+        let of = |p: [usize; 2]| (bowl(p[0], p[1], 1), spread(p[0], p[1], 1));
+        let mean = places.iter().map(|&p| of(p).0).sum::<f32>() / 5.0;
+        let noise = places.iter().map(|&p| of(p).1).sum::<f32>() / 25.0;
+        let scatter = places.iter().map(|&p| (of(p).0 - mean).powi(2)).sum::<f32>() / 5.0;
+        // f32.
+        assert!((light.value[k] - mean).abs() < 1e-3, "{} {mean}", light.value[k]);
+        assert!((light.variance[k] / (noise + scatter) - 1.0).abs() < 1e-5);
+        // A neighbour that is hot, or was not measured, is none; those of other channels and outside the picture are not asked.
+        let mut light = small(bowl, spread);
+        let gone = light.at(104, 41) + 1;
+        light.used[gone] = 0;
+        let all = [
+            hot(90, 41),
+            hot(104, 42),
+            HotPixel { at: [104, 43, 0], excess: None },
+            hot(105, 43),
+            hot(103, 44),
+            hot(104, 99),
+        ];
+        let k = light.at(104, 42) + 1;
+        mend(&mut light, &all);
+        let places = [[103, 41], [105, 41], [103, 42], [105, 42], [103, 43], [104, 43]];
+        let mean = places.iter().map(|&p| of(p).0).sum::<f32>() / 6.0;
+        assert!((light.value[k] - mean).abs() < 1e-3, "{} {mean}", light.value[k]);
+    }
 }

@@ -163,3 +163,150 @@ impl Encoding {
         Self { of_u8, of_u16, variance: variance.collect(), curve }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::{Camera, Projector, WhiteReference};
+
+    const NOISE: Noise =
+        Noise { black_dn: 3.0, saturation_dn: 240.0, gain_dn_per_electron: 0.4, read_noise_electrons: 6.0 };
+
+    fn linear_sensor(compression: [f64; 3]) -> Sensor {
+        Sensor::with_curve(&NOISE, None, FileNoise { sixteen_bit: false, compression })
+    }
+
+    fn linearized(sensor: &Sensor, samples: &Samples, first: usize) -> Vec<f32> {
+        let mut out = vec![0.0; samples.len() - first];
+        sensor.linearize(samples, first, &mut out);
+        out
+    }
+
+    #[test]
+    fn linear_code_values_are_counted_from_black_and_end_at_saturation() {
+        let sensor = linear_sensor([0.0; 3]);
+        let expected = [-3.0, 0.0, 97.0, 236.0, f32::INFINITY, f32::INFINITY];
+        assert_eq!(linearized(&sensor, &Samples::U8(vec![0, 3, 100, 239, 240, 255]), 0), expected);
+        assert_eq!(linearized(&sensor, &Samples::U16(vec![0, 3, 100, 239, 240, 60_000]), 0), expected);
+        assert_eq!(linearized(&sensor, &Samples::F32(vec![0.0, 3.0, 100.0, 239.0, 240.0, 1e30]), 0), expected);
+        // From the second pixel on; one channel.
+        assert_eq!(linearized(&sensor, &Samples::U8(vec![9, 9, 9, 4, 5, 6]), 3), [1.0, 2.0, 3.0]);
+        let two = Samples::U16(vec![3, 13, 23, 33, 43, 240]);
+        assert_eq!([0, 1, 2].map(|c| sensor.linear(&two, c)), [[0.0, 30.0], [10.0, 40.0], [20.0, f32::INFINITY]]);
+        assert_eq!((sensor.full_range(), sensor.is_curved(), sensor.curve()), (237.0, false, None));
+    }
+
+    #[test]
+    fn what_no_sensor_measures_is_nothing() {
+        let float = Samples::F32(vec![f32::NAN, f32::NEG_INFINITY, f32::INFINITY, -241.0, -240.0, -20.0]);
+        let found = linearized(&linear_sensor([0.0; 3]), &float, 0);
+        assert!(found[0].is_nan() && found[1].is_nan() && found[3].is_nan(), "{found:?}");
+        assert_eq!((found[2], found[4], found[5]), (f32::INFINITY, -243.0, -23.0));
+    }
+
+    #[test]
+    fn variance_is_that_of_reading_of_whole_code_values_of_compression_and_of_photons() {
+        let (whole, float) = (Samples::U8(vec![]), Samples::F32(vec![]));
+        // (0.4 DN/e · 6 e)² = 5.76; 1/12 for rounding; the mean of the channels' compression, 3.
+        let sensor = linear_sensor([0.0; 3]);
+        let close = |a: f32, b: f64| (f64::from(a) / b - 1.0).abs() < 1e-6; // f32
+        assert!(close(sensor.floor(&whole), 5.76 + 1.0 / 12.0) && close(sensor.floor(&float), 5.76));
+        let compressed = linear_sensor([1.0, 2.0, 6.0]);
+        assert!(close(compressed.floor(&whole), 8.76 + 1.0 / 12.0) && close(compressed.floor(&float), 5.76));
+        for c in 0..3 {
+            assert!(close(compressed.variance(150.0, c), 0.4 * 150.0 + 8.76 + 1.0 / 12.0));
+            assert!(close(compressed.variance(-150.0, c), 8.76 + 1.0 / 12.0));
+            assert_eq!(compressed.rounding(150.0, c), 0.0);
+        }
+        assert!(!FileNoise::default().is_compressed());
+        assert!(FileNoise { sixteen_bit: true, compression: [0.0, 0.0, 0.1] }.is_compressed());
+    }
+
+    /// Three curves, g = 255 (z / 255)^γ: γ is 1.6, 2.0 and 2.6.
+    const GAMMA: [f64; 3] = [1.6, 2.0, 2.6];
+
+    fn light(code: f64, c: usize) -> f64 {
+        255.0 * (code / 255.0).powf(GAMMA[c])
+    }
+
+    fn curved_sensor(file: FileNoise) -> Sensor {
+        let tables = (0..3).map(|c| (0..CODES).map(|z| light(z as f64, c)).collect()).collect();
+        Sensor::with_curve(&NOISE, Curve::new(tables, vec![vec![0.0; CODES]; 3]), file)
+    }
+
+    #[test]
+    fn each_channel_is_decoded_by_its_own_curve_less_what_noise_adds_by_its_bend() {
+        let compression = [0.5, 3.0, 9.0];
+        let sensor = curved_sensor(FileNoise { sixteen_bit: false, compression });
+        let codes = [40u8, 90, 160, 200, 120, 70];
+        let found = linearized(&sensor, &Samples::U8(codes.to_vec()), 0);
+        let wide = linearized(&sensor, &Samples::U16(codes.map(|z| 257 * u16::from(z)).to_vec()), 0);
+        for (k, &code) in codes.iter().enumerate() {
+            let (z, c) = (f64::from(code), k % 3);
+            let bend = GAMMA[c] * (GAMMA[c] - 1.0) * light(z, c) / (z * z);
+            let expected = light(z, c) - 0.5 * bend * (compression[c] + 1.0 / 12.0) - 3.0;
+            // Second differences over four codes: 1e-3 of the correction, which is 0.05 at most.
+            assert!((f64::from(found[k]) - expected).abs() < 2e-4, "{k}: {} {expected}", found[k]);
+            assert_eq!(wide[k], found[k], "16 bits are 257ths");
+        }
+        // Saturation is at a light of 240: below code 250 of γ = 2 (245), above 247 (239.3).
+        let green = linearized(&sensor, &Samples::U8(vec![0, 250, 0, 0, 246, 0]), 0);
+        assert!(green[1] == f32::INFINITY && green[4].is_finite(), "{green:?}");
+    }
+
+    #[test]
+    fn the_correction_for_a_bend_is_no_more_than_a_fifth_of_the_light() {
+        // Code 20 of γ = 2: light 1.5686, bend 2/255, half of it times 200 is 0.784; of γ = 1.6: 4.34, 0.0104, 1.04.
+        let sensor = curved_sensor(FileNoise { sixteen_bit: false, compression: [200.0; 3] });
+        let found = linearized(&sensor, &Samples::U8(vec![20; 3]), 0);
+        for c in 0..2 {
+            // f32.
+            assert!((f64::from(found[c]) - (0.8 * light(20.0, c) - 3.0)).abs() < 1e-5, "{c}: {}", found[c]);
+        }
+    }
+
+    #[test]
+    fn rounding_and_compression_reach_the_light_by_the_slope_at_the_code_that_shows_it() {
+        let compression = [0.5, 3.0, 9.0];
+        for (file, step) in [
+            (FileNoise { sixteen_bit: false, compression }, 1.0),
+            (FileNoise { sixteen_bit: false, compression: [0.0; 3] }, 1.0),
+            (FileNoise { sixteen_bit: true, compression: [0.0; 3] }, 1.0 / 257.0),
+        ] {
+            let sensor = curved_sensor(file);
+            for c in 0..3 {
+                for code in [60.0, 130.0, 220.0] {
+                    let slope = GAMMA[c] * light(code, c) / code;
+                    let expected = slope * slope * (file.compression[c] + step * step / 12.0);
+                    // The linear value is counted from black, the curve is not.
+                    let found = f64::from(sensor.rounding((light(code, c) - 3.0) as f32, c));
+                    // A table of 1024 entries over the root of the light, whose entry below is taken.
+                    assert!((found / expected - 1.0).abs() < 0.02, "{c} {code}: {found} {expected}");
+                    let all = f64::from(sensor.variance((light(code, c) - 3.0) as f32, c));
+                    let sum = 0.4 * (light(code, c) - 3.0) + 5.76 + found;
+                    assert!((all / sum - 1.0).abs() < 1e-5, "{c} {code}: {all} {sum}");
+                }
+            }
+            // What a curve's table holds is not added once more.
+            assert!((sensor.floor(&Samples::U8(vec![])) - 5.76).abs() < 1e-6);
+            assert!(sensor.is_curved() && sensor.rounding(1e9, 0).is_finite() && sensor.rounding(-50.0, 2) >= 0.0);
+        }
+    }
+
+    #[test]
+    fn a_rigs_own_sensor_needs_its_noise_and_takes_unknown_curves_for_srgb() {
+        let of = |response: ResponseCurve, noise: Option<Noise>| {
+            let camera =
+                Camera { size_px: [9, 7], focal_px: 9.0, principal_px: [4.0; 2], response, vignetting: vec![] };
+            let projector = Projector { size_px: [64, 36], principal_px: None };
+            let white_reference = WhiteReference { reflectance: [0.91, 0.74, 0.52] };
+            Sensor::of_rig(&Rig { format: 1, camera, noise, projector, board: None, frame: None, white_reference })
+        };
+        assert!(of(ResponseCurve::Linear, None).is_none());
+        let linear = of(ResponseCurve::Linear, Some(NOISE)).unwrap();
+        assert!(linear.curve().is_none() && linear.full_range() == 237.0);
+        for response in [ResponseCurve::Srgb, ResponseCurve::Estimate, ResponseCurve::File("a.toml".into())] {
+            assert_eq!(of(response, Some(NOISE)).unwrap().curve(), Some(&Curve::srgb()));
+        }
+    }
+}

@@ -93,3 +93,109 @@ pub fn decode_shot(
     }
     Ok(brackets)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::{Noise, Samples};
+    use crate::radiance::FileNoise;
+
+    const SIZE_PX: [usize; 2] = [13, 8];
+
+    fn sensor() -> Sensor {
+        let noise =
+            Noise { black_dn: 100.0, saturation_dn: 60_000.0, gain_dn_per_electron: 0.5, read_noise_electrons: 4.0 };
+        Sensor::with_curve(&noise, None, FileNoise::default())
+    }
+
+    /// Different at every pixel and channel.
+    fn code(x: usize, y: usize, c: usize) -> u16 {
+        (100 + 1000 * c + 50 * x + 7 * y) as u16
+    }
+
+    fn bracket(rect: Rect, secs: &[f64], variance_share: [f32; 3]) -> Bracket {
+        let at = |k: usize| code(rect.x + k / 3 % rect.width, rect.y + k / 3 / rect.width, k % 3);
+        let samples = Samples::U16((0..3 * rect.area()).map(at).collect());
+        let exposures = secs.iter().map(|&secs| Exposure { samples: samples.clone(), secs }).collect();
+        Bracket { rect, exposures, sampling: Sampling { variance_share, ..Sampling::WHOLE } }
+    }
+
+    #[test]
+    fn a_part_of_a_bracket_is_merged_from_its_own_pixels() {
+        let whole = bracket(Rect { x: 7, y: 3, width: 5, height: 4 }, &[0.25], [1.0; 3]);
+        for part in [Rect { x: 9, y: 4, width: 2, height: 3 }, whole.rect()] {
+            let merged = whole.merge(part, &sensor());
+            assert_eq!(merged.rect, part);
+            for (k, value) in merged.value.iter().enumerate() {
+                let (x, y) = (part.x + k / 3 % part.width, part.y + k / 3 / part.width);
+                // Small whole numbers over a quarter: exact, but for the division of sums.
+                let expected = f32::from(code(x, y, k % 3) - 100) * 4.0;
+                assert!((value - expected).abs() <= 1e-6 * expected, "{x} {y}: {value} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn channels_that_are_means_of_photosites_have_their_share_of_the_variance() {
+        let part = Rect { x: 9, y: 4, width: 2, height: 3 };
+        let share = [1.0, 0.5, 0.2];
+        let of = |share| bracket(Rect { x: 7, y: 3, width: 5, height: 4 }, &[0.25, 0.5], share).merge(part, &sensor());
+        let (whole, shared) = (of([1.0; 3]), of(share));
+        assert_eq!(shared.value, whole.value);
+        for (k, (v, w)) in shared.variance.iter().zip(&whole.variance).enumerate() {
+            assert_eq!(*v, w * share[k % 3], "{k}");
+        }
+    }
+
+    #[test]
+    fn each_exposure_time_is_corrected_by_its_own_factor() {
+        let mut bracket = bracket(Rect { x: 1, y: 2, width: 2, height: 3 }, &[0.1, 0.4], [1.0; 3]);
+        bracket.scale_secs(&[1.1, 0.9]);
+        let secs: Vec<f64> = bracket.exposures().iter().map(|e| e.secs).collect();
+        // f64.
+        assert!((secs[0] - 0.11).abs() < 1e-12 && (secs[1] - 0.36).abs() < 1e-12, "{secs:?}");
+    }
+
+    fn photograph(dir: &std::path::Path, name: &str, size: [usize; 2], add: u16) -> Photograph {
+        let path = dir.join(name);
+        let picture = image::ImageBuffer::from_fn(size[0] as u32, size[1] as u32, |x, y| {
+            image::Rgb([0, 1, 2].map(|c| code(x as usize, y as usize, c) + add))
+        });
+        picture.save(&path).unwrap();
+        // What counts is the exposure at the first photograph's aperture and ISO, four times the shutter's here.
+        let secs = f64::from(add);
+        Photograph { path, shot: "lattice-3".into(), exposure_secs: secs, effective_secs: 4.0 * secs }
+    }
+
+    #[test]
+    fn a_shot_is_decoded_to_the_pixels_of_each_rectangle_at_its_effective_exposures() {
+        let dir = tempfile::tempdir().unwrap();
+        let photographs = [photograph(dir.path(), "a.png", SIZE_PX, 1), photograph(dir.path(), "b.png", SIZE_PX, 3)];
+        let rects = [Rect { x: 8, y: 1, width: 5, height: 2 }, Rect { x: 0, y: 5, width: 3, height: 3 }];
+        let seen = std::sync::Mutex::new(vec![]);
+        let decoded = |p: &Photograph, hash: blake3::Hash| seen.lock().unwrap().push((p.path.clone(), hash));
+        let brackets = decode_shot(&photographs, &rects, SIZE_PX, &decoded).unwrap();
+        assert_eq!(brackets.iter().map(Bracket::rect).collect::<Vec<_>>(), rects);
+        for (bracket, rect) in brackets.iter().zip(rects) {
+            assert_eq!(bracket.sampling(), Sampling::WHOLE);
+            for (exposure, add) in bracket.exposures().iter().zip([1, 3]) {
+                assert_eq!(exposure.secs, 4.0 * f64::from(add));
+                let at = |k: usize| code(rect.x + k / 3 % rect.width, rect.y + k / 3 / rect.width, k % 3) + add;
+                assert_eq!(exposure.samples, Samples::U16((0..3 * rect.area()).map(at).collect()));
+            }
+        }
+        let hash = |p: &Photograph| (p.path.clone(), blake3::hash(&std::fs::read(&p.path).unwrap()));
+        assert_eq!(*seen.lock().unwrap(), photographs.iter().map(hash).collect::<Vec<_>>());
+        let whole = decode_whole(&photographs, SIZE_PX).unwrap();
+        assert_eq!((whole.rect(), whole.exposures().len()), (Rect { x: 0, y: 0, width: 13, height: 8 }, 2));
+    }
+
+    #[test]
+    fn a_photograph_of_another_size_is_broken() {
+        let dir = tempfile::tempdir().unwrap();
+        // Turned by a quarter: as many pixels.
+        let photographs = [photograph(dir.path(), "a.png", [8, 13], 1)];
+        let refused = decode_whole(&photographs, SIZE_PX).unwrap_err();
+        assert!(matches!(&refused, crate::Error::BrokenPhotograph { shot, .. } if shot == "lattice-3"), "{refused}");
+    }
+}

@@ -380,4 +380,96 @@ mod tests {
         unmeasured.used.fill(0);
         assert!(StrayLight::estimate(&[unmeasured], &dark()).is_none());
     }
+
+    /// An even picture at (3, 2) of three channels, in two rectangles that overlap.
+    fn even(value: [f32; 3], variance: [f32; 3]) -> Vec<Radiance> {
+        let part = |x: usize, width: usize| {
+            let rect = Rect { x, y: 2, width, height: 80 };
+            let n = rect.area();
+            Radiance { rect, value: value.repeat(n), variance: variance.repeat(n), used: vec![1; 3 * n] }
+        };
+        vec![part(3, 60), part(50, 57)]
+    }
+
+    #[test]
+    fn what_is_taken_out_leaves_an_even_picture_even_and_its_doubt_in_the_variance() {
+        let (value, variance) = ([400.0f32, 90.0, 2000.0], [0.5f32, 30.0, 0.01]);
+        let halos = vec![Halo { radius_px: 6.0, share: 0.03 }, Halo { radius_px: 8.5, share: 0.01 }];
+        let stray = StrayLight { halos, share: 0.04, share_sd: 0.012 };
+        let mut seen = even(value, variance);
+        stray.remove(&mut seen, [110, 84]);
+        // Far from the rims the halo is as bright as the picture, 0.04 of it, and that is known to 0.3 of itself.
+        for (picture, x, y) in [(&seen[0], 55, 42), (&seen[1], 55, 42), (&seen[1], 60, 40)] {
+            let k = picture.at(x, y);
+            for c in 0..3 {
+                // A Gaussian that is cut at 5 standard deviations, in f32.
+                assert!((picture.value[k + c] / value[c] - 1.0).abs() < 1e-4, "{c}: {}", picture.value[k + c]);
+                let halo = 0.04 * value[c];
+                let expected = (variance[c] + 0.09 * halo * halo) / (0.96 * 0.96);
+                assert!(
+                    (picture.variance[k + c] / expected - 1.0).abs() < 1e-3,
+                    "{c}: {} {expected}",
+                    picture.variance[k + c]
+                );
+            }
+        }
+        // In the middle of the left rim half of the halo is there: (1 − 0.02) / 0.96.
+        let k = seen[0].at(3, 42);
+        for c in 0..3 {
+            // Blocks of 1 and 2 px are not quite at the rim.
+            assert!((seen[0].value[k + c] / value[c] - 0.98 / 0.96).abs() < 3e-3, "{}", seen[0].value[k + c]);
+        }
+    }
+
+    #[test]
+    fn dark_blocks_have_the_mean_of_their_pixels_and_its_variance() {
+        let rect = Rect { x: 2, y: 1, width: 9, height: 6 };
+        let at = |k: usize| ((2 + k / 3 % 9) as f32, (1 + k / 27) as f32, (k % 3) as f32);
+        let value = |k: usize| at(k).0 + 10.0 * at(k).1 + 100.0 * at(k).2;
+        let n = 3 * rect.area();
+        let mut picture = Radiance {
+            rect,
+            value: (0..n).map(value).collect(),
+            variance: (0..n).map(|k| at(k).2 + 1.0).collect(),
+            used: vec![1; n],
+        };
+        let mut dark = vec![true; 54];
+        let found = dark_blocks(&picture, &dark);
+        // Columns 2 to 5 and 6 to 9, rows 1 to 4; the mean of x, 10 y and 0, 100, 200.
+        let expected = [([3.5, 2.5], 3.5 + 25.0 + 100.0), ([7.5, 2.5], 7.5 + 25.0 + 100.0)];
+        assert_eq!(found.iter().map(|b| (b.0, b.1)).collect::<Vec<_>>(), expected);
+        // (1 + 2 + 3) / 9 of a pixel, a sixteenth of that of the mean of 16; f64.
+        assert!(found.iter().all(|b| (b.2 - 6.0 / 9.0 / 16.0).abs() < 1e-12), "{found:?}");
+        // Pixel (5, 4) is lit; (6, 1) was not measured in green.
+        dark[3 * 9 + 3] = false;
+        assert_eq!(dark_blocks(&picture, &dark).len(), 1);
+        let k = picture.at(6, 1);
+        picture.used[k + 1] = 0;
+        assert!(dark_blocks(&picture, &dark).is_empty());
+    }
+
+    #[test]
+    fn shares_are_those_of_least_squares_and_never_negative() {
+        // Two halos that a block sees alone: 0.02 of the first, and the second comes out negative.
+        let row = |k: usize, light: f64, seen: f64| {
+            let mut halos = [0.0; RADII_PX.len()];
+            halos[k] = light;
+            // The others are seen a little, each in a way of its own.
+            (halos, seen)
+        };
+        let mut rows: Vec<Weighted> = (0..RADII_PX.len()).map(|k| row(k, 100.0, 0.1 * k as f64)).collect();
+        rows.push(row(3, 50.0, 0.3));
+        let (shares, sd) = non_negative(&rows).unwrap();
+        for (k, share) in shares.iter().enumerate() {
+            // (100 · 0.3 + 50 · 0.3) / 12,500 for the fourth.
+            let expected = if k == 3 { 45.0 / 12_500.0 } else { 1e-3 * k as f64 };
+            assert!((share - expected).abs() < 1e-12, "{k}: {share} {expected}");
+        }
+        // Independent: 8 of 1/100² and one of 1/12,500; the residual is below that of the noise.
+        assert!((sd - (8e-4f64 + 1.0 / 12_500.0).sqrt()).abs() < 1e-9, "{sd}");
+        rows[5].1 = -3.0;
+        let (shares, _) = non_negative(&rows).unwrap();
+        assert_eq!(shares[5], 0.0);
+        assert!((shares[8] - 8e-3).abs() < 1e-12);
+    }
 }

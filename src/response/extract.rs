@@ -235,3 +235,6 @@ fn add_position_variance(row: &mut Row, grid: &WindowGrid, sd_mm: f64) {
     }
     row.variance.iter_mut().zip(added).for_each(|(v, a)| *v += a);
 }
+
+#[cfg(test)]
+mod tests;

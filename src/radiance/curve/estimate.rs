@@ -435,3 +435,6 @@ impl Fit {
         })
     }
 }
+
+#[cfg(test)]
+mod tests;
