@@ -297,3 +297,145 @@ fn require_shots(manifest: &Manifest, path: &Path) -> Result<()> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn exif(iso: Option<f64>, f_number: Option<f64>) -> ExifExposure {
+        ExifExposure { iso, f_number, ..ExifExposure::default() }
+    }
+
+    #[test]
+    fn light_goes_with_the_iso_speed_and_with_the_inverse_square_of_the_f_number() {
+        let first = exif(Some(100.0), Some(4.0));
+        let factor = |iso, f_number| relative_sensitivity(&exif(iso, f_number), &first);
+        assert_eq!(factor(Some(100.0), Some(4.0)), 1.0);
+        assert_eq!(factor(Some(400.0), Some(4.0)), 4.0);
+        // Two stops opener is four times the light, one stop closed nearly half.
+        assert_eq!(factor(Some(100.0), Some(2.0)), 4.0);
+        assert!((factor(Some(100.0), Some(5.6)) - 16.0 / 31.36).abs() < 1e-15);
+        assert!((factor(Some(320.0), Some(5.0)) - 3.2 * 0.64).abs() < 1e-15);
+        // What either does not tell is taken for the same.
+        assert_eq!((factor(None, Some(8.0)), factor(Some(50.0), None), factor(None, None)), (0.25, 0.5, 1.0));
+        assert_eq!(relative_sensitivity(&first, &exif(None, None)), 1.0);
+    }
+
+    fn head(name: &str, effective_secs: f64) -> Head {
+        let photograph = Photograph { path: name.into(), shot: "s".into(), exposure_secs: 2.0, effective_secs };
+        Head { name: name.into(), photograph, exif: ExifExposure::default() }
+    }
+
+    #[test]
+    fn brackets_are_sorted_by_the_light_they_gather_and_have_none_twice() {
+        let sorted = |secs: &[f64]| {
+            let heads = secs.iter().enumerate().map(|(k, &s)| head(&format!("{k}.png"), s)).collect();
+            sorted_bracket(heads, Path::new("capture.toml"))
+        };
+        let found: Vec<f64> = sorted(&[0.5, 0.01, 8.0, 0.0101]).unwrap().iter().map(|p| p.effective_secs).collect();
+        assert_eq!(found, [0.01, 0.0101, 0.5, 8.0]);
+        match sorted(&[0.5, 8.0, 0.503]) {
+            Err(Error::SameExposure { first, second, shot, .. }) => {
+                assert_eq!((first.as_str(), second.as_str(), shot.as_str()), ("0.png", "2.png", "s"));
+            }
+            other => panic!("{other:?}"),
+        }
+        // The names are in order whatever that of the times.
+        match sorted(&[0.503, 8.0, 0.5]) {
+            Err(Error::SameExposure { first, second, .. }) => assert_eq!((&*first, &*second), ("0.png", "2.png")),
+            other => panic!("{other:?}"),
+        }
+        assert_eq!(sorted(&[]).unwrap().len(), 0);
+    }
+
+    #[test]
+    fn the_same_finding_of_many_photographs_is_told_once_with_their_number() {
+        let tag = |file: &str, tag: &str| Warning::UnusableExif {
+            file: file.into(),
+            tag: tag.into(),
+            found: "0/0".into(),
+            photographs: 1,
+        };
+        let secs = |file: &str, used_secs, other_secs, other: &str| Warning::ExposureDisagrees {
+            file: file.into(),
+            used_secs,
+            other_secs,
+            other: other.into(),
+            photographs: 1,
+        };
+        let mut warnings = vec![tag("a", "FNumber")];
+        let mut found = vec![
+            tag("b", "FNumber"),
+            tag("c", "ISOSpeed"),
+            secs("b", 0.5, 0.25, "EXIF"),
+            secs("c", 0.5, 0.25, "EXIF"),
+            secs("d", 0.5, 0.125, "EXIF"),
+            secs("e", 0.25, 0.25, "EXIF"),
+            secs("f", 0.5, 0.25, "APEX"),
+            secs("g", 0.5, 0.25, "EXIF"),
+        ];
+        gather(&mut warnings, &mut found);
+        assert!(found.is_empty());
+        let numbers: Vec<usize> = warnings
+            .iter()
+            .map(|w| match w {
+                Warning::UnusableExif { photographs, .. } | Warning::ExposureDisagrees { photographs, .. } => {
+                    *photographs
+                }
+                other => panic!("{other}"),
+            })
+            .collect();
+        assert_eq!(numbers, [2, 1, 3, 1, 1, 1]);
+    }
+
+    /// A photograph of 3 × 2 px that tells both times.
+    fn photograph(dir: &Path, file: &str, time: [u32; 2], apex: i32) {
+        use ::exif::{Field, In, Rational, SRational, Tag, Value, experimental::Writer};
+        let values = [
+            (Tag::ExposureTime, Value::Rational(vec![Rational { num: time[0], denom: time[1] }])),
+            (Tag::ShutterSpeedValue, Value::SRational(vec![SRational { num: apex, denom: 10 }])),
+        ];
+        let fields = values.map(|(tag, value)| Field { tag, ifd_num: In::PRIMARY, value });
+        let mut writer = Writer::new();
+        fields.iter().for_each(|f| writer.push_field(f));
+        let mut block = std::io::Cursor::new(Vec::new());
+        writer.write(&mut block, false).unwrap();
+        let mut info = png::Info::with_size(3, 2);
+        (info.color_type, info.bit_depth) = (png::ColorType::Rgb, png::BitDepth::Eight);
+        info.exif_metadata = Some(block.into_inner().into());
+        let out = std::fs::File::create(dir.join(file)).unwrap();
+        let mut encoder = png::Encoder::with_info(out, info).unwrap().write_header().unwrap();
+        encoder.write_image_data(&[7; 18]).unwrap();
+    }
+
+    #[test]
+    fn an_exposure_time_comes_from_the_manifest_then_from_the_tag_that_is_asked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        photograph(folder.path(), "a.png", [1, 30], 50);
+        photograph(folder.path(), "b.png", [1, 30], 40);
+        let shot = |exposure_secs| super::super::Shot {
+            name: "s".into(),
+            pattern: Pattern::Board,
+            photographs: ["a.png", "b.png"]
+                .map(|file| super::super::PhotographEntry { file: file.into(), exposure_secs })
+                .to_vec(),
+        };
+        let heads = |given, from| read_heads(folder.path(), &shot(given), [3, 2], from).unwrap();
+        let secs = |heads: &[Head]| heads.iter().map(|h| h.photograph.exposure_secs).collect::<Vec<_>>();
+        // 1/30 for 1/32 is how cameras round: 6.25 % is no disagreement. 1/16 is one.
+        let (found, warnings) = heads(None, ExposureFrom::Exif);
+        assert_eq!(secs(&found), [1.0 / 30.0; 2]);
+        assert!(
+            matches!(&warnings[..], [Warning::ExposureDisagrees { file, other_secs, other, .. }]
+            if file == "b.png" && *other_secs == 1.0 / 16.0 && other == "EXIF ShutterSpeedValue"),
+            "{warnings:?}"
+        );
+        let (found, warnings) = heads(None, ExposureFrom::Apex);
+        assert_eq!((secs(&found), warnings.len()), (vec![1.0 / 32.0, 1.0 / 16.0], 1));
+        // The manifest overrides both, and differs from all four.
+        let (found, warnings) = heads(Some(0.5), ExposureFrom::Estimate);
+        assert_eq!((secs(&found), warnings.len()), (vec![0.5; 2], 4));
+        // A picture that is turned is not the rig's.
+        assert!(matches!(read_heads(folder.path(), &shot(None), [2, 3], ExposureFrom::Exif), Err(Error::Field { .. })));
+    }
+}
