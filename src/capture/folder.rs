@@ -367,6 +367,7 @@ mod tests {
         let mut found = vec![
             tag("b", "FNumber"),
             tag("c", "ISOSpeed"),
+            tag("h", "FNumber"),
             secs("b", 0.5, 0.25, "EXIF"),
             secs("c", 0.5, 0.25, "EXIF"),
             secs("d", 0.5, 0.125, "EXIF"),
@@ -385,7 +386,7 @@ mod tests {
                 other => panic!("{other}"),
             })
             .collect();
-        assert_eq!(numbers, [2, 1, 3, 1, 1, 1]);
+        assert_eq!(numbers, [3, 1, 3, 1, 1, 1]);
     }
 
     /// A photograph of 3 × 2 px that tells both times.
@@ -437,5 +438,140 @@ mod tests {
         assert_eq!((secs(&found), warnings.len()), (vec![0.5; 2], 4));
         // A picture that is turned is not the rig's.
         assert!(matches!(read_heads(folder.path(), &shot(None), [2, 3], ExposureFrom::Exif), Err(Error::Field { .. })));
+    }
+
+    fn shot(name: &str, pattern: Pattern) -> super::super::Shot {
+        let photograph = super::super::PhotographEntry { file: "a.png".into(), exposure_secs: None };
+        super::super::Shot { name: name.into(), pattern, photographs: vec![photograph] }
+    }
+
+    /// A capture that is whole: 5 × 3 dots of a projector of 100 × 60 px.
+    fn whole() -> (Manifest, Rig) {
+        use super::super::{Axis, Board, Camera, Grid, Projector, ReferenceDots, ResponseCurve, Slab, Surface};
+        use super::super::{WhiteReference, Window};
+        let code = Pattern::GrayCode { axis: Axis::X, bit: 1, inverse: false, on: Surface::WhiteReference };
+        let manifest = Manifest {
+            format: 1,
+            name: "m".into(),
+            slab: Slab { size_mm: [30.0, 20.0] },
+            grid: Grid {
+                points: [5, 3],
+                origin_projector_px: [10.0, 20.0],
+                step_projector_px: [20.0, 15.0],
+                dot_projector_px: 2,
+            },
+            window: Window { samples: [7, 5], pitch_mm: 0.2 },
+            reference_dots: Some(ReferenceDots { projector_px: vec![[-0.5, 59.5], [99.5, -0.5]] }),
+            shots: vec![
+                shot("board", Pattern::Board),
+                shot("white", Pattern::ReferenceWhite),
+                shot("black", Pattern::ReferenceBlack),
+                shot("dark", Pattern::SampleBlack),
+                shot("code", code),
+                shot("first", Pattern::Lattice { dots: vec![[0, 0], [3, 2]] }),
+                shot("second", Pattern::Lattice { dots: vec![[4, 0], [0, 2]] }),
+            ],
+        };
+        let rig = Rig {
+            format: 1,
+            camera: Camera {
+                size_px: [80, 120],
+                focal_px: 200.0,
+                principal_px: [40.0, 60.0],
+                response: ResponseCurve::Linear,
+                vignetting: Vec::new(),
+            },
+            noise: None,
+            projector: Projector { size_px: [100, 60], principal_px: None },
+            board: Some(Board { inner_corners: [6, 4], square_mm: 1.5, origin_mm: [0.0; 2], edge_blur_mm: 0.0 }),
+            frame: None,
+            white_reference: WhiteReference { reflectance: [0.9; 3] },
+        };
+        (manifest, rig)
+    }
+
+    fn refused(change: impl FnOnce(&mut Manifest, &mut Rig)) -> Option<String> {
+        let (mut manifest, mut rig) = whole();
+        change(&mut manifest, &mut rig);
+        let path = Path::new("capture.toml");
+        match require_shots(&manifest, path).and_then(|()| check_against_rig(&manifest, &rig, path)) {
+            Ok(()) => None,
+            Err(Error::Field { field, .. }) => Some(field),
+            Err(other) => panic!("{other}"),
+        }
+    }
+
+    #[test]
+    fn shots_that_are_needed_are_there_as_often_as_they_are_needed() {
+        assert_eq!(refused(|_, _| ()), None);
+        for (name, kind) in [
+            ("white", "reference-white"),
+            ("black", "reference-black"),
+            ("dark", "sample-black"),
+            ("code", "gray-code"),
+            ("board", "board"),
+        ] {
+            let field = Some(format!("shots of kind \"{kind}\""));
+            assert_eq!(refused(|m, _| m.shots.retain(|s| s.name != name)), field);
+            let twice = refused(|m, _| {
+                let again = m.shots.iter().find(|s| s.name == name).cloned();
+                m.shots.extend(again);
+            });
+            assert_eq!(twice, field.filter(|_| kind != "gray-code"));
+        }
+        let lattice = |s: &super::super::Shot| matches!(s.pattern, Pattern::Lattice { .. });
+        assert_eq!(refused(|m, _| m.shots.retain(|s| !lattice(s))).as_deref(), Some("shots of kind \"lattice\""));
+        // A frame stands in for the board, but the rig must know its marks.
+        let framed = |m: &mut Manifest| m.shots[0] = shot("frame", Pattern::Frame);
+        assert_eq!(refused(|m, _| framed(m)).as_deref(), Some("shot \"frame\": kind = \"frame\""));
+        let marks = || crate::capture::FrameMarks { marks_mm: Vec::new(), diameter_mm: 1.0 };
+        assert_eq!(refused(|m, r| (framed(m), r.frame = Some(marks())).1), None);
+        assert_eq!(refused(|_, r| r.board = None).as_deref(), Some("shot \"board\": kind = \"board\""));
+        let again = refused(|m, _| m.shots.push(shot("third", Pattern::Lattice { dots: vec![[1, 1], [4, 0]] })));
+        assert_eq!(again.as_deref(), Some("shots \"third\": dots"));
+    }
+
+    #[test]
+    fn dots_lie_on_the_projector_s_picture_and_windows_are_no_finer_than_the_camera_s() {
+        let dots = |dots: Vec<[usize; 2]>| {
+            refused(|m, _| {
+                m.grid.points = [9, 9];
+                m.shots[6].pattern = Pattern::Lattice { dots };
+            })
+        };
+        // Dot (4, 2) is at (90, 50), (5, 0) at (110, 20), (0, 3) at (10, 65) px of 100 × 60.
+        assert_eq!(dots(vec![[4, 2]]), None);
+        assert_eq!(dots(vec![[4, 2], [5, 0]]).as_deref(), Some("shot \"second\": dot [5, 0]"));
+        assert_eq!(dots(vec![[0, 3]]).as_deref(), Some("shot \"second\": dot [0, 3]"));
+        for at in [[-0.6, 20.0], [99.6, 20.0], [20.0, -0.6], [20.0, 59.6]] {
+            let found = refused(|m, _| m.reference_dots.as_mut().unwrap().projector_px[1] = at);
+            assert_eq!(found.as_deref(), Some("reference_dots.projector_px"));
+        }
+        let side = |n: usize| refused(|m, _| m.grid.dot_projector_px = n);
+        assert_eq!((side(60), side(61).as_deref()), (None, Some("grid.dot_projector_px")));
+        // Two samples for each of the longer side's 120 pixels.
+        let samples = |n: usize| refused(|m, _| m.window.samples = [7, n]);
+        assert_eq!((samples(239), samples(241).as_deref()), (None, Some("window.samples")));
+        assert_eq!(refused(|_, r| r.camera.size_px = [120, 80]), None);
+    }
+
+    #[test]
+    fn a_large_grid_of_which_next_to_nothing_is_lit_is_a_slip_of_the_pen() {
+        // 256 × 256 points may be unlit; beyond, one in 4096: four dots do for 20 479 points, were they so many, and not for 65 792.
+        let points = |points| refused(|m, _| m.grid.points = points);
+        assert_eq!((points([256, 256]), points([257, 256]).as_deref()), (None, Some("grid.points")));
+        let lit = |n: usize| {
+            refused(|m, _| {
+                (m.grid.points, m.grid.step_projector_px) = ([257, 256], [0.01, 0.01]);
+                m.shots[6].pattern = Pattern::Lattice { dots: (0..n).map(|k| [k + 10, 1]).collect() };
+            })
+        };
+        // 65 792 / 4096 is 16 and a bit; two are lit by the first shot.
+        assert_eq!((lit(14), lit(13).as_deref()), (None, Some("grid.points")));
+        let none = refused(|m, _| {
+            m.shots.truncate(6);
+            m.shots[5].pattern = Pattern::Lattice { dots: vec![] };
+        });
+        assert_eq!(none.as_deref(), Some("shots of kind \"lattice\": dots"));
     }
 }

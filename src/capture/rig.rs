@@ -435,12 +435,16 @@ mod tests {
         }
         assert_eq!(refused(|r| r.camera.response = ResponseCurve::File("curve.toml".into())), None);
         assert_eq!(refused(|r| r.white_reference.reflectance = [1.0, 1e-6, 0.5]), None);
+        // A lens may be shifted beyond the picture.
+        assert_eq!(refused(|r| r.camera.principal_px = [-40.0, -9.0]), None);
+        assert_eq!(refused(|r| r.projector.principal_px = Some([50.0, -400.0])), None);
     }
 
     #[test]
     fn marks_nearer_than_one_and_a_half_diameters_are_refused() {
         // Two rows of marks, 3 mm apart along x and 10 mm along y.
-        let marks = |n: usize| (0..n).map(|k| [3.0 * (k / 2) as f64, 10.0 * (k % 2) as f64]).collect::<Vec<Point>>();
+        let marks =
+            |n: usize| (0..n).map(|k| [3.0 * (k / 2) as f64, 5.0 + 10.0 * (k % 2) as f64]).collect::<Vec<Point>>();
         let frame = |marks_mm, diameter_mm| refused(|r| r.frame = Some(FrameMarks { marks_mm, diameter_mm }));
         assert_eq!((frame(marks(8), 2.0), frame(marks(9), 1.0)), (None, None));
         assert_eq!(frame(marks(8), 2.001).as_deref(), Some("frame.marks_mm"));
@@ -451,9 +455,9 @@ mod tests {
         assert_eq!(frame(far, 1.0).as_deref(), Some("frame.marks_mm"));
         // The last two may be the near ones, above each other.
         let mut near = marks(8);
-        near[7] = [9.0, 1.4];
+        near[7] = [9.0, 6.4];
         assert_eq!(frame(near.clone(), 1.0).as_deref(), Some("frame.marks_mm"));
-        near[7] = [9.0, 1.5];
+        near[7] = [9.0, 6.5];
         assert_eq!(frame(near, 1.0), None);
     }
 
@@ -465,5 +469,21 @@ mod tests {
         assert_eq!(ResponseCurve::from("linear".to_owned()), ResponseCurve::Linear);
         assert_eq!(ResponseCurve::from("srgb".to_owned()), ResponseCurve::Srgb);
         assert_eq!(ResponseCurve::from("estimate".to_owned()), ResponseCurve::Estimate);
+    }
+
+    #[test]
+    fn a_rig_is_read_as_it_was_written_and_copied_with_its_curve() {
+        let folder = tempfile::tempdir().unwrap();
+        let [from, to] = ["from", "to"].map(|n| folder.path().join(n));
+        [&from, &to].into_iter().for_each(|d| std::fs::create_dir(d).unwrap());
+        let mut with_curve = rig();
+        with_curve.camera.response = ResponseCurve::File("curve.toml".into());
+        with_curve.write(&from).unwrap();
+        assert_eq!(Rig::read(&from.join("rig.toml")).unwrap(), with_curve);
+        assert!(Rig::copy(&from.join("rig.toml"), &to).is_err(), "the curve is not there");
+        std::fs::write(from.join("curve.toml"), "a curve").unwrap();
+        Rig::copy(&from.join("rig.toml"), &to).unwrap();
+        assert_eq!(Rig::read(&to.join("rig.toml")).unwrap(), with_curve);
+        assert_eq!(std::fs::read_to_string(to.join("curve.toml")).unwrap(), "a curve");
     }
 }

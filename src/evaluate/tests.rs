@@ -155,9 +155,9 @@ impl Plain {
         plain
     }
 
-    fn write(&self, path: &Path) -> MatrixReader {
+    fn header(&self) -> MatrixHeader {
         let rows = POINTS[0] * POINTS[1];
-        let header = MatrixHeader {
+        MatrixHeader {
             points: POINTS,
             window: WINDOW,
             pitch_mm: PITCH,
@@ -168,9 +168,12 @@ impl Plain {
             shots: self.shots.clone(),
             warnings: Vec::new(),
             provenance: self.provenance.clone(),
-        };
-        let writer = MatrixWriter::create(path, header).unwrap();
-        for i in 0..rows {
+        }
+    }
+
+    fn write(&self, path: &Path) -> MatrixReader {
+        let writer = MatrixWriter::create(path, self.header()).unwrap();
+        for i in 0..POINTS[0] * POINTS[1] {
             let part = at(i, 0, 0, 0)..at(i + 1, 0, 0, 0);
             let row = Row {
                 response: self.response[part.clone()].to_vec(),
@@ -192,7 +195,13 @@ fn entries() -> impl Iterator<Item = (usize, usize, usize)> {
     (0..WINDOW[1]).flat_map(|dy| (0..WINDOW[0]).flat_map(move |dx| (0..3).map(move |c| (dy, dx, c))))
 }
 
-fn both() -> (Plain, Plain, Measures) {
+/// Candidate, reference and what is measured of them, once for all tests.
+fn both() -> &'static (Plain, Plain, Measures) {
+    static BOTH: std::sync::OnceLock<(Plain, Plain, Measures)> = std::sync::OnceLock::new();
+    BOTH.get_or_init(compared)
+}
+
+fn compared() -> (Plain, Plain, Measures) {
     let folder = tempfile::tempdir().unwrap();
     let reference = Plain::reference();
     let candidate = Plain::candidate(&reference);
@@ -216,7 +225,7 @@ fn errors_over_entries_are_those_of_plain_loops() {
     let (mut inside, mut with_sigma) = (0, 0);
     for row in 0..15 {
         let measured: Vec<usize> =
-            entries().map(|(dy, dx, c)| at(row, dy, dx, c)).filter(|&k| a.common(&b, k)).collect();
+            entries().map(|(dy, dx, c)| at(row, dy, dx, c)).filter(|&k| a.common(b, k)).collect();
         let row_peak = measured.iter().map(|&k| f64::from(b.response[k])).fold(0.0, f64::max);
         peak = peak.max(row_peak);
         for k in measured {
@@ -251,7 +260,7 @@ fn albedos_are_sums_over_each_channel_of_the_rows_that_were_compared() {
     let (mut sums, mut max, mut rows, mut violations) = ([0.0; 3], [0.0_f64; 3], 0, 0);
     for row in (0..15).filter(|r| ![7, 11].contains(r)) {
         let mut albedo = [0.0; 3];
-        for (dy, dx, c) in entries().filter(|&(dy, dx, c)| a.common(&b, at(row, dy, dx, c))) {
+        for (dy, dx, c) in entries().filter(|&(dy, dx, c)| a.common(b, at(row, dy, dx, c))) {
             albedo[c] += f64::from(a.response[at(row, dy, dx, c)]) * 0.04;
         }
         rows += 1;
@@ -298,7 +307,7 @@ fn reciprocity_is_that_of_plain_loops_over_all_pairs() {
             let weight = (1.0 - (x - dx as f64).abs()).max(0.0) * (1.0 - (y - dy as f64).abs()).max(0.0);
             if weight > 0.0 {
                 // A sample of which a channel is missing is missing.
-                if (0..3).any(|c| !a.common(&b, at(from, dy, dx, c))) {
+                if (0..3).any(|c| !a.common(b, at(from, dy, dx, c))) {
                     return None;
                 }
                 sum[c] += weight * f64::from(a.response[at(from, dy, dx, c)]);
@@ -339,12 +348,12 @@ fn relighting_adds_every_row_where_it_leaves_the_slab_under_each_light() {
     };
     let (mut error, mut peak) = (0.0, 0.0_f64);
     for n in 0..4 {
-        let images = [&a, &b].map(|plain| {
+        let images = [a, b].map(|plain| {
             let mut image = vec![0.0; size[0] * size[1] * 3];
             for row in 0..15 {
                 let (u, v) = (((row % 5) as f64 + 0.5) / 5.0, ((row / 5) as f64 + 0.5) / 3.0);
                 let flux = light(n, u, v) * LIT_PITCH[0] * LIT_PITCH[1];
-                for (dy, dx, c) in entries().filter(|&(dy, dx, c)| a.common(&b, at(row, dy, dx, c))) {
+                for (dy, dx, c) in entries().filter(|&(dy, dx, c)| a.common(b, at(row, dy, dx, c))) {
                     let x = (a.lit_mm[row][0] - low[0]) / PITCH + dx as f64;
                     let y = (a.lit_mm[row][1] - low[1]) / PITCH + dy as f64;
                     for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
@@ -443,11 +452,7 @@ fn an_error_of_exactly_two_deviations_is_covered_and_an_albedo_of_exactly_one_is
 
 #[test]
 fn the_camera_s_scale_is_taken_from_what_the_provenance_says_first() {
-    let header = |provenance: serde_json::Value| {
-        let folder = tempfile::tempdir().unwrap();
-        let plain = Plain { provenance, ..Plain::reference() };
-        px_per_mm(plain.write(&folder.path().join("m.rd.zarr")).header())
-    };
+    let header = |provenance| px_per_mm(&Plain { provenance, ..Plain::reference() }.header());
     let simulated = serde_json::json!({"camera_px_per_sample": 3.0, "pitch_mm": 0.25});
     assert_eq!(header(serde_json::json!({"camera_px_per_mm": 7.5, "options": simulated})), Some(7.5));
     assert_eq!(header(serde_json::json!({"options": simulated})), Some(12.0));

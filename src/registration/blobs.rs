@@ -207,4 +207,31 @@ mod tests {
         light[10 + 10 * 60] = 0.0;
         assert_eq!(parts(&light, 60, 40, |v| v > 0.5).len(), 1);
     }
+
+    #[test]
+    fn faint_discs_are_found_between_what_is_dark_and_what_is_bright() {
+        let rect = Rect { x: 20, y: 300, width: 100, height: 70 };
+        // A fifth of the light is missing in a disc; a band of the picture is nearly black and sets the darkest level.
+        let disc = |x: f64, y: f64| share(x, y, |x, y| (x - 70.3).hypot(y - 330.8) < 4.0);
+        let light = |x: f64, y: f64| if y > 360.0 { 0.5 } else { (60.0 + 0.01 * x) * (1.0 - 0.25 * disc(x, y)) };
+        let found = find_blobs(&picture(rect, light, 1.0));
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert!((found[0].center_px[0] - 70.3).hypot(found[0].center_px[1] - 330.8) < 0.35, "{found:?}");
+    }
+
+    #[test]
+    fn a_part_that_grows_to_the_left_and_upwards_is_one() {
+        // A hook whose first pixel in reading order is its right top, with its other end below and up again at the left.
+        let rows = ["......#", "......#", ".#....#", ".#....#", ".######"];
+        let mut light = vec![0.0; 1000];
+        for (y, row) in rows.iter().enumerate() {
+            row.bytes().enumerate().filter(|(_, b)| *b == b'#').for_each(|(x, _)| light[x + 3 + (y + 4) * 40] = 1.0);
+        }
+        // 13 pixels in one part are no disc, and no part of a dozen is left over.
+        assert_eq!(parts(&light, 40, 25, |v| v > 0.5), vec![]);
+        let near = |k: usize| (k % 40).abs_diff(20) + (k / 40).abs_diff(12) <= 2;
+        let square: Vec<f32> = (0..1000).map(|k| if near(k) { 1.0 } else { 0.0 }).collect();
+        // A square on its corner: its lines begin further to the left, each than the one before.
+        assert_eq!(parts(&square, 40, 25, |v| v > 0.5).len(), 1);
+    }
 }

@@ -306,12 +306,16 @@ mod tests {
 
     /// A rim across `normal` through `at`, `offset` further out: a logistic step over the mean of a pixel, on light that slopes.
     fn rim(segment: &RimSegment, offset: f64, inside: f64, outside: f64, variance: f64) -> Radiance {
+        soft_rim(segment, offset, [inside, outside], variance, 0.3)
+    }
+
+    fn soft_rim(segment: &RimSegment, offset: f64, [inside, outside]: [f64; 2], variance: f64, soft: f64) -> Radiance {
         let light = |x: f64, y: f64| {
             let d = [x - segment.at[0], y - segment.at[1]];
             let across = d[0] * segment.normal[0] + d[1] * segment.normal[1];
             let along = d[1] * segment.normal[0] - d[0] * segment.normal[1];
             let place = |k: usize| (k as f64 + 0.5) / 200.0 - 0.5;
-            let step = |u: f64| 1.0 / (1.0 + (-(u - offset) / 0.3).exp());
+            let step = |u: f64| 1.0 / (1.0 + (-(u - offset) / soft).exp());
             let lit = (0..200).map(|k| step(across + place(k))).sum::<f64>() / 200.0;
             inside + (outside - inside) * lit + 0.4 * along
         };
@@ -319,7 +323,11 @@ mod tests {
     }
 
     fn segments() -> [RimSegment; 2] {
-        let all = rim_segments(&straight([20.3, 15.1]), [30.0, 20.0], [230, 120]);
+        // No side is along a line or a column of pixels.
+        let matrix = [[5.6, -1.4, 50.3], [2.0, 3.8, 15.1], [0.0, 0.0, 1.0]];
+        let view = CameraView { ideal_from_slab: Homography { matrix }, ..straight([0.0; 2]) };
+        let all = rim_segments(&view, [30.0, 20.0], [250, 180]);
+        assert_eq!(all.len(), 32);
         [all[2], all[9]]
     }
 
@@ -344,7 +352,7 @@ mod tests {
     #[test]
     fn a_rim_strays_by_its_standard_deviation_from_one_noise_to_the_next() {
         let segment = segments()[1];
-        let clean = rim(&segment, 0.37, 20.0, 60.0, 0.0);
+        let clean = soft_rim(&segment, 0.37, [20.0, 60.0], 0.0, 0.05);
         // Noise that is even in ±1 has a variance of 1/3.
         let found = |draw: usize| {
             let mut noisy = clean.clone();
@@ -479,5 +487,27 @@ mod tests {
         let sure = |camera_px, sd_px| CameraMotion { camera_px, sd_px }.is_sure();
         assert!(sure([0.0, -0.36], 0.1) && !sure([0.0, 0.34], 0.1) && sure([0.3, 0.2], 0.1));
         assert!(sure([0.051, 0.0], 0.001) && !sure([0.03, -0.03], 0.001) && sure([0.03, -0.041], 0.001));
+    }
+
+    #[test]
+    fn glow_counts_along_an_axis_by_how_much_its_rims_tell() {
+        let rect = Rect { x: 0, y: 0, width: 1, height: 1 };
+        let segments: Vec<RimSegment> = (0..16)
+            .map(|k| RimSegment { rect, at: [0.0; 2], normal: if k < 8 { [1.0, 0.0] } else { [0.0, 1.0] } })
+            .collect();
+        let before = vec![place(0.1, 0.0, 40.0); 16];
+        let now: Vec<_> = (0..16)
+            .map(|k| match k {
+                // Sure, but for a glow of 0.05 px: 0.005² + 0.05² = 0.002525 px².
+                0..4 => place(0.4, 0.0, 48.0),
+                _ => place(if k < 8 { 0.4 } else { -0.1 }, 0.08, 40.0),
+            })
+            .collect();
+        let found = camera_motion(&segments, &before, &now).unwrap();
+        assert!((found.camera_px[0] - 0.3).abs() < 1e-12 && (found.camera_px[1] + 0.2).abs() < 1e-12, "{found:?}");
+        let (sure, other) = (4.0 / 0.002_525, 4.0 / 0.0064);
+        let glow = 0.05 * sure / (sure + other);
+        let scatter: f64 = (0.5 * (1.0 / (sure + other) + 0.0064 / 8.0_f64)).sqrt();
+        assert!((found.sd_px - scatter.hypot(glow)).abs() < 1e-12, "{found:?}");
     }
 }

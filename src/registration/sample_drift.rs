@@ -262,4 +262,53 @@ mod tests {
         let depth = 2.0 * 0.11f64.hypot(0.21) * 24.5f64.sqrt();
         assert!(near(sd(2.0, 0.0, 0.0), depth.hypot(0.03)));
     }
+
+    #[test]
+    fn two_dots_of_one_shot_are_enough_where_they_lie_apart() {
+        let pair = |second: Point| {
+            let dot =
+                |p: Point| located(p, [0.2 + 1.5 * (40.0 - p[0]) / 200.0, 0.1 + 1.5 * (-30.0 - p[1]) / 200.0], 1e-6);
+            Parallax::learn(&[vec![dot([2.0, 3.0]), dot(second)]], EYE, 7.0)
+        };
+        assert!((pair([30.0, 11.0]).depth_mm - 1.5).abs() < 1e-9);
+        assert_eq!(pair([2.0, 3.0]), Parallax::unknown(EYE));
+    }
+
+    #[test]
+    fn a_dot_strays_by_what_the_depth_leaves_over_the_freedoms_that_are_left() {
+        let found = Parallax::learn(&shots(1.5, 0.02), EYE, 7.0);
+        let mut left = Vec::new();
+        for dots in shots(1.5, 0.02) {
+            for a in 0..2 {
+                let part = |d: &Located| d.moved_mm[a] - found.depth_mm * ([40.0, -30.0][a] - d.expected_mm[a]) / 200.0;
+                let mean = dots.iter().map(part).sum::<f64>() / 12.0;
+                left.extend(dots.iter().map(|d| (part(d) - mean).abs()));
+            }
+        }
+        left.sort_by(f64::total_cmp);
+        // 144 differences less 12 means and the depth.
+        let spread = 1.4826 * 0.5 * (left[71] + left[72]) * (144.0 / 131.0_f64).sqrt();
+        assert!((found.dot_sd_px / (7.0 * spread) - 1.0).abs() < 1e-9, "{found:?} {spread}");
+    }
+
+    #[test]
+    fn a_dot_is_located_from_where_the_pattern_puts_it() {
+        use super::super::pictures::{CAMERA, covered, picture};
+        use crate::capture::Rect;
+        let dots = SampleDots { shape: DotShape::new([[1.0, 0.0], [0.0, 1.0]], 3.0).unwrap(), dot_radius_px: 2.0 };
+        let (expected, moved) = ([12.0, 9.0], [0.11, -0.17]);
+        let at = CAMERA.map([expected[0] + moved[0], expected[1] + moved[1]]);
+        let rect = Rect { x: at[0] as usize - 12, y: at[1] as usize - 10, width: 26, height: 22 };
+        // A brighter spot stands elsewhere in the picture.
+        let other = [at[0] - 7.5, at[1] + 4.0];
+        let light =
+            |x: f64, y: f64| 5.0 + 80.0 * covered(x, y, at, [3.0, 3.0]) + 99.0 * covered(x, y, other, [1.0, 1.0]);
+        let found = dots.locate(expected, &picture(rect, light, 0.01), &registration(), 4.0).unwrap();
+        // The core's blur is one of those that are tried or nearly: some hundredths of a pixel, over 4 px a millimetre.
+        assert!((0..2).all(|a| (found.moved_mm[a] - moved[a]).abs() < 0.01), "{found:?}");
+        assert_eq!(found.expected_mm, expected);
+        assert!(found.variance_px2 > 0.0 && found.variance_px2 < 1e-3, "{found:?}");
+        let dark = |x: f64, y: f64| 5.0 - 2.0 * covered(x, y, at, [3.0, 3.0]);
+        assert_eq!(dots.locate(expected, &picture(rect, dark, 0.01), &registration(), 4.0), None);
+    }
 }

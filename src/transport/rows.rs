@@ -198,4 +198,34 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn blocks_hold_as_many_chunks_as_fit_48_mib() {
+        let folder = tempfile::tempdir().unwrap();
+        let header = MatrixHeader {
+            points: [30, 5],
+            window: [131, 131],
+            pitch_mm: 0.5,
+            lit_pitch_mm: [0.5; 2],
+            lit_mm: vec![[0.0; 2]; 150],
+            position_sd_mm: vec![0.0; 150],
+            shot_of: vec![None; 150],
+            shots: Vec::new(),
+            warnings: Vec::new(),
+            provenance: serde_json::Value::Null,
+        };
+        let path = folder.path().join("m.rd.zarr");
+        MatrixWriter::create(&path, header.clone()).unwrap().finish().unwrap();
+        // A row takes 9 · 3 · 131² bytes: 108 of them fit, seven chunks of 15.
+        assert_eq!(MatrixReader::open(&path).unwrap().blocks(), [0..105, 105..150]);
+        let small = MatrixHeader { window: [3, 1], ..header };
+        MatrixWriter::create(&path, small).unwrap().finish().unwrap();
+        let mut rows = Vec::new();
+        let each = |block: RowBlock| {
+            rows.extend(block.first..block.first + block.rows);
+            Ok(())
+        };
+        MatrixReader::open(&path).unwrap().for_each_block(each).unwrap();
+        assert_eq!(rows, (0..150).collect::<Vec<_>>());
+    }
 }
