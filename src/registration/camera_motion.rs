@@ -455,7 +455,7 @@ mod tests {
         let found = camera_motion(&sixteen(), &before, &after).unwrap();
         assert!((found.camera_px[0] - 0.31).abs() < 1e-9 && (found.camera_px[1] + 0.22).abs() < 1e-9, "{found:?}");
         // Fifteen are left, eight of them on one side.
-        assert!((found.sd_px - 0.02 * (0.5 * (1.0 / 8.0 + 1.0 / 7.0) as f64).sqrt()).abs() < 1e-4, "{found:?}");
+        assert!((found.sd_px - 0.02 * (0.5f64 * (1.0 / 8.0 + 1.0 / 7.0)).sqrt()).abs() < 1e-4, "{found:?}");
         let (mut before, after) = both(0.02, 1.0);
         before[..8].fill(None);
         assert!(camera_motion(&sixteen(), &before, &after).is_some());
