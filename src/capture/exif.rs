@@ -165,4 +165,54 @@ mod tests {
         assert_eq!(read_fields(vec![short(400), long(Tag::ISOSpeed)]).0.iso, Some(400.0));
         assert_eq!(read_fields(vec![short(65_535)]).0.iso, Some(65_535.0));
     }
+
+    #[test]
+    fn times_and_apertures_are_the_numbers_of_the_standard() {
+        let apex = |tag, num, denom| (tag, Value::SRational(vec![SRational { num, denom }]));
+        let one = |field| read_fields(vec![field]).0;
+        assert_eq!(one((Tag::ExposureTime, rational(1, 125))).exposure_secs, Some(0.008));
+        assert_eq!(one((Tag::FNumber, rational(28, 10))).f_number, Some(2.8));
+        // Table of EXIF 2.3, annex C: Tv 7 is 1/128 s (nominally 1/125), Tv -2 is 4 s; Av 5 is f/5.6, Av 3 is f/2.8.
+        assert_eq!(one(apex(Tag::ShutterSpeedValue, 7, 1)).apex_secs, Some(1.0 / 128.0));
+        assert_eq!(one(apex(Tag::ShutterSpeedValue, -4, 2)).apex_secs, Some(4.0));
+        let f_number = one((Tag::ApertureValue, rational(10, 2))).f_number.unwrap();
+        // 4 √2; exp2 is right to an ulp.
+        assert!((f_number - 5.656_854_249_492_381).abs() < 1e-14, "{f_number}");
+        let all = read_fields(vec![
+            (Tag::ExposureTime, rational(3, 10)),
+            (Tag::FNumber, rational(4, 1)),
+            (Tag::PhotographicSensitivity, Value::Short(vec![200])),
+            apex(Tag::ShutterSpeedValue, 2, 1),
+            (Tag::ApertureValue, rational(6, 1)),
+        ]);
+        let expected =
+            ExifExposure { exposure_secs: Some(0.3), apex_secs: Some(0.25), f_number: Some(4.0), iso: Some(200.0) };
+        assert_eq!(all, (expected, vec![]));
+        let other = vec![(Tag::Orientation, Value::Short(vec![1]))];
+        assert_eq!(read_fields(other), (ExifExposure::default(), vec![]));
+    }
+
+    #[test]
+    fn values_at_the_bounds_count_and_beyond_them_do_not() {
+        let field = |tag, num, denom| read_fields(vec![(tag, rational(num, denom))]);
+        assert_eq!(field(Tag::ExposureTime, 1, 1_000_000_000).0.exposure_secs, Some(1e-9));
+        assert_eq!(field(Tag::ExposureTime, 1_000_000, 1).0.exposure_secs, Some(1e6));
+        assert_eq!(field(Tag::FNumber, 1000, 1).0.f_number, Some(1000.0));
+        assert_eq!(field(Tag::FNumber, 1, 10).0.f_number, Some(0.1));
+        for (tag, num, denom) in [
+            (Tag::ExposureTime, 1, 1_000_000_001),
+            (Tag::ExposureTime, 1_000_001, 1),
+            (Tag::FNumber, 1001, 1),
+            (Tag::FNumber, 99, 1000),
+            (Tag::FNumber, 4, 0),
+        ] {
+            let (exif, warnings) = field(tag, num, denom);
+            assert_eq!((exif.exposure_secs, exif.f_number), (None, None), "{tag} {num}/{denom}");
+            assert!(matches!(&warnings[..], [Warning::UnusableExif { file, photographs: 1, .. }] if file == "a.jpg"));
+        }
+        // All bits set stands for an overflow in every type.
+        let iso = |value| read_fields(vec![(Tag::ISOSpeed, value)]);
+        assert_eq!(iso(Value::Long(vec![100_000_000])).0.iso, Some(1e8));
+        assert_eq!((iso(Value::Long(vec![u32::MAX])).0.iso, iso(Value::Long(vec![u32::MAX])).1.len()), (None, 1));
+    }
 }

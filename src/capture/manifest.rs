@@ -272,3 +272,107 @@ impl Manifest {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn manifest() -> Manifest {
+        let photograph = PhotographEntry { file: "a.png".into(), exposure_secs: Some(0.5) };
+        let shot = |name: &str, pattern| Shot { name: name.into(), pattern, photographs: vec![photograph.clone()] };
+        Manifest {
+            format: FORMAT,
+            name: "m".into(),
+            slab: Slab { size_mm: [30.0, 20.0] },
+            grid: Grid {
+                points: [5, 3],
+                origin_projector_px: [100.0, 40.5],
+                step_projector_px: [6.0, -4.5],
+                dot_projector_px: 2,
+            },
+            window: Window { samples: [7, 5], pitch_mm: 0.2 },
+            reference_dots: Some(ReferenceDots { projector_px: vec![[1.0, 2.0], [300.0, 5.0]] }),
+            shots: vec![
+                shot("board", Pattern::Board),
+                shot("code", Pattern::GrayCode { axis: Axis::Y, bit: 15, inverse: true, on: Surface::Frame }),
+                shot("dots", Pattern::Lattice { dots: vec![[4, 0], [0, 2]] }),
+            ],
+        }
+    }
+
+    #[test]
+    fn a_dot_lies_a_step_of_each_axis_from_the_next_and_rows_are_counted_along_x() {
+        let grid = manifest().grid;
+        assert_eq!(grid.dot_projector_px([0, 0]), [100.0, 40.5]);
+        assert_eq!(grid.dot_projector_px([3, 2]), [118.0, 31.5]);
+        assert_eq!((grid.row_index([3, 2]), grid.row_index([4, 0]), grid.len()), (13, 4, 15));
+        let none = |points| Grid { points, ..grid.clone() }.is_empty();
+        assert_eq!((none([5, 3]), none([0, 3]), none([5, 0])), (false, true, true));
+    }
+
+    #[test]
+    fn fields_of_the_manifest_out_of_range_are_told_by_name() {
+        let path = Path::new("capture.toml");
+        manifest().check(path).unwrap();
+        let refused = |change: fn(&mut Manifest)| {
+            let mut changed = manifest();
+            change(&mut changed);
+            match changed.check(path) {
+                Err(Error::Field { field, .. }) => field,
+                Err(Error::DotOutsideSlab { dot, .. }) => format!("dot {dot:?}"),
+                other => panic!("{other:?}"),
+            }
+        };
+        for (field, change) in [
+            ("format", (|m| m.format = 0) as fn(&mut Manifest)),
+            ("slab.size_mm", |m| m.slab.size_mm[1] = 0.0),
+            ("slab.size_mm", |m| m.slab.size_mm[0] = 1.1e6),
+            ("grid.origin_projector_px", |m| m.grid.origin_projector_px[1] = -1.5),
+            ("grid.step_projector_px", |m| m.grid.step_projector_px[0] = -7e4),
+            ("grid.step_projector_px", |m| m.grid.step_projector_px[1] = 0.0),
+            ("grid.step_projector_px", |m| m.grid.step_projector_px[0] = 0.0),
+            ("reference_dots.projector_px", |m| m.reference_dots.as_mut().unwrap().projector_px[1][1] = 7e4),
+            ("grid.points", |m| m.grid.points[0] = 0),
+            ("grid.points", |m| m.grid.points[1] = 65_537),
+            ("window.samples", |m| m.window.samples[1] = 4),
+            ("window.samples", |m| m.window.samples[0] = 4097),
+            ("window.samples", |m| m.window.samples[0] = 0),
+            ("window.pitch_mm", |m| m.window.pitch_mm = f64::NAN),
+            ("grid.dot_projector_px", |m| m.grid.dot_projector_px = 0),
+            ("shots \"code\": name", |m| m.shots[2].name = "code".into()),
+            ("shots \"dots\": photographs", |m| m.shots[2].photographs.clear()),
+            ("shots \"board\": exposure_secs", |m| m.shots[0].photographs[0].exposure_secs = Some(1e-10)),
+            ("shots \"board\": exposure_secs", |m| m.shots[0].photographs[0].exposure_secs = Some(1.1e6)),
+            ("dot [5, 0]", |m| m.shots[2].pattern = Pattern::Lattice { dots: vec![[4, 2], [5, 0]] }),
+            ("dot [2, 3]", |m| m.shots[2].pattern = Pattern::Lattice { dots: vec![[2, 3]] }),
+        ] {
+            assert_eq!(refused(change), field);
+        }
+        let bit = |m: &mut Manifest| {
+            m.shots[1].pattern = Pattern::GrayCode { axis: Axis::X, bit: 16, inverse: false, on: Surface::Frame };
+        };
+        assert_eq!(refused(bit), "shots \"code\": bit");
+        // The bounds themselves are allowed.
+        let mut widest = manifest();
+        (widest.grid.points, widest.window.samples) = ([65_536, 65_536], [4095, 1]);
+        widest.check(path).unwrap();
+    }
+
+    #[test]
+    fn a_manifest_is_read_as_it_was_written() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(matches!(Manifest::read(folder.path()), Err(Error::NoManifest { .. })));
+        assert!(matches!(Manifest::read(&folder.path().join("none")), Err(Error::Io { .. })));
+        manifest().write(folder.path()).unwrap();
+        assert_eq!(Manifest::read(folder.path()).unwrap(), manifest());
+        // The usual surface is not written.
+        let text = std::fs::read_to_string(folder.path().join("capture.toml")).unwrap();
+        assert!(text.contains("on = \"frame\"") && Surface::default().is_white_reference());
+        let mut white = manifest();
+        white.shots[1].pattern =
+            Pattern::GrayCode { axis: Axis::X, bit: 3, inverse: false, on: Surface::WhiteReference };
+        white.write(folder.path()).unwrap();
+        assert!(!std::fs::read_to_string(folder.path().join("capture.toml")).unwrap().contains("on = "));
+        assert_eq!(Manifest::read(folder.path()).unwrap(), white);
+    }
+}

@@ -321,3 +321,169 @@ impl Rig {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera() -> Camera {
+        Camera {
+            size_px: [161, 81],
+            focal_px: 200.0,
+            principal_px: [30.0, 20.0],
+            response: ResponseCurve::Linear,
+            vignetting: vec![-0.3, 0.12, -0.05],
+        }
+    }
+
+    fn rig() -> Rig {
+        Rig {
+            format: super::super::FORMAT,
+            camera: camera(),
+            noise: None,
+            projector: Projector { size_px: [101, 64], principal_px: None },
+            board: None,
+            frame: None,
+            white_reference: WhiteReference { reflectance: [0.9, 0.8, 0.7] },
+        }
+    }
+
+    fn refused(change: impl FnOnce(&mut Rig)) -> Option<String> {
+        let mut rig = rig();
+        change(&mut rig);
+        match rig.check(Path::new("rig.toml")) {
+            Ok(()) => None,
+            Err(Error::Field { field, .. }) => Some(field),
+            Err(other) => panic!("{other}"),
+        }
+    }
+
+    #[test]
+    fn vignetting_is_a_polynomial_of_the_squared_distance_over_the_focal_length() {
+        // 100 px right of and 80 px above the principal point: r² = (100² + 80²) / 200² = 0.41.
+        let expected = 1.0 - 0.3 * 0.41 + 0.12 * 0.41 * 0.41 - 0.05 * 0.41 * 0.41 * 0.41;
+        let found = camera().vignetting_at([130.0, -60.0]);
+        assert!((found - expected).abs() < 1e-15, "{found} {expected}");
+        assert_eq!(camera().vignetting_at([30.0, 20.0]), 1.0);
+        let steep = Camera { vignetting: vec![-2.0], ..camera() };
+        // Twice as far along one axis is four times as much; the two axes have their own middle.
+        assert!((steep.vignetting_at([50.0, 20.0]) - 0.98).abs() < 1e-15);
+        assert!((steep.vignetting_at([30.0, 60.0]) - 0.92).abs() < 1e-15);
+        assert_eq!(Camera { vignetting: vec![], ..camera() }.vignetting_at([9.0, 9.0]), 1.0);
+    }
+
+    #[test]
+    fn a_corner_that_is_all_but_dark_is_a_mistake_in_a_coefficient() {
+        // The farthest corner is (160, 80): r² = (130² + 60²) / 200² = 0.5125; 1 − c r² is 0.01 at c = 0.99 / 0.5125.
+        let limit = 0.99 / 0.5125;
+        assert_eq!(refused(|r| r.camera.vignetting = vec![-limit + 1e-6]), None);
+        assert_eq!(refused(|r| r.camera.vignetting = vec![-limit - 1e-6]).as_deref(), Some("camera.vignetting"));
+        // From its other side the picture's first column is the farthest.
+        let moved = |c: f64| {
+            move |r: &mut Rig| {
+                (r.camera.principal_px, r.camera.vignetting) = ([130.0, 60.0], vec![c]);
+            }
+        };
+        assert_eq!(refused(moved(-limit + 1e-6)), None);
+        assert!(refused(moved(-limit - 1e-6)).is_some());
+        assert!(refused(|r| r.camera.vignetting = vec![99.1 / 0.5125]).is_some());
+        assert_eq!(refused(|r| r.camera.vignetting = vec![98.9 / 0.5125]), None);
+        assert!(refused(|r| r.camera.vignetting = vec![0.0, f64::NAN]).is_some());
+    }
+
+    #[test]
+    fn corners_of_the_board_and_the_projector_s_middle_are_where_their_axes_say() {
+        let board = Board { inner_corners: [6, 4], square_mm: 1.5, origin_mm: [3.0, -4.0], edge_blur_mm: 0.0 };
+        assert_eq!(board.corner_mm([2, 1]), [6.0, -2.5]);
+        let projector = |principal_px| Projector { size_px: [101, 64], principal_px }.lens_center_px();
+        assert_eq!(projector(None), [50.0, 31.5]);
+        assert_eq!(projector(Some([40.0, 90.0])), [40.0, 90.0]);
+    }
+
+    #[test]
+    fn fields_of_the_rig_out_of_range_are_told_by_name() {
+        let board = |corners: [usize; 2], square_mm, origin_mm, edge_blur_mm| {
+            let board = Board { inner_corners: corners, square_mm, origin_mm, edge_blur_mm };
+            refused(|r| r.board = Some(board))
+        };
+        assert_eq!(board([6, 4], 1.5, [3.0, -4.0], 1.5), None);
+        assert_eq!(board([5, 5], 1.5, [3.0, -4.0], 0.0).as_deref(), Some("board.inner_corners"));
+        assert_eq!(board([6, 2], 1.5, [3.0, -4.0], 0.0).as_deref(), Some("board.inner_corners"));
+        assert_eq!(board([1001, 4], 1.5, [3.0, -4.0], 0.0).as_deref(), Some("board.inner_corners"));
+        assert_eq!(board([6, 4], 1.5, [3.0, -1.1e6], 0.0).as_deref(), Some("board.origin_mm"));
+        assert_eq!(board([6, 4], 1.5, [3.0, 0.0], 1.6).as_deref(), Some("board.edge_blur_mm"));
+        assert_eq!(board([6, 4], 0.0, [3.0, 0.0], 0.0).as_deref(), Some("board.square_mm"));
+        let noise = |black_dn, saturation_dn| {
+            let noise = Noise { black_dn, saturation_dn, gain_dn_per_electron: 0.5, read_noise_electrons: 2.0 };
+            refused(|r| r.noise = Some(noise))
+        };
+        assert_eq!((noise(100.0, 4000.0), noise(0.0, 1.0)), (None, None));
+        assert_eq!(noise(-1.0, 255.0).as_deref(), Some("noise.black_dn"));
+        assert_eq!(noise(100.0, 100.0).as_deref(), Some("noise.saturation_dn"));
+        for (field, change) in [
+            ("format", (|r| r.format = 2) as fn(&mut Rig)),
+            ("camera.focal_px", |r| r.camera.focal_px = 0.5),
+            ("camera.size_px", |r| r.camera.size_px = [161, 0]),
+            ("projector.size_px", |r| r.projector.size_px = [65_537, 64]),
+            ("camera.principal_px", |r| r.camera.principal_px = [0.0, f64::INFINITY]),
+            ("projector.principal_px", |r| r.projector.principal_px = Some([0.0, -1.1e6])),
+            ("white_reference.reflectance", |r| r.white_reference.reflectance = [0.9, 0.9, 1.01]),
+            ("camera.response", |r| r.camera.response = ResponseCurve::File("../curve.toml".into())),
+            ("camera.response", |r| r.camera.response = ResponseCurve::File("curve.txt".into())),
+        ] {
+            assert_eq!(refused(change).as_deref(), Some(field));
+        }
+        assert_eq!(refused(|r| r.camera.response = ResponseCurve::File("curve.toml".into())), None);
+        assert_eq!(refused(|r| r.white_reference.reflectance = [1.0, 1e-6, 0.5]), None);
+        // A lens may be shifted beyond the picture.
+        assert_eq!(refused(|r| r.camera.principal_px = [-40.0, -9.0]), None);
+        assert_eq!(refused(|r| r.projector.principal_px = Some([50.0, -400.0])), None);
+    }
+
+    #[test]
+    fn marks_nearer_than_one_and_a_half_diameters_are_refused() {
+        // Two rows of marks, 3 mm apart along x and 10 mm along y.
+        let marks =
+            |n: usize| (0..n).map(|k| [3.0 * (k / 2) as f64, 5.0 + 10.0 * (k % 2) as f64]).collect::<Vec<Point>>();
+        let frame = |marks_mm, diameter_mm| refused(|r| r.frame = Some(FrameMarks { marks_mm, diameter_mm }));
+        assert_eq!((frame(marks(8), 2.0), frame(marks(9), 1.0)), (None, None));
+        assert_eq!(frame(marks(8), 2.001).as_deref(), Some("frame.marks_mm"));
+        assert_eq!(frame(marks(7), 1.0).as_deref(), Some("frame.marks_mm: number of marks"));
+        assert_eq!(frame(marks(8), 0.0).as_deref(), Some("frame.diameter_mm"));
+        let mut far = marks(8);
+        far[5][1] = 1.1e6;
+        assert_eq!(frame(far, 1.0).as_deref(), Some("frame.marks_mm"));
+        // The last two may be the near ones, above each other.
+        let mut near = marks(8);
+        near[7] = [9.0, 6.4];
+        assert_eq!(frame(near.clone(), 1.0).as_deref(), Some("frame.marks_mm"));
+        near[7] = [9.0, 6.5];
+        assert_eq!(frame(near, 1.0), None);
+    }
+
+    #[test]
+    fn a_response_curve_is_written_as_it_is_read() {
+        for name in ["linear", "srgb", "estimate", "curve.toml"] {
+            assert_eq!(String::from(ResponseCurve::from(name.to_owned())), name);
+        }
+        assert_eq!(ResponseCurve::from("linear".to_owned()), ResponseCurve::Linear);
+        assert_eq!(ResponseCurve::from("srgb".to_owned()), ResponseCurve::Srgb);
+        assert_eq!(ResponseCurve::from("estimate".to_owned()), ResponseCurve::Estimate);
+    }
+
+    #[test]
+    fn a_rig_is_read_as_it_was_written_and_copied_with_its_curve() {
+        let folder = tempfile::tempdir().unwrap();
+        let [from, to] = ["from", "to"].map(|n| folder.path().join(n));
+        [&from, &to].into_iter().for_each(|d| std::fs::create_dir(d).unwrap());
+        let mut with_curve = rig();
+        with_curve.camera.response = ResponseCurve::File("curve.toml".into());
+        with_curve.write(&from).unwrap();
+        assert_eq!(Rig::read(&from.join("rig.toml")).unwrap(), with_curve);
+        assert!(Rig::copy(&from.join("rig.toml"), &to).is_err(), "the curve is not there");
+        std::fs::write(from.join("curve.toml"), "a curve").unwrap();
+        Rig::copy(&from.join("rig.toml"), &to).unwrap();
+        assert_eq!(Rig::read(&to.join("rig.toml")).unwrap(), with_curve);
+        assert_eq!(std::fs::read_to_string(to.join("curve.toml")).unwrap(), "a curve");
+    }
+}

@@ -129,4 +129,82 @@ mod tests {
         assert_eq!(automatic(Some(0), Some(3)).as_deref(), Some("aperture priority"));
         assert_eq!(automatic(Some(0), None).as_deref(), Some("automatic exposure"));
     }
+
+    #[test]
+    fn every_date_is_as_many_days_from_1970_as_the_calendar_says() {
+        // Days counted one by one from 1970, month by month, as an almanac does.
+        let (mut days, mut year, mut month) = (0i64, 1970, 1);
+        while year < 2101 {
+            let leap = (year % 4 == 0 && year % 100 != 0) || year % 400 == 0;
+            let length = [31, if leap { 29 } else { 28 }, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31][month - 1];
+            for day in [1, length] {
+                let text = format!("{year}:{month:02}:{day:02} 23:59:07");
+                let expected = (days + day - 1) * 86_400 + 23 * 3600 + 59 * 60 + 7;
+                assert_eq!(secs_since_1970(&text, Some(" 5 ".into())), Some(expected as f64 + 0.5), "{text}");
+            }
+            days += length;
+            (year, month) = if month == 12 { (year + 1, 1) } else { (year, month + 1) };
+        }
+        for wrong in ["2020:13:01 00:00:00", "2020:00:01 00:00:00", "2020:01:32 00:00:00", "2020:01:00 00:00:00"] {
+            assert_eq!(secs_since_1970(wrong, None), None);
+        }
+    }
+
+    #[test]
+    fn a_program_that_chooses_the_exposure_is_told_by_its_name() {
+        let names = [None, None, Some("program"), Some("aperture priority"), Some("shutter priority")];
+        let scene = [Some("a scene program"); 4];
+        for (program, name) in names.into_iter().chain(scene).chain([None]).enumerate() {
+            assert_eq!(automatic(Some(1), Some(program as u32)).as_deref(), name, "{program}");
+        }
+    }
+
+    #[test]
+    fn settings_are_those_of_their_own_tags() {
+        use exif::{Field, Rational, SRational, experimental::Writer};
+        let read = |fields: Vec<(Tag, Value)>| {
+            let fields: Vec<Field> =
+                fields.into_iter().map(|(tag, value)| Field { tag, ifd_num: In::PRIMARY, value }).collect();
+            let mut writer = Writer::new();
+            fields.iter().for_each(|f| writer.push_field(f));
+            let mut bytes = std::io::Cursor::new(Vec::new());
+            writer.write(&mut bytes, false).unwrap();
+            CameraSettings::of(&exif::Reader::new().read_raw(bytes.into_inner()).unwrap())
+        };
+        let rational = |num, denom| Value::Rational(vec![Rational { num, denom }]);
+        let signed = |num, denom| Value::SRational(vec![SRational { num, denom }]);
+        let text = |t: &str| Value::Ascii(vec![t.as_bytes().to_vec()]);
+        let all = read(vec![
+            (Tag::Make, text(" Acme ")),
+            (Tag::Model, text("Mk 4")),
+            (Tag::ExposureTime, rational(1, 125)),
+            (Tag::FNumber, rational(56, 10)),
+            (Tag::PhotographicSensitivity, Value::Short(vec![320])),
+            (Tag::FocalLength, rational(105, 2)),
+            (Tag::ExposureMode, Value::Short(vec![1])),
+            (Tag::ExposureProgram, Value::Short(vec![3])),
+            (Tag::WhiteBalance, Value::Short(vec![1])),
+            (Tag::DateTimeOriginal, text("1970:01:02 00:00:01")),
+            (Tag::SubSecTimeOriginal, text("75")),
+            (Tag::ShutterSpeedValue, signed(3, 1)),
+        ]);
+        let expected = CameraSettings {
+            camera: Some("Acme Mk 4".into()),
+            exposure_secs: Some(0.008),
+            f_number: Some(5.6),
+            iso: Some(320.0),
+            focal_mm: Some(52.5),
+            automatic_exposure: Some("aperture priority".into()),
+            automatic_white_balance: Some(false),
+            taken_secs: Some(86_401.75),
+        };
+        assert_eq!(all, expected);
+        let apex = read(vec![(Tag::ShutterSpeedValue, signed(-3, 2)), (Tag::WhiteBalance, Value::Short(vec![0]))]);
+        // 2^1.5 s
+        assert!((apex.exposure_secs.unwrap() - 8f64.sqrt()).abs() < 1e-15);
+        assert_eq!((apex.automatic_white_balance, apex.camera), (Some(true), None));
+        let none =
+            read(vec![(Tag::ExposureTime, rational(0, 1)), (Tag::FNumber, rational(3, 0)), (Tag::Make, text(" "))]);
+        assert_eq!(none, CameraSettings::default());
+    }
 }

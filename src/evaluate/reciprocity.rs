@@ -139,4 +139,60 @@ mod tests {
         let found = figure(value).unwrap();
         assert!((found - 0.2).abs() < 1e-6, "f32: {found}");
     }
+    #[test]
+    fn bilinear_values_between_samples_are_those_of_a_bilinear_field() {
+        // A field that is linear in x, in y and in both at once is interpolated exactly; each channel has its own.
+        let field = |c: usize, x: f64, y: f64| [1.0, -2.0, 0.5][c] + [3.0, 0.25, -1.0][c] * x - 2.0 * y + 0.5 * x * y;
+        let window = [7, 3];
+        let sample = |k: usize| field(k % 3, (k / 3 % 7) as f64 - 3.0, (k / 21) as f64 - 1.0) as f32;
+        let response: Vec<f32> = (0..63).map(sample).collect();
+        let mut valid = vec![1; 63];
+        let shape = Shape { points: [1, 1], window, pitch_mm: 0.5, lit_pitch_mm: [0.5; 2], lit_mm: &[[0.0; 2]] };
+        let value = |valid: &[u8], x: f64, y: f64| {
+            let row = RowView { response: &response, variance: &[], valid };
+            interpolate(row, &shape, [0.5 * x, 0.5 * y])
+        };
+        for (x, y) in [(0.3, -0.6), (-2.75, 0.25), (2.0, 0.5), (-3.0, -1.0), (3.0, 1.0), (1.5, 1.0)] {
+            let found = value(&valid, x, y).unwrap();
+            // Samples are multiples of 1/4, exact in f32.
+            assert!((0..3).all(|c| (found[c] - field(c, x, y)).abs() < 1e-13), "{found:?}");
+        }
+        for (x, y) in [(-3.01, 0.0), (3.01, 0.0), (0.0, -1.01), (0.0, 1.01)] {
+            assert_eq!(value(&valid, x, y), None, "outside the window");
+        }
+        // A millimetre that was rounded to f32 is no place between samples.
+        assert_eq!(value(&valid, 1.0 + 5e-4, 0.0).unwrap()[0], field(0, 1.0, 0.0));
+        assert!((value(&valid, 1.002, 0.0).unwrap()[0] - field(0, 1.0, 0.0)).abs() > 1e-3);
+        // Sample (2, 1): what counts it is not measured, what only touches its side is.
+        valid[3 * (5 + 2 * 7) + 1] = 0;
+        assert_eq!(value(&valid, 1.5, 1.0), None);
+        assert_eq!(value(&valid, 2.5, 0.5), None);
+        assert!(value(&valid, 2.0, 0.0).is_some() && value(&valid, 1.0, 0.5).is_some());
+    }
+
+    #[test]
+    fn of_many_pairs_every_kth_point_meets_all_that_it_sees_and_no_pair_comes_twice() {
+        // 3 × 5 points are seen from each of 150 000: four times what is compared.
+        let points = [500, 300];
+        let lit: Vec<Point> = (0..150_000).map(|i| [(i % 500) as f64 * 1.5, (i / 500) as f64]).collect();
+        let shape = Shape { points, window: [9, 11], pitch_mm: 0.4, lit_pitch_mm: [1.5, 1.0], lit_mm: &lit };
+        // ⌈4 · 0.4 / 1.5⌉ = 2 columns, ⌈5 · 0.4 / 1⌉ = 2 lines: 25 points; 150 000 · 25 / 2¹⁹ = 7.2.
+        let stride = 8;
+        let reciprocity = Reciprocity::new(&shape);
+        let mut ends = vec![[usize::MAX; 2]; reciprocity.values.len()];
+        for (row, list) in reciprocity.by_row.iter().enumerate() {
+            for &(pair, other, direction) in list {
+                ends[pair][direction] = row;
+                assert!(row % stride == 0 || other % stride == 0);
+                let [dx, dy] = [(row % 500).abs_diff(other % 500), (row / 500).abs_diff(other / 500)];
+                assert!(dx <= 2 && dy <= 2);
+            }
+        }
+        let mut sorted: Vec<[usize; 2]> = ends.iter().map(|e| [e[0].min(e[1]), e[0].max(e[1])]).collect();
+        sorted.sort_unstable();
+        assert!(sorted.windows(2).all(|p| p[0] != p[1]) && ends.iter().all(|e| e[0] != e[1]));
+        let inner = 500 * 150 + 248;
+        let met = sorted.iter().filter(|e| e.contains(&inner)).count();
+        assert_eq!((inner % stride, met), (0, 24));
+    }
 }

@@ -109,4 +109,59 @@ mod tests {
     fn a_singular_matrix_has_no_inverse() {
         assert!(Homography { matrix: [[1.0, 2.0, 3.0], [2.0, 4.0, 6.0], [0.0, 0.0, 1.0]] }.inverse().is_none());
     }
+
+    fn near(a: &Homography, b: [[f64; 3]; 3], tolerance: f64) -> bool {
+        a.matrix.iter().flatten().zip(b.iter().flatten()).all(|(a, b)| (a - b).abs() <= tolerance)
+    }
+
+    #[test]
+    fn a_point_is_mapped_by_rows_over_the_depth() {
+        // Depth 1 + 0.01 + 0.014; (12 − 0.7 − 3, −0.5 − 6.3 + 4).
+        let q = H.map([10.0, -7.0]);
+        assert!((q[0] - 8.3 / 1.024).abs() < 1e-14 && (q[1] + 2.8 / 1.024).abs() < 1e-14, "{q:?}");
+        assert_eq!(Homography::similarity(2.5, [3.0, -7.0]).map([4.0, 10.0]), [13.0, 18.0]);
+        assert_eq!(Homography::IDENTITY.map([4.0, 10.0]), [4.0, 10.0]);
+        // On the vanishing line, 1e-3 x − 2e-3 y + 1 = 0.
+        assert!(H.map([0.0, 500.0]).iter().all(|v| v.is_infinite()));
+    }
+
+    #[test]
+    fn the_area_s_scale_is_the_determinant_over_the_depth_cubed() {
+        for p in [[0.0, 0.0], [12.0, 5.0], [-40.0, 70.0]] {
+            let [[a, b, c], [d, e, f], [g, h, i]] = H.matrix;
+            let det = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g);
+            let depth: f64 = g * p[0] + h * p[1] + i;
+            // Some ulps of numbers of order 1.
+            assert!((H.area_scale(p) - det / depth.powi(3)).abs() < 1e-13);
+        }
+        // A mirror keeps areas positive.
+        let mirror = Homography { matrix: [[-3.0, 0.0, 1.0], [0.5, 2.0, 0.0], [0.0, 0.0, 1.0]] };
+        assert_eq!(mirror.area_scale([9.0, 2.0]), 6.0);
+    }
+
+    #[test]
+    fn maps_are_applied_one_after_the_other_from_the_right() {
+        let g = Homography { matrix: [[0.5, -0.2, 7.0], [0.3, 2.0, -1.0], [-2e-3, 1e-3, 0.8]] };
+        let both = g.after(&H);
+        assert_eq!(both.matrix[2][2], 1.0);
+        for p in [[10.0, -7.0], [3.0, 25.0]] {
+            let (q, expected) = (both.map(p), g.map(H.map(p)));
+            assert!((0..2).all(|a| (q[a] - expected[a]).abs() < 1e-12), "{q:?} {expected:?}");
+        }
+    }
+
+    #[test]
+    fn the_inverse_of_a_matrix_of_whole_numbers_is_the_one_worked_out_by_hand() {
+        // The adjugate is [[1, 3, −1], [−1, 2, 1], [3, −6, 2]], the determinant 5; the last entry becomes 1.
+        let m = [[2.0, 0.0, 1.0], [1.0, 1.0, 0.0], [0.0, 3.0, 1.0]];
+        let expected = [[0.5, 1.5, -0.5], [-0.5, 1.0, 0.5], [1.5, -3.0, 1.0]];
+        for scale in [1.0, 1e-30, 1e30, -4.0] {
+            let inverse = Homography { matrix: m.map(|r| r.map(|v| v * scale)) }.inverse().unwrap();
+            assert!(near(&inverse, expected, 1e-14), "{inverse:?}");
+        }
+        // The last entry of this one's inverse is 0: it is left as it is.
+        let turn = Homography { matrix: [[0.0, 0.0, 1.0], [2.0, 0.0, 0.0], [0.0, 4.0, 0.0]] };
+        assert!(near(&turn.inverse().unwrap(), [[0.0, 0.5, 0.0], [0.0, 0.0, 0.25], [1.0, 0.0, 0.0]], 1e-15));
+        assert!(Homography { matrix: [[f64::NAN; 3]; 3] }.inverse().is_none());
+    }
 }

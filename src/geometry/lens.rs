@@ -151,4 +151,118 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn a_distorted_point_is_the_one_worked_out_by_hand() {
+        let lens = Lens { center_px: [100.0, 80.0], focal_px: 200.0, k1: -0.1, k2: 0.05 };
+        // n = (0.2, −0.15), r² = 0.0625: 1 − 0.1 r² + 0.05 r⁴ = 0.993 945 312 5.
+        let expected = [139.757_812_5, 50.181_640_625];
+        let (there, back) = (lens.distort([140.0, 50.0]), lens.undistort(expected));
+        assert!((0..2).all(|a| (there[a] - expected[a]).abs() < 1e-12), "{there:?}");
+        assert!((0..2).all(|a| (back[a] - [140.0, 50.0][a]).abs() < 1e-10), "{back:?}");
+        assert_eq!(lens.undistort([100.0, 80.0]), [100.0, 80.0]);
+        let only = |k1, k2| Lens { k1, k2, ..lens }.is_ideal();
+        assert_eq!((only(0.0, 0.0), only(0.1, 0.0), only(0.0, 0.1)), (true, false, false));
+        assert!(Lens::ideal([1.0, 2.0], 3.0).is_ideal());
+    }
+
+    /// A view whose two axes, scales and offsets all differ.
+    fn uneven(k1: f64, k2: f64) -> CameraView {
+        CameraView {
+            ideal_from_slab: Homography { matrix: [[6.0, 0.5, 40.0], [-1.0, 4.0, 25.0], [0.0, 0.0, 1.0]] },
+            lens: Lens { center_px: [100.0, 80.0], focal_px: 200.0, k1, k2 },
+        }
+    }
+
+    #[test]
+    fn a_view_is_the_plane_s_map_and_then_the_lens() {
+        // (6 · 16 + 0.5 · 8 + 40, −16 + 32 + 25) = (140, 41): n = (0.2, −0.195), r² = 0.078 025.
+        let view = uneven(-0.1, 0.0);
+        let factor = 1.0 - 0.1 * 0.078_025;
+        let expected = [100.0 + 40.0 * factor, 80.0 - 39.0 * factor];
+        let seen = view.camera_from_slab([16.0, 8.0]);
+        assert!((0..2).all(|a| (seen[a] - expected[a]).abs() < 1e-12), "{seen:?}");
+        let back = view.slab_from_camera(expected).unwrap();
+        // Newton to 1e-13 of some 100 px, over 4 px a millimetre.
+        assert!((back[0] - 16.0).abs() < 1e-10 && (back[1] - 8.0).abs() < 1e-10, "{back:?}");
+        let flat = Homography { matrix: [[1.0, 2.0, 0.0], [2.0, 4.0, 0.0], [0.0, 0.0, 1.0]] };
+        assert_eq!(CameraView { ideal_from_slab: flat, ..view }.slab_from_camera([1.0, 2.0]), None);
+    }
+
+    #[test]
+    fn the_slope_of_a_view_is_the_slope_of_the_lens_times_that_of_the_plane() {
+        for (k1, k2) in [(0.0, 0.0), (-0.3, 0.0), (0.1, 0.4)] {
+            let view = uneven(k1, k2);
+            let p = [16.0, 8.0];
+            let n = [0.2, -0.195];
+            let r2: f64 = n[0] * n[0] + n[1] * n[1];
+            // d(n s)/dn = s + 2 n nᵀ ds/d(r²)
+            let (s, ds) = (1.0 + k1 * r2 + k2 * r2 * r2, k1 + 2.0 * k2 * r2);
+            let bend = [0, 1].map(|i| [0, 1].map(|j| if i == j { s } else { 0.0 } + 2.0 * n[i] * n[j] * ds));
+            let plane = [[6.0, 0.5], [-1.0, 4.0]];
+            let expected = [0, 1].map(|i| [0, 1].map(|j| bend[i][0] * plane[0][j] + bend[i][1] * plane[1][j]));
+            let found = view.jacobian(p);
+            // Central differences: as their documentation says, of slopes of order 5.
+            assert!(
+                (0..4).all(|k| (found[k / 2][k % 2] - expected[k / 2][k % 2]).abs() < 5e-6),
+                "{found:?} {expected:?}"
+            );
+            let area: f64 = expected[0][0] * expected[1][1] - expected[0][1] * expected[1][0];
+            assert!((view.px_per_mm(p) - area.sqrt()).abs() < 5e-6);
+        }
+        // 24.5 square pixels a square millimetre without a lens, and as many in a mirror.
+        let mut mirror = uneven(0.0, 0.0);
+        mirror.ideal_from_slab.matrix.swap(0, 1);
+        assert!((mirror.px_per_mm([1.0, 2.0]) - 24.5_f64.sqrt()).abs() < 1e-6);
+    }
+
+    /// A camera at `eye`, turned about all three axes: K (r₁ r₂ t).
+    fn turned(eye: [f64; 3], focal_px: f64) -> [[f64; 3]; 3] {
+        let ([sx, cx], [sy, cy], [sz, cz]) = ([0.2f64, -0.3, 0.5].map(f64::sin_cos)).map(|(s, c)| [s, c]).into();
+        let about = [
+            [[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]],
+            [[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]],
+            [[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]],
+        ];
+        let times = |a: [[f64; 3]; 3], b: [[f64; 3]; 3]| -> [[f64; 3]; 3] {
+            std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| a[i][k] * b[k][j]).sum()))
+        };
+        let r = times(about[0], times(about[1], about[2]));
+        let t: [f64; 3] = std::array::from_fn(|i| -(0..3).map(|k| r[i][k] * eye[k]).sum::<f64>());
+        let pose = std::array::from_fn(|i| [r[i][0], r[i][1], t[i]]);
+        times([[focal_px, 0.0, 300.0], [0.0, focal_px, 210.0], [0.0, 0.0, 1.0]], pose)
+    }
+
+    #[test]
+    fn the_camera_s_place_does_not_depend_on_how_its_map_is_scaled() {
+        let eye = [13.0, -24.0, -150.0];
+        for scale in [1.0, -2.0, 1e-3] {
+            let matrix = turned(eye, 900.0).map(|r| r.map(|v| v * scale));
+            let view = CameraView { ideal_from_slab: Homography { matrix }, lens: Lens::ideal([300.0, 210.0], 900.0) };
+            let found = view.eye_mm().unwrap();
+            // Products of numbers up to 1e5: some 1e-11 of rounding.
+            assert!((0..3).all(|a| (found[a] - eye[a]).abs() < 1e-8), "{found:?}");
+        }
+        // A mirrored picture would be seen from below.
+        let mut mirrored = turned(eye, 900.0);
+        mirrored.iter_mut().for_each(|r| r.swap(0, 1));
+        let lens = Lens::ideal([300.0, 210.0], 900.0);
+        assert_eq!(CameraView { ideal_from_slab: Homography { matrix: mirrored }, lens }.eye_mm(), None);
+        assert_eq!(CameraView { ideal_from_slab: Homography { matrix: [[f64::NAN; 3]; 3] }, lens }.eye_mm(), None);
+    }
+
+    #[test]
+    fn a_focal_length_that_is_a_hundredth_too_long_puts_the_camera_a_hundredth_too_high() {
+        // Straight down from (5, −3, −80): x' = 900 (x − 5) / 80 + 300.
+        let matrix =
+            [[900.0, 0.0, 300.0 * 80.0 - 900.0 * 5.0], [0.0, 900.0, 210.0 * 80.0 + 900.0 * 3.0], [0.0, 0.0, 80.0]];
+        let lens = Lens::ideal([300.0, 210.0], 909.0);
+        let found = CameraView { ideal_from_slab: Homography { matrix }, lens }.eye_mm().unwrap();
+        assert!((0..3).all(|a| (found[a] - [5.0, -3.0, -80.8][a]).abs() < 1e-10), "{found:?}");
+        // Where pixels are a fiftieth longer along x the mean of both axes counts: 900 and 918 are 909.
+        let matrix = [[918.0, 0.0, 300.0 * 80.0 - 918.0 * 5.0], matrix[1], matrix[2]];
+        let found = CameraView { ideal_from_slab: Homography { matrix }, lens }.eye_mm().unwrap();
+        // The third axis is as long as their product: short of 1 by the square of a hundredth.
+        assert!((found[2] + 80.0).abs() < 0.01, "{found:?}");
+    }
 }

@@ -107,3 +107,131 @@ fn disc(part: &[usize], width: usize) -> Option<Blob> {
     let roundness = n / (4.0 * std::f64::consts::PI * det.sqrt());
     (ROUNDNESS.contains(&roundness) && longest <= LONGEST).then_some(Blob { center_px, area_px: n })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use super::super::pictures::{picture, share};
+    use crate::capture::Rect;
+
+    /// A picture of 100 × 70 px of ellipses (centre, half axes), `dark` on light that grows to the right, or the other way round.
+    fn discs(discs: &[([f64; 2], [f64; 2])], dark: bool) -> Radiance {
+        let rect = Rect { x: 20, y: 300, width: 100, height: 70 };
+        let light = |x: f64, y: f64| {
+            let inside = |x: f64, y: f64| {
+                discs.iter().any(|(c, r)| ((x - c[0]) / r[0]).powi(2) + ((y - c[1]) / r[1]).powi(2) < 1.0)
+            };
+            let covered = share(x, y, inside);
+            let print = if dark { 1.0 - 0.9 * covered } else { 0.1 + 0.9 * covered };
+            (50.0 + 0.2 * x) * print
+        };
+        picture(rect, light, 1.0)
+    }
+
+    #[test]
+    fn discs_are_found_wherever_they_are_and_what_is_none_is_not() {
+        let real = [[35.2, 312.4], [60.7, 318.0], [90.1, 311.3], [41.5, 350.6], [88.8, 349.2]];
+        let mut all: Vec<([f64; 2], [f64; 2])> = real.iter().map(|&c| (c, [3.6, 3.1])).collect();
+        // Too large, too long and at the border.
+        all.extend([([66.0, 342.0], [7.0, 7.0]), ([107.0, 330.0], [2.0, 6.5]), ([30.0, 301.5], [3.5, 3.5])]);
+        for dark in [true, false] {
+            let mut found = find_blobs(&discs(&all, dark));
+            found.sort_by(|a, b| a.center_px[0].total_cmp(&b.center_px[0]));
+            let mut expected = real.to_vec();
+            expected.sort_by(|a, b| a[0].total_cmp(&b[0]));
+            assert_eq!(found.len(), 5, "{found:?}");
+            for (blob, center) in found.iter().zip(expected) {
+                // Whole pixels on either side of a level: a third of one at the worst.
+                assert!(
+                    (blob.center_px[0] - center[0]).hypot(blob.center_px[1] - center[1]) < 0.35,
+                    "{blob:?} {center:?}"
+                );
+                // π · 3.6 · 3.1 = 35, less or more the pixels of its edge (some 20), all on one side of the first level that cuts it.
+                assert!(blob.area_px > 20.0 && blob.area_px < 50.0, "{blob:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_picture_without_contrast_has_no_discs() {
+        let rect = Rect { x: 0, y: 0, width: 30, height: 20 };
+        assert_eq!(find_blobs(&picture(rect, |_, _| 7.0, 1.0)), vec![]);
+        assert_eq!(find_blobs(&picture(rect, |_, _| 0.0, 1.0)), vec![]);
+    }
+
+    #[test]
+    fn a_part_is_a_disc_by_its_moments() {
+        let of = |inside: &dyn Fn(f64, f64) -> bool| {
+            let part: Vec<usize> = (0..40 * 30).filter(|k| inside((k % 40) as f64, (k / 40) as f64)).collect();
+            disc(&part, 40)
+        };
+        let ellipse = |a: f64, b: f64| move |x: f64, y: f64| ((x - 21.0) / a).powi(2) + ((y - 12.0) / b).powi(2) <= 1.0;
+        let found = of(&ellipse(8.0, 6.0)).unwrap();
+        let count = (0..1200).filter(|k| ellipse(8.0, 6.0)((k % 40) as f64, (k / 40) as f64)).count();
+        assert_eq!(found, Blob { center_px: [21.0, 12.0], area_px: count as f64 });
+        // Axes of 1.6 and 1.9; as long along a diagonal.
+        assert!(
+            of(&ellipse(9.6, 6.0)).is_some() && of(&ellipse(11.4, 6.0)).is_none() && of(&ellipse(5.0, 9.5)).is_none()
+        );
+        let leaning = |long: f64| {
+            move |x: f64, y: f64| {
+                let (u, v) = ((x - 20.0 + y - 14.0) / 2f64.sqrt(), (x - 20.0 - y + 14.0) / 2f64.sqrt());
+                (u / long).powi(2) + (v / 5.5).powi(2) <= 1.0
+            }
+        };
+        assert!(of(&leaning(8.8)).is_some() && of(&leaning(10.5)).is_none());
+        // A square's area is 12 over 4π of what its moments say, 0.955; a ring's and a cross's far less.
+        assert!(of(&|x, y| (x - 20.0).abs() < 6.5 && (y - 14.0).abs() < 6.5).is_some());
+        assert!(of(&|x, y| (3.0..8.0).contains(&(x - 20.0).hypot(y - 14.0))).is_none());
+        let cross =
+            |x: f64, y: f64| ((x - 20.0).abs() < 2.0 || (y - 14.0).abs() < 2.0) && (x - 20.0).hypot(y - 14.0) < 9.0;
+        assert!(of(&cross).is_none());
+    }
+
+    #[test]
+    fn parts_are_connected_over_sides_and_large_enough() {
+        // Two squares of 4 × 4 that touch at a corner, one of 3 × 3, one of 5 × 4 at the border; 60 × 40.
+        let squares = [(5, 5, 4, 4), (9, 9, 4, 4), (20, 20, 3, 3), (56, 30, 4, 5), (30, 36, 4, 4), (40, 10, 3, 4)];
+        let mut light = vec![0.0; 2400];
+        for (x, y, w, h) in squares {
+            (0..w * h).for_each(|k| light[x + k % w + (y + k / w) * 60] = 1.0);
+        }
+        let found = parts(&light, 60, 40, |v| v > 0.5);
+        let centers: Vec<Point> = found.iter().map(|b| b.center_px).collect();
+        assert_eq!(centers, [[6.5, 6.5], [10.5, 10.5], [41.0, 11.5]]);
+        // The most is a fiftieth of the picture: 48 pixels of 2400.
+        let mut light = vec![0.0; 2400];
+        (0..49).for_each(|k| light[10 + k % 7 + (10 + k / 7) * 60] = 1.0);
+        assert_eq!(parts(&light, 60, 40, |v| v > 0.5), vec![]);
+        light[10 + 10 * 60] = 0.0;
+        assert_eq!(parts(&light, 60, 40, |v| v > 0.5).len(), 1);
+    }
+
+    #[test]
+    fn faint_discs_are_found_between_what_is_dark_and_what_is_bright() {
+        let rect = Rect { x: 20, y: 300, width: 100, height: 70 };
+        // A fifth of the light is missing in a disc; a band of the picture is nearly black and sets the darkest level.
+        let disc = |x: f64, y: f64| share(x, y, |x, y| (x - 70.3).hypot(y - 330.8) < 4.0);
+        let light = |x: f64, y: f64| if y > 360.0 { 0.5 } else { (60.0 + 0.01 * x) * (1.0 - 0.25 * disc(x, y)) };
+        let found = find_blobs(&picture(rect, light, 1.0));
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert!((found[0].center_px[0] - 70.3).hypot(found[0].center_px[1] - 330.8) < 0.35, "{found:?}");
+    }
+
+    #[test]
+    fn a_part_that_grows_to_the_left_and_upwards_is_one() {
+        // A hook whose first pixel in reading order is its right top, with its other end below and up again at the left.
+        let rows = ["......#", "......#", ".#....#", ".#....#", ".######"];
+        let mut light = vec![0.0; 1000];
+        for (y, row) in rows.iter().enumerate() {
+            row.bytes().enumerate().filter(|(_, b)| *b == b'#').for_each(|(x, _)| light[x + 3 + (y + 4) * 40] = 1.0);
+        }
+        // 13 pixels in one part are no disc, and no part of a dozen is left over.
+        assert_eq!(parts(&light, 40, 25, |v| v > 0.5), vec![]);
+        let near = |k: usize| (k % 40).abs_diff(20) + (k / 40).abs_diff(12) <= 2;
+        let square: Vec<f32> = (0..1000).map(|k| if near(k) { 1.0 } else { 0.0 }).collect();
+        // A square on its corner: its lines begin further to the left, each than the one before.
+        assert_eq!(parts(&square, 40, 25, |v| v > 0.5).len(), 1);
+    }
+}

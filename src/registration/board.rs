@@ -84,3 +84,59 @@ pub(super) fn percentile(values: &[f32], q: f64) -> f32 {
     let k = ((sorted.len() - 1) as f64 * q) as usize;
     *sorted.select_nth_unstable_by(k, f32::total_cmp).1
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use super::super::pictures::{picture, share};
+    use crate::capture::{Rect, ResponseCurve};
+    use crate::geometry::Homography;
+
+    #[test]
+    fn percentiles_are_values_of_the_sorted_list() {
+        let values = [5.0, -1.0, 9.0, 3.0, 7.0];
+        assert_eq!([0.0, 0.24, 0.25, 0.5, 0.99, 1.0].map(|q| percentile(&values, q)), [-1.0, -1.0, 3.0, 5.0, 7.0, 9.0]);
+        assert_eq!((percentile(&[], 0.5), percentile(&[4.0], 0.9)), (0.0, 4.0));
+    }
+
+    #[test]
+    fn corners_of_a_board_are_found_by_their_own_numbers() {
+        (0..2).for_each(corners_of_a_board);
+    }
+
+    /// OpenCV begins at the one or the other end, by which squares are dark.
+    fn corners_of_a_board(first_dark: i64) {
+        // Squares of 2 mm, seen obliquely at about 6 and 5 px a millimetre; light inside the board only.
+        let h = Homography { matrix: [[6.4, 0.4, 9.0], [-0.3, 5.3, 14.0], [2e-3, -1e-3, 1.0]] };
+        let back = h.inverse().unwrap();
+        let board = Board { inner_corners: [6, 4], square_mm: 2.0, origin_mm: [3.0, 2.5], edge_blur_mm: 0.0 };
+        let bright = |x: f64, y: f64| {
+            let p = back.map([x, y]);
+            let [i, j] = [0, 1].map(|a| ((p[a] - board.origin_mm[a]) / board.square_mm).floor() as i64);
+            let on_board = (-1..6).contains(&i) && (-1..4).contains(&j);
+            !on_board || (i + j).rem_euclid(2) == first_dark
+        };
+        let rect = Rect { x: 0, y: 0, width: 120, height: 90 };
+        let seen = picture(rect, |x, y| 3.0 + 900.0 * share(x, y, bright), 1.0);
+        let camera = Camera {
+            size_px: [120, 90],
+            focal_px: 400.0,
+            principal_px: [59.5, 44.5],
+            response: ResponseCurve::Linear,
+            vignetting: Vec::new(),
+        };
+        let pairs = find_board(&seen, &board, &camera).unwrap();
+        assert_eq!(pairs.len(), 24);
+        for (k, (mm, px)) in pairs.iter().enumerate() {
+            assert_eq!(*mm, [3.0 + 2.0 * (k % 6) as f64, 2.5 + 2.0 * (k / 6) as f64]);
+            let q = h.map(*mm);
+            // OpenCV's corners on sharp squares of ten pixels.
+            assert!((px[0] - q[0]).hypot(px[1] - q[1]) < 0.1, "{px:?} {q:?}");
+        }
+        let other = Board { inner_corners: [7, 4], ..board.clone() };
+        assert!(find_board(&seen, &other, &camera).unwrap_err().contains("7 × 4"));
+        let black = picture(rect, |_, _| 0.0, 1.0);
+        assert!(find_board(&black, &board, &camera).unwrap_err().contains("black"));
+    }
+}

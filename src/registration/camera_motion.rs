@@ -255,3 +255,259 @@ pub fn camera_motion(
     let sd_px = scatter_px.hypot(glow[0].max(glow[1]));
     (scatter_px <= LARGEST_SD_PX).then_some(CameraMotion { camera_px: moved, sd_px })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use super::super::pictures::{jitter, picture};
+    use crate::geometry::{Homography, Lens};
+
+    fn straight(offset: Point) -> CameraView {
+        let matrix = [[6.0, 0.0, offset[0]], [0.0, 4.0, offset[1]], [0.0, 0.0, 1.0]];
+        CameraView { ideal_from_slab: Homography { matrix }, lens: Lens::ideal([100.0, 80.0], 300.0) }
+    }
+
+    #[test]
+    fn segments_lie_along_the_rim_and_look_outwards() {
+        let segments = rim_segments(&straight([20.0, 15.0]), [30.0, 20.0], [230, 111]);
+        assert_eq!(segments.len(), 32);
+        // Along the upper side, the right, the lower and the left one: a sixteenth of it from its beginning.
+        let expected = [
+            ([31.25, 15.0], [0.0, -1.0]),
+            ([200.0, 20.0], [1.0, 0.0]),
+            ([188.75, 95.0], [0.0, 1.0]),
+            ([20.0, 90.0], [-1.0, 0.0]),
+        ];
+        for (segment, (at, normal)) in segments.iter().step_by(8).zip(expected) {
+            let close = |a: Point, b: Point| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-9;
+            assert!(close(segment.at, at) && close(segment.normal, normal), "{segment:?}");
+        }
+        // Six pixels along the rim and five across it.
+        assert_eq!(segments[0].rect, Rect { x: 25, y: 10, width: 14, height: 11 });
+        assert_eq!(segments[8].rect, Rect { x: 195, y: 14, width: 11, height: 13 });
+    }
+
+    #[test]
+    fn segments_beyond_the_picture_are_left_out() {
+        let sides = |offset, size| {
+            let segments = rim_segments(&straight(offset), [30.0, 20.0], size);
+            let along = |n: Point| segments.iter().filter(|s| s.normal[0] * n[0] + s.normal[1] * n[1] > 0.9).count();
+            [[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]].map(along)
+        };
+        // The sides are at x = 20 and 200 (five px across and the border's own half), y = 15 and 95.
+        assert_eq!(sides([20.0, 15.0], [206, 101]), [8; 4]);
+        assert_eq!(sides([20.0, 15.0], [205, 101])[1], 0);
+        assert_eq!(sides([20.0, 15.0], [206, 100])[2], 0);
+        assert_eq!(sides([5.0, 5.0], [300, 300]), [8; 4]);
+        assert_eq!(sides([4.9, 5.0], [300, 300])[3], 0);
+        assert_eq!(sides([5.0, 4.9], [300, 300])[0], 0);
+    }
+
+    /// A rim across `normal` through `at`, `offset` further out: a logistic step over the mean of a pixel, on light that slopes.
+    fn rim(segment: &RimSegment, offset: f64, inside: f64, outside: f64, variance: f64) -> Radiance {
+        soft_rim(segment, offset, [inside, outside], variance, 0.3)
+    }
+
+    fn soft_rim(segment: &RimSegment, offset: f64, [inside, outside]: [f64; 2], variance: f64, soft: f64) -> Radiance {
+        let light = |x: f64, y: f64| {
+            let d = [x - segment.at[0], y - segment.at[1]];
+            let across = d[0] * segment.normal[0] + d[1] * segment.normal[1];
+            let along = d[1] * segment.normal[0] - d[0] * segment.normal[1];
+            let place = |k: usize| (k as f64 + 0.5) / 200.0 - 0.5;
+            let step = |u: f64| 1.0 / (1.0 + (-(u - offset) / soft).exp());
+            let lit = (0..200).map(|k| step(across + place(k))).sum::<f64>() / 200.0;
+            inside + (outside - inside) * lit + 0.4 * along
+        };
+        picture(segment.rect, light, variance)
+    }
+
+    fn segments() -> [RimSegment; 2] {
+        // No side is along a line or a column of pixels.
+        let matrix = [[5.6, -1.4, 50.3], [2.0, 3.8, 15.1], [0.0, 0.0, 1.0]];
+        let view = CameraView { ideal_from_slab: Homography { matrix }, ..straight([0.0; 2]) };
+        let all = rim_segments(&view, [30.0, 20.0], [250, 180]);
+        assert_eq!(all.len(), 32);
+        [all[2], all[9]]
+    }
+
+    #[test]
+    fn a_rim_is_found_where_it_is_brighter_or_darker_than_the_frame() {
+        for segment in segments() {
+            for (inside, outside) in [(20.0, 60.0), (75.0, 15.0)] {
+                for offset in [0.37, -1.62, 0.0] {
+                    let picture = rim(&segment, offset, inside, outside, 0.01);
+                    for start in [None, Some(offset + 0.3), Some(offset - 1.1)] {
+                        let found = locate_rim(&picture, &segment, start);
+                        let found = found.unwrap_or_else(|| panic!("{inside} {offset} {start:?}"));
+                        // The softness is one of those that are tried: what is left are means of 200 places.
+                        assert!((found.offset_px - offset).abs() < 2e-3, "{found:?} {offset} {start:?}");
+                        assert!((found.height / (outside - inside) - 1.0).abs() < 0.01, "{found:?}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_rim_strays_by_its_standard_deviation_from_one_noise_to_the_next() {
+        let segment = segments()[1];
+        let clean = soft_rim(&segment, 0.37, [20.0, 60.0], 0.0, 0.05);
+        // Noise that is even in ±1 has a variance of 1/3.
+        let found = |draw: usize| {
+            let mut noisy = clean.clone();
+            noisy.variance.fill(1.0);
+            noisy.value.iter_mut().enumerate().for_each(|(k, v)| *v += jitter(1000 * draw + k / 3) as f32);
+            locate_rim(&noisy, &segment, Some(0.4)).unwrap()
+        };
+        let all: Vec<RimPlace> = (0..150).map(found).collect();
+        let mean = all.iter().map(|p| p.offset_px).sum::<f64>() / 150.0;
+        let strays = (all.iter().map(|p| (p.offset_px - mean).powi(2)).sum::<f64>() / 149.0).sqrt();
+        let told = all.iter().map(|p| p.sd_px).sum::<f64>() / 150.0;
+        // 150 draws tell a deviation to 6 %, and softness is chosen by the noise too.
+        assert!((strays / told - 1.0).abs() < 0.25, "{strays} {told}");
+        assert!((mean - 0.37).abs() < 4.0 * told / 150f64.sqrt(), "{mean}");
+    }
+
+    #[test]
+    fn what_has_no_rim_or_was_not_measured_tells_nothing() {
+        let segment = segments()[1];
+        assert_eq!(locate_rim(&picture(segment.rect, |x, y| 30.0 + 0.2 * x - 0.1 * y, 0.01), &segment, None), None);
+        // A step of a tenth of the noise of a pixel.
+        assert_eq!(locate_rim(&rim(&segment, 0.2, 30.0, 30.1, 1.0), &segment, None), None);
+        let mut broken = rim(&segment, 0.2, 20.0, 60.0, 0.01);
+        broken.used[7] = 0;
+        assert_eq!(locate_rim(&broken, &segment, None), None);
+        // Further than three pixels away nothing is believed that was not looked for there.
+        let far = rim(&segment, 3.4, 20.0, 60.0, 0.01);
+        assert_eq!(locate_rim(&far, &segment, None), None);
+        assert!((locate_rim(&far, &segment, Some(3.2)).unwrap().offset_px - 3.4).abs() < 0.01);
+    }
+
+    #[test]
+    fn the_integral_of_the_logistic_function_is_a_logarithm() {
+        for x in [-3.0f64, -0.2, 0.0, 0.7, 5.0] {
+            let (integral, value) = softened(x);
+            assert!(
+                (integral - (1.0 + x.exp()).ln()).abs() < 1e-14 && (value - 1.0 / (1.0 + (-x).exp())).abs() < 1e-15
+            );
+        }
+        assert_eq!((softened(1e4), softened(-1e4)), ((1e4, 1.0), (0.0, 0.0)));
+    }
+
+    fn place(offset_px: f64, sd_px: f64, height: f64) -> Option<RimPlace> {
+        Some(RimPlace { offset_px, sd_px, height })
+    }
+
+    /// Normals up and right, sixteen in all, as the sides' of a sample that is turned by 20 degrees.
+    fn sixteen() -> Vec<RimSegment> {
+        let (sin, cos) = 20f64.to_radians().sin_cos();
+        let normals = [[sin, -cos], [cos, sin]];
+        let rect = Rect { x: 0, y: 0, width: 1, height: 1 };
+        (0..16).map(|k| RimSegment { rect, at: [0.0; 2], normal: normals[k % 2] }).collect()
+    }
+
+    const MOVED: Point = [0.31, -0.22];
+
+    /// All rims before and after a movement: every one has its own place, noise and step.
+    fn both(sd: f64, grown: f64) -> (Vec<Option<RimPlace>>, Vec<Option<RimPlace>>) {
+        let before: Vec<_> = (0..16).map(|k| place(jitter(k), 0.6 * sd, 40.0 + k as f64)).collect();
+        let after = sixteen().into_iter().zip(&before).map(|(s, b)| {
+            let along = s.normal[0] * MOVED[0] + s.normal[1] * MOVED[1];
+            b.and_then(|b| place(b.offset_px + along, 0.8 * sd, grown * b.height))
+        });
+        (before.clone(), after.collect())
+    }
+
+    #[test]
+    fn a_movement_is_what_explains_the_rims_of_all_sides() {
+        let (before, after) = both(0.08, 1.0);
+        let found = camera_motion(&sixteen(), &before, &after).unwrap();
+        assert!((found.camera_px[0] - 0.31).abs() < 1e-12 && (found.camera_px[1] + 0.22).abs() < 1e-12, "{found:?}");
+        // Each rim is known to hypot(0.6, 0.8) · 0.08 px twice over, eight of them for each of two axes at right angles.
+        assert!((found.sd_px - 0.08 / 8f64.sqrt()).abs() < 1e-9, "{found:?}");
+        // Rims without noise still do not agree better than 0.005 px.
+        let (before, after) = both(0.0, 1.0);
+        let found = camera_motion(&sixteen(), &before, &after).unwrap();
+        assert!((found.sd_px - 0.005 / 8f64.sqrt()).abs() < 1e-9, "{found:?}");
+    }
+
+    #[test]
+    fn glow_that_changes_a_step_makes_a_movement_less_sure() {
+        // A step that grows or shrinks by a fifth may be 0.05 px of glow, alike in all.
+        for grown in [1.2, 0.8] {
+            let (before, after) = both(0.0, grown);
+            let found = camera_motion(&sixteen(), &before, &after).unwrap();
+            let each = 0.005f64.hypot(0.05);
+            assert!((found.sd_px - (each / 8f64.sqrt()).hypot(0.05)).abs() < 1e-9, "{found:?}");
+        }
+        // By half of it and more it is another profile.
+        for (grown, counts) in [(1.49, true), (1.51, false), (1.0 / 1.49, true), (1.0 / 1.51, false)] {
+            let (before, after) = both(0.01, grown);
+            assert_eq!(camera_motion(&sixteen(), &before, &after).is_some(), counts, "{grown}");
+        }
+    }
+
+    #[test]
+    fn a_mistaken_rim_is_left_out_and_too_few_tell_nothing() {
+        let (before, mut after) = both(0.02, 1.0);
+        after[5] = place(before[5].unwrap().offset_px + 2.0, 0.016, 45.0);
+        let found = camera_motion(&sixteen(), &before, &after).unwrap();
+        assert!((found.camera_px[0] - 0.31).abs() < 1e-9 && (found.camera_px[1] + 0.22).abs() < 1e-9, "{found:?}");
+        // Fifteen are left, eight of them on one side.
+        assert!((found.sd_px - 0.02 * (0.5f64 * (1.0 / 8.0 + 1.0 / 7.0)).sqrt()).abs() < 1e-4, "{found:?}");
+        let (mut before, after) = both(0.02, 1.0);
+        before[..8].fill(None);
+        assert!(camera_motion(&sixteen(), &before, &after).is_some());
+        before[8] = None;
+        assert_eq!(camera_motion(&sixteen(), &before, &after), None);
+        // 0.1 px of all together is the most: 0.1 √8 px each.
+        for (sd, counts) in [(0.28, true), (0.29, false)] {
+            let (before, after) = both(sd, 1.0);
+            assert_eq!(camera_motion(&sixteen(), &before, &after).is_some(), counts);
+        }
+    }
+
+    #[test]
+    fn rims_that_disagree_beyond_their_noise_widen_the_movement_s_deviation() {
+        let (before, mut after) = both(0.01, 1.0);
+        for (k, place) in after.iter_mut().enumerate() {
+            // Pairs of opposite errors leave the movement as it is.
+            let off = 0.04 * [1.0, 1.0, -1.0, -1.0][k % 4];
+            *place = place.map(|p| RimPlace { offset_px: p.offset_px + off, ..p });
+        }
+        let found = camera_motion(&sixteen(), &before, &after).unwrap();
+        assert!((found.camera_px[0] - 0.31).abs() < 1e-9, "{found:?}");
+        // All are off by four deviations.
+        assert!((found.sd_px - 4.0 * 1.4826 * 0.01 / 8f64.sqrt()).abs() < 1e-9, "{found:?}");
+    }
+
+    #[test]
+    fn a_movement_is_sure_beyond_three_and_a_half_deviations_and_a_twentieth_of_a_pixel() {
+        let sure = |camera_px, sd_px| CameraMotion { camera_px, sd_px }.is_sure();
+        assert!(sure([0.0, -0.36], 0.1) && !sure([0.0, 0.34], 0.1) && sure([0.3, 0.2], 0.1));
+        assert!(sure([0.051, 0.0], 0.001) && !sure([0.03, -0.03], 0.001) && sure([0.03, -0.041], 0.001));
+    }
+
+    #[test]
+    fn glow_counts_along_an_axis_by_how_much_its_rims_tell() {
+        let rect = Rect { x: 0, y: 0, width: 1, height: 1 };
+        let segments: Vec<RimSegment> = (0..16)
+            .map(|k| RimSegment { rect, at: [0.0; 2], normal: if k < 8 { [1.0, 0.0] } else { [0.0, 1.0] } })
+            .collect();
+        let before = vec![place(0.1, 0.0, 40.0); 16];
+        let now: Vec<_> = (0..16)
+            .map(|k| match k {
+                // Sure, but for a glow of 0.05 px: 0.005² + 0.05² = 0.002525 px².
+                0..4 => place(0.4, 0.0, 48.0),
+                _ => place(if k < 8 { 0.4 } else { -0.1 }, 0.08, 40.0),
+            })
+            .collect();
+        let found = camera_motion(&segments, &before, &now).unwrap();
+        assert!((found.camera_px[0] - 0.3).abs() < 1e-12 && (found.camera_px[1] + 0.2).abs() < 1e-12, "{found:?}");
+        let (sure, other) = (4.0 / 0.002_525, 4.0 / 0.0064);
+        let glow = 0.05 * sure / (sure + other);
+        let scatter: f64 = (0.5 * (1.0 / (sure + other) + 0.0064 / 8.0_f64)).sqrt();
+        assert!((found.sd_px - scatter.hypot(glow)).abs() < 1e-12, "{found:?}");
+    }
+}

@@ -242,3 +242,135 @@ fn blurred(sharp: &[f64], side: usize, blur_px: f64) -> Vec<f64> {
     };
     pass(&pass(sharp, 1, side), side, 1)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use super::super::pictures::{jitter, picture};
+    use crate::capture::Rect;
+
+    /// Projector to camera: no axis is like the other.
+    const SLOPE: [[f64; 2]; 2] = [[1.1, 0.3], [-0.2, 1.6]];
+    const RECT: Rect = Rect { x: 31, y: 17, width: 25, height: 21 };
+
+    /// The light of a dot of 2 × 2 projector px under a Gaussian blur, averaged over a pixel: a sum over places of the dot.
+    fn dot(center: Point, blur_px: f64, x: f64, y: f64) -> f64 {
+        let cdf = |t: f64| 0.5 * libm::erfc(-t / (blur_px * std::f64::consts::SQRT_2));
+        let pixel = |d: f64| cdf(d + 0.5) - cdf(d - 0.5);
+        let place = |k: usize| 2.0 * ((k as f64 + 0.5) / 16.0 - 0.5);
+        let mut sum = 0.0;
+        for k in 0..256 {
+            let (u, v) = (place(k % 16), place(k / 16));
+            let at = [0, 1].map(|a| center[a] + SLOPE[a][0] * u + SLOPE[a][1] * v);
+            sum += pixel(x - at[0]) * pixel(y - at[1]);
+        }
+        // The footprint's area in camera px: a pixel wholly within it has the light 1.
+        sum / 256.0 * 4.0 * (1.1 * 1.6 + 0.2 * 0.3)
+    }
+
+    /// Made once: its templates are the slow part.
+    fn shape() -> &'static DotShape {
+        static SHAPE: std::sync::OnceLock<DotShape> = std::sync::OnceLock::new();
+        SHAPE.get_or_init(|| DotShape::new(SLOPE, 2.0).unwrap())
+    }
+
+    #[test]
+    fn pixels_are_looked_at_three_beyond_the_footprint() {
+        // Half of 2 · max(1.1 + 0.3, 0.2 + 1.6), and three more.
+        assert!((shape().radius_px() - 4.8).abs() < 1e-12);
+        assert!(DotShape::new([[1.0, 2.0], [2.0, 4.0]], 2.0).is_none(), "a line");
+        assert!(DotShape::new(SLOPE, 112.0).is_none() && DotShape::new(SLOPE, f64::NAN).is_none());
+    }
+
+    #[test]
+    fn the_core_of_a_dot_is_found_under_a_glow_that_leans_to_one_side() {
+        let center = [43.37, 26.81];
+        for blur in [0.35, 0.8] {
+            let glow = |x: f64, y: f64| {
+                let (dx, dy) = (x - center[0], y - center[1]);
+                20.0 + 3.0 * dx - 1.5 * dy - 0.3 * (dx * dx + dy * dy)
+            };
+            let picture = picture(RECT, |x, y| 50.0 * dot(center, blur, x, y) + glow(x, y), 0.01);
+            let found = shape().find(&picture, [44.0, 26.0]).unwrap();
+            // A blur of 0.8 is between two of the templates.
+            assert!((found.at[0] - center[0]).hypot(found.at[1] - center[1]) < 0.01, "{blur}: {found:?}");
+            assert!(found.misfit < 0.01, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn a_dot_strays_by_no_more_than_its_deviation_from_one_noise_to_the_next() {
+        let center = [43.37, 26.81];
+        let clean = picture(RECT, |x, y| 50.0 * dot(center, 0.5, x, y) + 20.0, 0.0);
+        let found = |draw: usize| {
+            let mut noisy = clean.clone();
+            noisy.variance.fill(4.0);
+            // Even in ±2: a variance of 4/3, that of the mean of three channels of 4.
+            noisy.value.iter_mut().enumerate().for_each(|(k, v)| *v += 2.0 * jitter(1000 * draw + k / 3) as f32);
+            shape().find(&noisy, center).unwrap()
+        };
+        let all: Vec<FoundDot> = (0..60).map(found).collect();
+        let strays = all.iter().map(|f| (0..2).map(|a| (f.at[a] - center[a]).powi(2)).sum::<f64>() / 2.0);
+        let (strays, told) = (strays.sum::<f64>() / 60.0, all.iter().map(|f| f.variance).sum::<f64>() / 60.0);
+        // Weights of the taper count as if they were variances: the deviation is told too large, by less than twice; 120 draws
+        // tell a variance to 13 %.
+        assert!(strays < 1.3 * told && strays > 0.3 * told, "{strays} {told}");
+    }
+
+    #[test]
+    fn contrast_and_variance_go_with_light_and_noise() {
+        let find = |light: f64, variance: f64| {
+            let center = [43.37, 26.81];
+            let picture = picture(RECT, |x, y| light * dot(center, 0.5, x, y) + 7.0, variance);
+            shape().find(&picture, center).unwrap()
+        };
+        let (one, bright, noisy) = (find(50.0, 0.01), find(100.0, 0.01), find(50.0, 0.04));
+        // Values are f32, and the fit settles to 1e-4 px.
+        let near = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-3;
+        assert!(near(bright.contrast, 2.0 * one.contrast) && near(noisy.contrast, 0.5 * one.contrast));
+        assert!(near(bright.variance, 0.25 * one.variance) && near(noisy.variance, 4.0 * one.variance));
+    }
+
+    #[test]
+    fn a_dot_that_is_cut_off_unmeasured_dark_or_elsewhere_is_not_found() {
+        let at = |center: Point| picture(RECT, |x, y| 50.0 * dot(center, 0.5, x, y) + 7.0, 0.01);
+        // 4.8 px around it: columns 31 to 55, lines 17 to 37.
+        let seen = |center: Point| shape().find(&at(center), center).is_some();
+        assert!(seen([34.9, 20.9]) && seen([51.1, 33.1]));
+        assert!(!seen([34.7, 26.0]) && !seen([43.0, 20.7]) && !seen([51.3, 26.0]) && !seen([43.0, 33.3]));
+        let center = [43.4, 26.8];
+        let broken = |x: usize, y: usize| {
+            let mut picture = at(center);
+            let k = picture.at(x, y);
+            picture.used[k + 1] = 0;
+            shape().find(&picture, center).is_some()
+        };
+        assert!(!broken(43, 27) && !broken(47, 28) && broken(50, 28) && broken(43, 33));
+        assert_eq!(shape().find(&picture(RECT, |x, y| 90.0 - 40.0 * dot(center, 0.5, x, y), 0.01), center), None);
+        assert_eq!(shape().find(&at([47.0, 26.8]), [43.0, 26.8]), None, "four pixels off");
+    }
+
+    #[test]
+    fn a_template_is_the_footprint_averaged_over_a_pixel_and_blurred() {
+        let shape = shape();
+        for (n, blur) in [(1, 0.35), (4, 1.0)] {
+            for (dx, dy) in [(0.0, 0.0), (1.3, -0.4), (-0.7, 2.1), (2.2, 1.0)] {
+                let value = |x: f64, y: f64| dot([0.0; 2], blur, x, y);
+                let h = 1e-3;
+                let expected = [
+                    value(dx, dy),
+                    (value(dx + h, dy) - value(dx - h, dy)) / (2.0 * h),
+                    (value(dx, dy + h) - value(dx, dy - h)) / (2.0 * h),
+                ];
+                let found = shape.template_at(&shape.templates[n], dx, dy);
+                // Cells of an eighth of a pixel, between which it is bilinear: curvature times 1/512, and slopes' by more.
+                assert!((found[0] - expected[0]).abs() < 0.01, "{blur} ({dx}, {dy}): {found:?} {expected:?}");
+                assert!(
+                    (1..3).all(|k| (found[k] - expected[k]).abs() < 0.03),
+                    "{blur} ({dx}, {dy}): {found:?} {expected:?}"
+                );
+            }
+        }
+    }
+}

@@ -318,3 +318,144 @@ fn settle_layout(mut view: Homography, seen: &[Point], frame: &FrameMarks, scale
     }
     Some((matched, view))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use super::super::pictures::{picture, share};
+    use crate::capture::{Rect, ResponseCurve};
+    use crate::geometry::Homography;
+
+    /// Twelve marks around a sample of 30 × 20 mm, four along x and three along y, none above another's column.
+    fn frame() -> FrameMarks {
+        let above = [[-1.0, -4.0], [9.0, -4.5], [20.0, -4.0], [33.0, -3.5]];
+        let below = [[-2.0, 24.0], [11.0, 24.5], [19.0, 24.0], [32.0, 25.0]];
+        let beside = [[-5.0, 6.0], [-5.5, 15.0], [35.0, 7.0], [36.0, 16.0]];
+        FrameMarks { marks_mm: [above, below, beside].concat(), diameter_mm: 2.4 }
+    }
+
+    fn camera() -> Camera {
+        Camera {
+            size_px: [230, 140],
+            focal_px: 400.0,
+            principal_px: [110.0, 65.0],
+            response: ResponseCurve::Linear,
+            vignetting: Vec::new(),
+        }
+    }
+
+    fn view() -> CameraView {
+        let ideal_from_slab = Homography { matrix: [[4.6, 0.2, 40.0], [-0.15, 4.1, 28.0], [8e-4, -6e-4, 1.0]] };
+        CameraView { ideal_from_slab, lens: Lens::ideal([110.0, 65.0], 400.0) }
+    }
+
+    /// Discs of the slab's plane as the camera sees them, on light that grows downwards; not those that `without` names.
+    fn photograph(view: &CameraView, without: &[usize]) -> Radiance {
+        let rect = Rect { x: 0, y: 0, width: 230, height: 140 };
+        let back = view.ideal_from_slab.inverse().unwrap();
+        let marks: Vec<Point> =
+            frame().marks_mm.into_iter().enumerate().filter(|(k, _)| !without.contains(k)).map(|(_, m)| m).collect();
+        let inside = |x: f64, y: f64| {
+            let p = back.map(view.lens.undistort([x, y]));
+            marks.iter().any(|m| (p[0] - m[0]).hypot(p[1] - m[1]) < 1.2)
+        };
+        let near = |x: f64, y: f64| {
+            let p = back.map([x, y]);
+            marks.iter().any(|m| (p[0] - m[0]).hypot(p[1] - m[1]) < 2.0)
+        };
+        let light = |x: f64, y: f64| {
+            let dark = if near(x, y) { share(x, y, inside) } else { 0.0 };
+            (60.0 + 0.1 * y) * (1.0 - 0.85 * dark)
+        };
+        picture(rect, light, 0.01)
+    }
+
+    #[test]
+    fn marks_are_told_apart_by_their_layout_and_found_at_their_centres() {
+        let found = register_frame(&photograph(&view(), &[6]), &frame(), None, &camera()).unwrap();
+        let indices: Vec<usize> = found.marks.iter().map(|m| m.index).collect();
+        assert_eq!(indices, [0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11]);
+        for mark in &found.marks {
+            let q = view().camera_from_slab(frame().marks_mm[mark.index]);
+            // Discs of eleven pixels, each of 144 places: a few thousandths of a pixel.
+            assert!((mark.camera_px[0] - q[0]).hypot(mark.camera_px[1] - q[1]) < 0.02, "{mark:?} {q:?}");
+        }
+        let p = [12.0, 13.0];
+        let (a, b) = (found.fit.view.camera_from_slab(p), view().camera_from_slab(p));
+        assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 0.02 && found.fit.rms_px < 0.02, "{a:?} {b:?}");
+        let pairs = found.pairs(&frame());
+        assert_eq!((pairs.len(), pairs[6]), (11, (frame().marks_mm[7], found.marks[6].camera_px)));
+    }
+
+    #[test]
+    fn a_known_view_finds_marks_that_have_moved_and_keeps_its_lens() {
+        let prior = CameraView { lens: Lens { k1: -0.05, ..view().lens }, ..view() };
+        let mut moved = prior;
+        moved.ideal_from_slab = Homography::similarity(1.0, [1.7, -0.9]).after(&prior.ideal_from_slab);
+        let [before, after] =
+            [prior, moved].map(|v| register_frame(&photograph(&v, &[]), &frame(), Some(&prior), &camera()).unwrap());
+        assert_eq!((after.marks.len(), after.fit.view.lens), (12, prior.lens));
+        let (px, sd) = marks_moved(&before, &after).unwrap();
+        // The lens bends the middle of the picture by nothing and its rim's movement by a few hundredths.
+        assert!((px[0] - 1.7).abs() < 0.02 && (px[1] + 0.9).abs() < 0.02, "{px:?}");
+        assert!(sd < 0.02, "{sd}");
+    }
+
+    #[test]
+    fn too_few_marks_are_an_error() {
+        let error = register_frame(&photograph(&view(), &[0, 1, 2, 3, 4]), &frame(), None, &camera()).unwrap_err();
+        assert!(error.contains("7 discs"), "{error}");
+        let error =
+            register_frame(&photograph(&view(), &[0, 1, 2, 3, 4]), &frame(), Some(&view()), &camera()).unwrap_err();
+        assert!(error.contains("only 7 of the frame's 12 marks"), "{error}");
+    }
+
+    fn fitted(moved: &[(usize, Point)]) -> FrameFit {
+        let marks = moved.iter().map(|&(index, camera_px)| FoundMark { index, camera_px }).collect();
+        FrameFit { fit: ViewFit { view: view(), rms_px: 0.0, sd_px: 0.0 }, marks }
+    }
+
+    #[test]
+    fn the_movement_of_marks_is_their_median_and_its_deviation_that_of_what_is_left() {
+        let places: Vec<(usize, Point)> = (0..6).map(|k| (k, [10.0 * k as f64, 3.0 * (k * k) as f64])).collect();
+        let off = [[0.3, -0.5], [0.34, -0.48], [0.29, -0.55], [9.0, 9.0], [0.26, -0.5]];
+        // The second photograph has them in another order, without the last, and with one that the first has not.
+        let mut after: Vec<(usize, Point)> =
+            (0..5).map(|k| (k, [places[k].1[0] + off[k][0], places[k].1[1] + off[k][1]])).rev().collect();
+        after.push((8, [1.0, 1.0]));
+        let (px, sd) = marks_moved(&fitted(&places), &fitted(&after)).unwrap();
+        assert!((px[0] - 0.3).abs() < 1e-12 && (px[1] + 0.5).abs() < 1e-12, "{px:?}");
+        // Left along x: 0, 0.04, 0.01, 8.7, 0.04; along y 0, 0.02, 0.05, 9.5, 0: the median of ten is 0.03.
+        assert!((sd - 1.25 * 1.4826 * 0.03 / 5f64.sqrt()).abs() < 1e-12, "{sd}");
+        assert_eq!(marks_moved(&fitted(&places[..3]), &fitted(&after)), None);
+        // Marks that agree are still not known better than a thousandth of a pixel.
+        assert_eq!(marks_moved(&fitted(&places), &fitted(&places)), Some(([0.0, 0.0], 1e-3)));
+    }
+
+    #[test]
+    fn a_plane_through_a_known_lens_is_fitted_with_eight_numbers() {
+        let lens = Lens { k1: -0.1, ..view().lens };
+        let truth = CameraView { lens, ..view() };
+        let pair = |k: usize, off: f64| {
+            let p = frame().marks_mm[k];
+            let q = truth.camera_from_slab(p);
+            (p, [q[0] + off * [1.0, -1.0][k % 2], q[1]])
+        };
+        let exact: Vec<_> = (0..12).map(|k| pair(k, 0.0)).collect();
+        let fit = fit_plane(&exact, lens).unwrap();
+        assert!(fit.rms_px < 1e-9 && fit.view.lens == lens, "{fit:?}");
+        let noisy: Vec<_> = (0..12).map(|k| pair(k, 0.1)).collect();
+        let fit = fit_plane(&noisy, lens).unwrap();
+        let square: f64 = noisy
+            .iter()
+            .map(|(p, q)| {
+                let seen = fit.view.camera_from_slab(*p);
+                (seen[0] - q[0]).powi(2) + (seen[1] - q[1]).powi(2)
+            })
+            .sum();
+        // 24 coordinates, eight of which the plane takes.
+        assert!((fit.rms_px - (square / 24.0).sqrt()).abs() < 1e-12);
+        assert!((fit.sd_px - fit.rms_px / 3f64.sqrt()).abs() < 1e-12);
+    }
+}

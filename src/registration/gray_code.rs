@@ -238,4 +238,188 @@ mod tests {
             }
         }
     }
+
+    use super::super::pictures::jitter;
+    use crate::geometry::Homography;
+
+    const SIZE: [usize; 2] = [130, 96];
+    /// Slab mm to ideal projector px, 48 × 40 of which fall into the picture.
+    const PROJECTOR: Homography = Homography { matrix: [[2.0, 0.1, 3.0], [-0.15, 1.7, 4.0], [1e-3, -2e-3, 1.0]] };
+
+    fn view() -> CameraView {
+        let ideal_from_slab = Homography { matrix: [[5.0, -0.2, 3.0], [0.3, 4.4, 2.0], [0.0, 0.0, 1.0]] };
+        CameraView { ideal_from_slab, lens: Lens::ideal([65.0, 48.0], 300.0) }
+    }
+
+    /// What a pixel sees of bit `bit` of the code, averaged over 6 × 6 places in it.
+    fn pair(axis: usize, bit: u32) -> BitPair {
+        let back = view().ideal_from_slab.inverse().unwrap();
+        let place = |k: usize| (k as f64 + 0.5) / 6.0 - 0.5;
+        let lit = |k: usize| {
+            let (x, y) = ((k % SIZE[0]) as f64, (k / SIZE[0]) as f64);
+            let on = (0..36)
+                .filter(|s| {
+                    let q = PROJECTOR.map(back.map([x + place(s % 6), y + place(s / 6)]));
+                    // The centre of projector pixel n is n.
+                    let n = (q[axis] + 0.5).floor().max(0.0) as u32;
+                    ((n ^ (n >> 1)) >> bit) & 1 == 1
+                })
+                .count();
+            on as f32 / 36.0
+        };
+        let share: Vec<f32> = (0..SIZE[0] * SIZE[1]).map(lit).collect();
+        // Light that falls off to the lower right, of which a tenth is there without the projector.
+        let light = |k: usize, s: f32| (0.1 + s) * (900.0 - 3.0 * (k % SIZE[0]) as f32 - 2.0 * (k / SIZE[0]) as f32);
+        BitPair {
+            axis,
+            bit,
+            pattern: share.iter().enumerate().map(|(k, s)| light(k, *s)).collect(),
+            inverse: share.iter().enumerate().map(|(k, s)| light(k, 1.0 - s)).collect(),
+            valid: vec![true; share.len()],
+        }
+    }
+
+    fn code() -> Vec<BitPair> {
+        (0..2).flat_map(|axis| (2..6).map(move |bit| pair(axis, bit))).collect()
+    }
+
+    #[test]
+    fn the_projector_is_registered_by_where_its_stripes_end() {
+        let ideal = Lens::ideal([23.5, 19.5], 60.0);
+        let fit = register_projector(&code(), SIZE, &view(), StripeSurface::White, ideal).unwrap();
+        for p in [[2.0, 1.0], [13.0, 9.0], [22.0, 17.0], [4.0, 18.0]] {
+            let (a, b) = (fit.slab_from_projector.projector_from_slab(p), PROJECTOR.map(p));
+            // Edges of 36 places a pixel of half a projector pixel: a hundredth each, and hundreds of them.
+            assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 0.01, "{a:?} {b:?}");
+        }
+        assert!(fit.rms_px < 0.03 && fit.edges > 500, "{fit:?}");
+        // Without one axis, or a bit, it cannot be told.
+        let only = |keep: &dyn Fn(&BitPair) -> bool| {
+            let some: Vec<BitPair> = code().into_iter().filter(keep).collect();
+            register_projector(&some, SIZE, &view(), StripeSurface::White, ideal).unwrap_err()
+        };
+        assert!(only(&|p| p.axis == 0).contains("y axis") && only(&|p| p.axis == 1).contains("x axis"));
+        assert!(only(&|p| p.bit != 3).contains("gap"));
+    }
+
+    #[test]
+    fn pixels_are_decoded_to_the_middle_of_their_finest_stripe() {
+        let contrasts: Vec<Contrast> = code().iter().map(|p| contrast(p, None)).collect();
+        let back = view().ideal_from_slab.inverse().unwrap();
+        let decoded = decode_pixels(&contrasts, SIZE[0], SIZE[1], &|q| back.map(q)).unwrap();
+        assert!(decoded.iter().filter(|o| o.axis == 1).count() > 8000);
+        for o in &decoded {
+            let at = PROJECTOR.map(o.from)[o.axis];
+            if at < -0.5 {
+                continue; // beyond the projector's picture
+            }
+            // Stripes of the finest bit are four projector px wide, from 4 m − 0.5 on.
+            let middle = ((at + 0.5) / 4.0).floor() * 4.0 + 1.5;
+            assert!(
+                (o.to - middle).abs() < 1e-9 || (at + 0.5 - 4.0 * ((at + 0.5) / 4.0).round()).abs() < 0.4,
+                "{o:?} {at}"
+            );
+        }
+    }
+
+    #[test]
+    fn an_edge_is_where_the_area_under_the_contrast_says() {
+        // Contrast along a line of a mean over a pixel of a step from 0.9 to −0.8 at 9.3, and the same down a column.
+        let step = |at: f64, k: usize| {
+            let before = (at - (k as f64 - 0.5)).clamp(0.0, 1.0);
+            Some((0.9 * before - 0.8 * (1.0 - before)) as f32)
+        };
+        let (width, height) = (17, 11);
+        let along = |axis: usize, at: f64| {
+            let value = (0..width * height).map(|k| step(at, [k % width, k / width][axis])).collect();
+            find_edges(&Contrast { axis: 0, bit: 0, value }, width, height)
+        };
+        for (axis, lines, at) in [(0, 11, 9.3), (1, 17, 5.75), (0, 11, 2.6)] {
+            let edges = along(axis, at);
+            assert_eq!(edges.len(), lines);
+            for (line, (point, found_along)) in edges.iter().enumerate() {
+                assert_eq!((*found_along, point[1 - axis]), (axis, line as f64));
+                // f32 sums of four numbers of order 1.
+                assert!((point[axis] - at).abs() < 1e-5, "{point:?} {at}");
+            }
+        }
+        // Two pixels before the change and three after it must be there.
+        assert_eq!(
+            (along(0, 1.4).len(), along(0, 2.6).len(), along(0, 13.4).len(), along(0, 14.6).len()),
+            (0, 11, 11, 0)
+        );
+        // A contrast of 1 is half of what is possible; less is no edge.
+        let weak = |high: f32, low: f32| {
+            let value = (0..width * height).map(|k| Some(if k % width < 8 { high } else { low })).collect();
+            find_edges(&Contrast { axis: 0, bit: 0, value }, width, height).len()
+        };
+        assert_eq!((weak(0.6, -0.45), weak(0.5, -0.45), weak(-0.6, 0.45)), (11, 0, 11));
+        let mut value: Vec<Option<f32>> = (0..width).map(|k| step(9.3, k)).collect();
+        value[11] = None;
+        assert_eq!(find_edges(&Contrast { axis: 0, bit: 0, value }, width, 1).len(), 0);
+    }
+
+    #[test]
+    fn contrast_is_the_difference_over_the_sum_where_there_is_light() {
+        let n = 40;
+        // Light from 10 to 49 of which a share of −1 to 1 is the pattern's; the last is dark, the one before it not valid.
+        let sum = |k: usize| if k == 39 { 0.5 } else { 10.0 + k as f32 };
+        let share = |k: usize| jitter(k) as f32;
+        let pair = BitPair {
+            axis: 1,
+            bit: 3,
+            pattern: (0..n).map(|k| 0.5 * sum(k) * (1.0 + share(k))).collect(),
+            inverse: (0..n).map(|k| 0.5 * sum(k) * (1.0 - share(k))).collect(),
+            valid: (0..n).map(|k| k != 38).collect(),
+        };
+        let usable: Vec<bool> = (0..n).map(|k| k != 5).collect();
+        let found = contrast(&pair, Some(&usable));
+        assert_eq!((found.axis, found.bit), (1, 3));
+        for k in 0..n {
+            match found.value[k] {
+                // Three roundings of f32.
+                Some(v) => assert!(![5, 38, 39].contains(&k) && (v - share(k)).abs() < 1e-6),
+                None => assert!([5, 38, 39].contains(&k), "{k}"),
+            }
+        }
+        assert!(contrast(&pair, None).value[5].is_some());
+        let dark = BitPair { pattern: vec![0.0; n], inverse: vec![0.0; n], ..pair };
+        assert!(contrast(&dark, None).value.iter().all(Option::is_none));
+    }
+
+    #[test]
+    fn on_a_frame_only_what_lies_outside_the_sample_is_used() {
+        let slab = |q: Point| [q[0] / 5.0, q[1] / 4.0];
+        let matrix = [[5.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 1.0]];
+        let view = CameraView { ideal_from_slab: Homography { matrix }, lens: Lens::ideal([0.0; 2], 300.0) };
+        assert_eq!(usable_pixels(&view, SIZE, StripeSurface::White, &slab), None);
+        let used = usable_pixels(&view, SIZE, StripeSurface::Frame([15.0, 12.0]), &slab).unwrap();
+        // Four pixels are 4 / √20 = 0.894 mm: beyond 15.894 mm in x are columns from 80 on, beyond 12.894 in y lines from 52 on.
+        for (x, y, expected) in [(79, 51, false), (80, 51, true), (79, 52, true), (0, 0, false), (3, 51, false)] {
+            assert_eq!(used[x + y * SIZE[0]], expected, "({x}, {y})");
+        }
+        let left = |q: Point| [q[0] / 5.0 - 2.0, q[1] / 4.0 - 1.0];
+        let used = usable_pixels(&view, SIZE, StripeSurface::Frame([15.0, 12.0]), &left).unwrap();
+        // −0.894 mm is column 5.5, and line 0.4.
+        for (x, y, expected) in [(5, 9, true), (6, 9, false), (40, 0, true), (40, 1, false)] {
+            assert_eq!(used[x + y * SIZE[0]], expected, "({x}, {y})");
+        }
+    }
+
+    #[test]
+    fn a_frame_must_show_the_code_on_all_sides() {
+        let at = |from: Point| Observation { from, axis: 0, to: 0.0 };
+        let all = [[-1.0, 5.0], [31.0, 5.0], [5.0, -1.0], [5.0, 21.0]];
+        let without = |side: usize, few: usize| {
+            let mut decoded: Vec<Observation> =
+                (0..100).map(|k| at(all[k % 4])).filter(|o| o.from != all[side]).collect();
+            decoded.extend((0..few).map(|_| at(all[side])));
+            check_sides(&decoded, [30.0, 20.0])
+        };
+        for (side, name) in ["left", "right", "upper", "lower"].into_iter().enumerate() {
+            // 3 of 78 are less than a twentieth, 4 of 79 are more.
+            assert!(without(side, 3).unwrap_err().contains(&format!("3 of 78 decoded pixels lie on its {name} side")));
+            assert_eq!(without(side, 4), Ok(()));
+        }
+    }
 }

@@ -76,4 +76,28 @@ mod tests {
         let sure: Vec<_> = still.into_iter().map(|p| p.map(|(d, _)| (d, 0.01))).collect();
         assert_eq!(find_jumps(&sure).len(), 2, "there and back");
     }
+
+    #[test]
+    fn a_jump_is_six_deviations_of_a_walk_whose_median_step_is_known() {
+        // Steps of 0.1 px by turns, far from the origin: the walk's deviation is 0.1 / √(2 ln 2), six of them are 0.5096 px.
+        let path = |steps: &[Point]| {
+            let mut at = [5.0, -7.0];
+            let mut path = vec![Some((at, 0.001))];
+            for step in steps {
+                at = [at[0] + step[0], at[1] + step[1]];
+                path.push(Some((at, 0.001)));
+            }
+            path
+        };
+        let jumps = |length: f64| {
+            let (a, b) = ([0.06, -0.08], [-0.08, 0.06]);
+            find_jumps(&path(&[a, b, a, [0.6 * length, 0.8 * length], b, a]))
+        };
+        assert_eq!(jumps(0.509), vec![]);
+        let found = jumps(0.511);
+        assert!(found.len() == 1 && found[0].at == 4 && (found[0].length_px - 0.511).abs() < 1e-12, "{found:?}");
+        // Four steps are the least.
+        let (a, far) = ([0.06, -0.08], [6.0, 8.0]);
+        assert_eq!((find_jumps(&path(&[a, far, a])).len(), find_jumps(&path(&[a, far, a, a])).len()), (0, 1));
+    }
 }

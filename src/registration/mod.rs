@@ -10,6 +10,8 @@ mod frame_marks;
 mod gray_code;
 mod jumps;
 mod lens_fit;
+#[cfg(test)]
+mod pictures;
 mod projector_fit;
 mod sample_drift;
 mod sharpness;
@@ -96,5 +98,43 @@ impl Registration {
             projector_ideal_rms_px: projector.ideal_rms_px,
             position_sd_mm,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_moved_picture_moves_the_view_and_its_lens_alike() {
+        let mut still = pictures::registration();
+        (still.view.lens.k1, still.view.lens.k2) = (-0.1, 0.02);
+        let moved = still.moved([2.5, -1.25]);
+        for p in [[0.0, 0.0], [15.0, 10.0], [28.0, 3.0]] {
+            let (a, b) = (still.view.camera_from_slab(p), moved.view.camera_from_slab(p));
+            assert!((b[0] - a[0] - 2.5).abs() < 1e-12 && (b[1] - a[1] + 1.25).abs() < 1e-12, "{a:?} {b:?}");
+        }
+        assert_eq!(moved.view.lens.center_px, [102.5, 78.75]);
+        assert_eq!((moved.view.lens.k1, moved.slab_from_projector), (-0.1, still.slab_from_projector));
+    }
+
+    #[test]
+    fn a_position_is_as_sure_as_the_stripes_in_millimetres() {
+        let base = pictures::registration();
+        let camera = ViewFit { view: base.view, rms_px: 0.11, sd_px: 0.01 };
+        let projector = ProjectorFit {
+            slab_from_projector: base.slab_from_projector,
+            rms_px: 0.22,
+            ideal_rms_px: 0.33,
+            sd_px: 0.06,
+            edges: 100,
+        };
+        let found = Registration::new(&camera, base.lens.clone(), None, &projector, [30.0, 20.0]).unwrap();
+        // 5 by 3 projector px a millimetre: √15 on average.
+        assert!((found.position_sd_mm - 0.06 / 15f64.sqrt()).abs() < 1e-15);
+        assert_eq!((found.center_mm, found.camera_rms_px), ([15.0, 10.0], 0.11));
+        assert_eq!((found.projector_rms_px, found.projector_ideal_rms_px), (0.22, 0.33));
+        // The plane's determinant is 24.5; slopes are differences of 1e-4 mm.
+        assert!((found.px_per_mm() - 24.5f64.sqrt()).abs() < 1e-6);
     }
 }

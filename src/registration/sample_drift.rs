@@ -145,3 +145,170 @@ impl Parallax {
         Some(Drift { slab_mm, camera_px, sd_px, dots: dots.len() })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use super::super::pictures::{jitter, registration};
+
+    const EYE: [f64; 3] = [40.0, -30.0, -200.0];
+
+    fn located(expected_mm: Point, moved_mm: Point, variance_px2: f64) -> Located {
+        Located { expected_mm, moved_mm, variance_px2 }
+    }
+
+    /// Shots of dots that are seen by `depth` times the tangent nearer to the camera's foot, after a drift of each shot's own.
+    fn shots(depth: f64, noise_mm: f64) -> Vec<Vec<Located>> {
+        let dot = |shot: usize, k: usize| {
+            let p = [2.0 + 11.0 * (k % 4) as f64, 3.0 + 9.0 * (k / 4) as f64];
+            // (40 − x, −30 − y) / 200
+            let tangent = [(40.0 - p[0]) / 200.0, (-30.0 - p[1]) / 200.0];
+            let drift = [0.3 - 0.1 * shot as f64, -0.2 + 0.07 * shot as f64];
+            let off = |a: usize| noise_mm * jitter(1000 * shot + 10 * k + a);
+            located(p, [0, 1].map(|a| drift[a] + depth * tangent[a] + off(a)), 1e-6)
+        };
+        (0..6).map(|shot| (0..12).map(|k| dot(shot, k)).collect()).collect()
+    }
+
+    #[test]
+    fn the_line_of_sight_leans_towards_the_camera_s_foot() {
+        let tangent = Parallax::unknown(EYE).tangent([10.0, 20.0]);
+        assert_eq!(tangent, [0.15, -0.25]);
+    }
+
+    #[test]
+    fn depth_is_learnt_from_how_dots_of_a_shot_are_pulled_apart() {
+        let found = Parallax::learn(&shots(1.5, 0.0), EYE, 7.0);
+        assert!((found.depth_mm - 1.5).abs() < 1e-9, "{found:?}");
+        assert_eq!((found.eye_mm, found.dot_sd_px), (EYE, FLOOR_PX));
+        // Noise that is even in ±0.02 mm has a median deviation of 0.01 mm: 0.0148 mm, or 0.104 px at 7 px a millimetre.
+        let found = Parallax::learn(&shots(1.5, 0.02), EYE, 7.0);
+        assert!((found.dot_sd_px / 0.104 - 1.0).abs() < 0.2, "144 differences: a tenth of it; {found:?}");
+        // Least squares: the noise over the root of the tangents' squares about each shot's mean.
+        let tangents =
+            |a: usize| shots(0.0, 0.0)[0].iter().map(|d| [40.0, -30.0][a] - d.expected_mm[a]).collect::<Vec<_>>();
+        let square: f64 = (0..2)
+            .map(|a| {
+                let t = tangents(a);
+                let mean = t.iter().sum::<f64>() / 12.0;
+                t.iter().map(|t| ((t - mean) / 200.0).powi(2)).sum::<f64>()
+            })
+            .sum();
+        let sd = found.dot_sd_px / 7.0 / (6.0 * square).sqrt();
+        assert!((found.depth_sd_mm / sd - 1.0).abs() < 1e-9, "{found:?} {sd}");
+        assert!((found.depth_mm - 1.5).abs() < 3.0 * sd, "{found:?}");
+    }
+
+    #[test]
+    fn a_depth_within_its_noise_or_behind_the_surface_is_taken_for_none() {
+        for depth in [0.0, -1.5] {
+            let found = Parallax::learn(&shots(depth, 0.02), EYE, 7.0);
+            assert_eq!((found.depth_mm, found.depth_sd_mm), (0.0, 0.0));
+            // What dots are off by is then all that the shot's mean leaves, the depth that is not believed too.
+            let mut left = Vec::new();
+            for dots in shots(depth, 0.02) {
+                for a in 0..2 {
+                    let mean = dots.iter().map(|d| d.moved_mm[a]).sum::<f64>() / 12.0;
+                    left.extend(dots.iter().map(|d| (d.moved_mm[a] - mean).abs()));
+                }
+            }
+            left.sort_by(f64::total_cmp);
+            let spread = 1.4826 * 0.5 * (left[71] + left[72]) * (144.0 / (144.0 - 12.0_f64)).sqrt();
+            assert!((found.dot_sd_px / (7.0 * spread) - 1.0).abs() < 1e-9, "{found:?} {spread}");
+        }
+        // Shots of one dot, or none, tell nothing.
+        let single: Vec<Vec<Located>> = shots(1.5, 0.0).into_iter().map(|s| s[..1].to_vec()).collect();
+        assert_eq!(Parallax::learn(&single, EYE, 7.0), Parallax::unknown(EYE));
+        assert_eq!(Parallax::learn(&[], EYE, 7.0), Parallax::unknown(EYE));
+        assert_eq!(Parallax::unknown(EYE).dot_sd_px, 0.1);
+    }
+
+    #[test]
+    fn a_mistaken_dot_does_not_bend_the_depth() {
+        let mut some = shots(1.5, 0.001);
+        some[3][7].moved_mm = [2.0, -1.0];
+        let found = Parallax::learn(&some, EYE, 7.0);
+        // Its shot's mean is off by a twelfth of it: eleven dots more that count as mistaken.
+        assert!((found.depth_mm - 1.5).abs() < 0.01, "{found:?}");
+    }
+
+    #[test]
+    fn a_drift_is_what_the_depth_does_not_explain() {
+        let parallax = Parallax { eye_mm: EYE, depth_mm: 1.5, depth_sd_mm: 0.0, dot_sd_px: 1e-6 };
+        let dots = &shots(1.5, 0.0)[2];
+        let drift = parallax.drift(dots, &registration()).unwrap();
+        // (0.3 − 0.2, −0.2 + 0.14) mm; 6 · 0.1 − 0.5 · 0.06 and −0.1 − 4 · 0.06 px.
+        assert!((drift.slab_mm[0] - 0.1).abs() < 1e-12 && (drift.slab_mm[1] + 0.06).abs() < 1e-12, "{drift:?}");
+        assert!((drift.camera_px[0] - 0.57).abs() < 1e-5 && (drift.camera_px[1] + 0.34).abs() < 1e-5, "{drift:?}");
+        assert_eq!((drift.dots, parallax.drift(&[], &registration())), (12, None));
+    }
+
+    #[test]
+    fn each_cause_makes_a_drift_less_sure_in_its_turn() {
+        let sd = |depth_sd_mm: f64, dot_sd_px: f64, variance_px2: f64| {
+            let dots: Vec<Located> =
+                [[10.0, 20.0], [30.0, 10.0], [14.0, 6.0]].map(|p| located(p, [0.0; 2], variance_px2)).to_vec();
+            let parallax = Parallax { eye_mm: EYE, depth_mm: 0.0, depth_sd_mm, dot_sd_px };
+            parallax.drift(&dots, &registration()).unwrap().sd_px
+        };
+        let near = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-6;
+        // What all dots of a capture are off by alike.
+        assert!(near(sd(0.0, 0.0, 0.0), 0.03));
+        // Three dots of 0.6 px each, or of 0.36 px² by their pixels: whichever is more.
+        let three = (0.12f64 + 0.0009).sqrt();
+        assert!(near(sd(0.0, 0.6, 0.0), three) && near(sd(0.0, 0.6, 0.3), three) && near(sd(0.0, 0.1, 0.36), three));
+        // The mean tangent is ((30 + 10 + 26) / 3, −(50 + 40 + 36) / 3) / 200 = (0.11, −0.21); √24.5 px a millimetre.
+        let depth = 2.0 * 0.11f64.hypot(0.21) * 24.5f64.sqrt();
+        assert!(near(sd(2.0, 0.0, 0.0), depth.hypot(0.03)));
+    }
+
+    #[test]
+    fn two_dots_of_one_shot_are_enough_where_they_lie_apart() {
+        let pair = |second: Point| {
+            let dot =
+                |p: Point| located(p, [0.2 + 1.5 * (40.0 - p[0]) / 200.0, 0.1 + 1.5 * (-30.0 - p[1]) / 200.0], 1e-6);
+            Parallax::learn(&[vec![dot([2.0, 3.0]), dot(second)]], EYE, 7.0)
+        };
+        assert!((pair([30.0, 11.0]).depth_mm - 1.5).abs() < 1e-9);
+        assert_eq!(pair([2.0, 3.0]), Parallax::unknown(EYE));
+    }
+
+    #[test]
+    fn a_dot_strays_by_what_the_depth_leaves_over_the_freedoms_that_are_left() {
+        let found = Parallax::learn(&shots(1.5, 0.02), EYE, 7.0);
+        let mut left = Vec::new();
+        for dots in shots(1.5, 0.02) {
+            for a in 0..2 {
+                let part = |d: &Located| d.moved_mm[a] - found.depth_mm * ([40.0, -30.0][a] - d.expected_mm[a]) / 200.0;
+                let mean = dots.iter().map(part).sum::<f64>() / 12.0;
+                left.extend(dots.iter().map(|d| (part(d) - mean).abs()));
+            }
+        }
+        left.sort_by(f64::total_cmp);
+        // 144 differences less 12 means and the depth.
+        let spread = 1.4826 * 0.5 * (left[71] + left[72]) * (144.0 / 131.0_f64).sqrt();
+        assert!((found.dot_sd_px / (7.0 * spread) - 1.0).abs() < 1e-9, "{found:?} {spread}");
+    }
+
+    #[test]
+    fn a_dot_is_located_from_where_the_pattern_puts_it() {
+        use super::super::pictures::{CAMERA, covered, picture};
+        use crate::capture::Rect;
+        let dots = SampleDots { shape: DotShape::new([[1.0, 0.0], [0.0, 1.0]], 3.0).unwrap(), dot_radius_px: 2.0 };
+        let (expected, moved) = ([12.0, 9.0], [0.11, -0.17]);
+        let at = CAMERA.map([expected[0] + moved[0], expected[1] + moved[1]]);
+        let rect = Rect { x: at[0] as usize - 12, y: at[1] as usize - 10, width: 26, height: 22 };
+        // A brighter spot stands elsewhere in the picture.
+        let other = [at[0] - 7.5, at[1] + 4.0];
+        let light =
+            |x: f64, y: f64| 5.0 + 80.0 * covered(x, y, at, [3.0, 3.0]) + 99.0 * covered(x, y, other, [1.0, 1.0]);
+        let found = dots.locate(expected, &picture(rect, light, 0.01), &registration(), 4.0).unwrap();
+        // The core's blur is one of those that are tried or nearly: some hundredths of a pixel, over 4 px a millimetre.
+        assert!((0..2).all(|a| (found.moved_mm[a] - moved[a]).abs() < 0.01), "{found:?}");
+        assert_eq!(found.expected_mm, expected);
+        assert!(found.variance_px2 > 0.0 && found.variance_px2 < 1e-3, "{found:?}");
+        let dark = |x: f64, y: f64| 5.0 - 2.0 * covered(x, y, at, [3.0, 3.0]);
+        assert_eq!(dots.locate(expected, &picture(rect, dark, 0.01), &registration(), 4.0), None);
+    }
+}

@@ -196,4 +196,112 @@ mod tests {
         assert_eq!(values[4 * 9], 1.0 / 3.0, "the other sample keeps its distance");
         assert_eq!(measured.iter().filter(|&&m| m).count(), 15);
     }
+
+    /// A row of 7 × 5 samples, dark but for `bright`: (x, y, three channels).
+    fn coloured(bright: &[(usize, usize, [f32; 3])]) -> Vec<f32> {
+        let mut response = vec![0.0; 105];
+        for (x, y, rgb) in bright {
+            response[3 * (x + 7 * y)..][..3].copy_from_slice(rgb);
+        }
+        response
+    }
+
+    #[test]
+    fn the_peak_is_the_brightest_mean_of_the_channels_and_sets_the_scale() {
+        // The first is brighter in red alone, the second in all: (9 + 1 + 1) / 3 < (3 + 5 + 4) / 3.
+        let response = coloured(&[(1, 1, [9.0, 1.0, 1.0]), (5, 3, [3.0, 5.0, 4.0]), (3, 2, [1.0, 0.0, 0.5])]);
+        let placed =
+            |limit| place(RowView { response: &response, variance: &[0.0; 105], valid: &[1; 105] }, [7, 5], limit);
+        assert_eq!(placed([3, 2]), Placement { shift: [2, 1], scale: 4.0, limited: false });
+        // (5, 3) is two columns off and (1, 1) too: nothing lies within one but the centre, and what is brighter is told.
+        assert_eq!(placed([1, 2]), Placement { shift: [0, 0], scale: 4.0, limited: true });
+        assert_eq!(placed([2, 0]), Placement { shift: [0, 0], scale: 4.0, limited: true });
+        // Where shifts are not asked for there is nothing to say.
+        assert_eq!(placed([0, 0]), Placement { shift: [0, 0], scale: 4.0, limited: false });
+    }
+
+    #[test]
+    fn a_shift_needs_three_deviations_of_the_difference_of_two_intensities() {
+        // Channels' variances add up to 0.09 and 0.27: intensities have a ninth of it, the difference 0.04; three deviations are 0.6.
+        let shift = |more: f32| {
+            let response = coloured(&[(5, 1, [1.0 + 3.0 * more, 1.0, 1.0]), (3, 2, [0.0, 1.0, 2.0])]);
+            let mut variance = vec![0.0; 105];
+            variance[3 * (5 + 7)..][..3].copy_from_slice(&[0.01, 0.02, 0.06]);
+            variance[3 * (3 + 14)..][..3].copy_from_slice(&[0.0, 0.03, 0.24]);
+            place(RowView { response: &response, variance: &variance, valid: &[1; 105] }, [7, 5], [3, 2]).shift
+        };
+        assert_eq!((shift(0.59), shift(0.61)), ([0, 0], [2, -1]));
+    }
+
+    #[test]
+    fn samples_of_which_a_channel_is_missing_are_no_peak_and_a_missing_centre_keeps_the_row() {
+        let response = coloured(&[(0, 4, [9.0; 3]), (4, 1, [4.0, 5.0, 6.0]), (3, 2, [1.0; 3])]);
+        let mut valid = vec![1; 105];
+        valid[3 * 28 + 2] = 0;
+        let placed =
+            |valid: &[u8]| place(RowView { response: &response, variance: &[0.0; 105], valid }, [7, 5], [3, 2]);
+        assert_eq!(placed(&valid), Placement { shift: [1, -1], scale: 5.0, limited: false });
+        valid[3 * (3 + 14) + 1] = 0;
+        assert_eq!(placed(&valid), Placement { shift: [0, 0], scale: 5.0, limited: false });
+        assert_eq!(placed(&[0; 105]), Placement::default());
+    }
+
+    #[test]
+    fn the_common_window_is_larger_by_the_largest_shift_of_each_axis() {
+        let shifted = |shift| Placement { shift, ..Placement::default() };
+        let layout = layout([7, 5], &[shifted([2, -1]), shifted([-3, 0]), shifted([1, 1])]);
+        assert_eq!((layout.extended, layout.len(), layout.is_empty()), ([13, 7], 91, false));
+        assert_eq!(super::layout([7, 5], &[]).extended, [7, 5]);
+        assert!(Layout { window: [1, 1], extended: [0, 3] }.is_empty());
+    }
+
+    #[test]
+    fn lines_of_a_window_fall_where_each_sample_does_and_are_cut_at_the_rim() {
+        for (window, extended) in [([7, 5], [13, 7]), ([7, 5], [5, 3]), ([3, 5], [9, 1]), ([5, 1], [3, 7])] {
+            let layout = Layout { window, extended };
+            for shift in [[0, 0], [3, -1], [-2, 1], [1, 2], [-30, 0], [0, 30], [40, -40]] {
+                // Offset of a sample from the lit point, less the shift, is its offset from the common window's centre.
+                let mut expected = Vec::new();
+                for (y, x) in (0..window[1]).flat_map(|y| (0..window[0]).map(move |x| (y, x))) {
+                    let at = [0, 1].map(|a| {
+                        let sample = [x, y][a] as i64 - (window[a] / 2) as i64;
+                        sample - i64::from(shift[a]) + (extended[a] / 2) as i64
+                    });
+                    let inside = (0..2).all(|a| at[a] >= 0 && at[a] < extended[a] as i64);
+                    let index = inside.then(|| (at[0] + at[1] * extended[0] as i64) as usize);
+                    assert_eq!(layout.index(shift, [x, y]), index);
+                    expected.extend(index.map(|e| (x + y * window[0], e)));
+                }
+                let mut found = Vec::new();
+                layout.for_each(shift, |k, e| found.push((k, e)));
+                assert_eq!(found, expected, "{layout:?} {shift:?}");
+                let mut lines = 0;
+                layout.for_each_line(shift, |k, _, n| {
+                    assert!(n > 0 && k % window[0] + n <= window[0]);
+                    lines += n;
+                });
+                assert_eq!(lines, expected.len());
+            }
+        }
+    }
+
+    #[test]
+    fn normalized_rows_keep_their_gaps_and_rows_without_a_scale_are_blank() {
+        let response = coloured(&[(4, 1, [4.0, 5.0, 6.0]), (0, 0, [1.0, 2.0, 4.5])]);
+        let mut valid = vec![1; 105];
+        valid[3 * 34] = 0;
+        let row = RowView { response: &response, variance: &[0.0; 105], valid: &valid };
+        let layout = Layout { window: [7, 5], extended: [9, 7] };
+        let placement = Placement { shift: [1, -1], scale: 5.0, limited: false };
+        let (mut values, mut measured) = (vec![7.0; 63], vec![true; 63]);
+        normalized(row, &placement, &layout, &mut values, &mut measured);
+        // (4, 1) goes to the middle (4, 3), and (0, 0), four columns to its left and a line above it, to (0, 2).
+        assert_eq!((values[4 + 3 * 9], values[2 * 9]), (1.0, 0.5));
+        assert_eq!(values.iter().filter(|&&v| v != 0.0).count(), 2);
+        // Sample (6, 4) misses a channel; it lies at (6, 6).
+        assert!(!measured[6 + 6 * 9] && measured[5 + 6 * 9]);
+        assert_eq!(measured.iter().filter(|&&m| m).count(), 34);
+        normalized(row, &Placement { scale: 0.0, ..placement }, &layout, &mut values, &mut measured);
+        assert!(values.iter().all(|&v| v == 0.0) && !measured.contains(&true));
+    }
 }

@@ -144,4 +144,88 @@ mod tests {
         let row = RowView { response: &response, variance: &variance, valid: &[1, 1, 1, 1, 0, 1] };
         assert_eq!(intensity(row), (vec![3.0, 0.0], vec![true, false]));
     }
+
+    #[test]
+    fn a_view_is_the_row_of_its_number_and_nothing_beyond_the_last() {
+        let numbers: Vec<f32> = (0..24).map(|k| k as f32).collect();
+        let mut block = RowBlock {
+            first: 5,
+            rows: 2,
+            response: numbers.clone(),
+            variance: numbers.iter().map(|v| v + 100.0).collect(),
+            valid: (0..24).collect(),
+        };
+        let view = block.view(1);
+        assert_eq!((view.response[0], view.variance[0], view.valid[0], view.response.len()), (12.0, 112.0, 12, 12));
+        assert_eq!(block.view(0).valid, (0..12).collect::<Vec<u8>>());
+        assert!(block.view(2).response.is_empty() && block.view(2).valid.is_empty());
+        // Without the variance, as `read_responses` gives it.
+        block.variance.clear();
+        assert_eq!((block.view(1).variance.len(), block.view(1).response.len()), (0, 12));
+        let empty = RowBlock { first: 0, rows: 0, response: vec![], variance: vec![], valid: vec![] };
+        assert!(empty.view(0).response.is_empty());
+    }
+
+    #[test]
+    fn an_intensity_over_a_scale_counts_every_channel_once() {
+        let response = [1.0, 2.0, 6.0, -4.0, 0.5, 2.0];
+        let row = RowView { response: &response, variance: &[], valid: &[1, 1, 1, 1, 0, 1] };
+        let mut out = [9.0; 2];
+        intensity_into(row, 4.0, &mut out);
+        assert_eq!(out, [0.75, -0.125]);
+    }
+
+    #[test]
+    fn gradients_are_differences_of_the_nearest_measured_samples() {
+        let [w, h] = [5, 4];
+        let values: Vec<f64> = (0..20).map(|k| f64::from((k * 37 % 23) as u32) + 0.5 * k as f64).collect();
+        let measured: Vec<bool> = (0..20).map(|k| ![3, 7, 8, 11, 16].contains(&k)).collect();
+        let found = gradient(&values, &measured, [w, h]);
+        let value = |x: i64, y: i64| {
+            let inside = x >= 0 && y >= 0 && x < w as i64 && y < h as i64;
+            let k = (x + y * w as i64) as usize;
+            (inside && measured[k]).then(|| values[k])
+        };
+        for (y, x) in (0..h as i64).flat_map(|y| (0..w as i64).map(move |x| (y, x))) {
+            for (axis, [u, v]) in [[1, 0], [0, 1]].into_iter().enumerate() {
+                let expected = match (value(x - u, y - v), value(x, y), value(x + u, y + v)) {
+                    (_, None, _) | (None, _, None) => 0.0,
+                    (Some(before), Some(_), Some(after)) => (after - before) / 2.0,
+                    (Some(before), Some(here), None) => here - before,
+                    (None, Some(here), Some(after)) => after - here,
+                };
+                assert_eq!(found[axis][(x + y * w as i64) as usize], expected, "({x}, {y}) along {axis}");
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_hold_as_many_chunks_as_fit_48_mib() {
+        let folder = tempfile::tempdir().unwrap();
+        let header = MatrixHeader {
+            points: [30, 5],
+            window: [131, 131],
+            pitch_mm: 0.5,
+            lit_pitch_mm: [0.5; 2],
+            lit_mm: vec![[0.0; 2]; 150],
+            position_sd_mm: vec![0.0; 150],
+            shot_of: vec![None; 150],
+            shots: Vec::new(),
+            warnings: Vec::new(),
+            provenance: serde_json::Value::Null,
+        };
+        let path = folder.path().join("m.rd.zarr");
+        MatrixWriter::create(&path, header.clone()).unwrap().finish().unwrap();
+        // A row takes 9 · 3 · 131² bytes: 108 of them fit, seven chunks of 15.
+        assert_eq!(MatrixReader::open(&path).unwrap().blocks(), [0..105, 105..150]);
+        let small = MatrixHeader { window: [3, 1], ..header };
+        MatrixWriter::create(&path, small).unwrap().finish().unwrap();
+        let mut rows = Vec::new();
+        let each = |block: RowBlock| {
+            rows.extend(block.first..block.first + block.rows);
+            Ok(())
+        };
+        MatrixReader::open(&path).unwrap().for_each_block(each).unwrap();
+        assert_eq!(rows, (0..150).collect::<Vec<_>>());
+    }
 }

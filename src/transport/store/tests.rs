@@ -1,0 +1,296 @@
+use super::*;
+
+fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
+    let rows = points[0] * points[1];
+    MatrixHeader {
+        points,
+        window,
+        pitch_mm: 0.5,
+        lit_pitch_mm: [0.5, 0.5],
+        lit_mm: (0..rows).map(|r| [r as f64 * 0.5, 1.0]).collect(),
+        position_sd_mm: vec![0.01; rows],
+        shot_of: (0..rows).map(|r| (r > 0).then_some(0)).collect(),
+        shots: vec![ShotRecord { name: "a".into(), drift_px: [0.1, 0.2], drift_sd_px: None }],
+        warnings: vec![Warning::UnlitPoints { rows: 1 }],
+        provenance: serde_json::json!({"seed": 1}),
+    }
+}
+
+fn row(header: &MatrixHeader, index: usize) -> Row {
+    let n = header.row_len();
+    let response = (0..n).map(|k| (index * n + k) as f32).collect();
+    Row { response, variance: vec![index as f32; n], valid: (0..n).map(|k| k % 2 == 0).collect() }
+}
+
+#[test]
+fn what_was_put_is_read_back_whatever_the_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    let header = header([5, 3], [3, 1]);
+    for _ in 0..2 {
+        // The second time replaces the first.
+        let writer = MatrixWriter::create(&path, header.clone()).unwrap();
+        for index in (1..header.rows()).rev() {
+            writer.put(index, &row(&header, index)).unwrap();
+        }
+        writer.finish().unwrap();
+    }
+    let reader = MatrixReader::open(&path).unwrap();
+    assert_eq!(reader.header(), &header);
+    let block = reader.read(3..12).unwrap();
+    for index in 3..12 {
+        let (n, expected) = (header.row_len(), row(&header, index));
+        let part = (index - 3) * n..(index - 2) * n;
+        assert_eq!(block.response[part.clone()], expected.response);
+        assert_eq!(block.variance[part.clone()], expected.variance);
+        assert!(block.valid[part].iter().zip(expected.valid).all(|(a, b)| (*a == 1) == b));
+    }
+    assert!(reader.read(0..1).unwrap().valid.iter().all(|&v| v == 0), "a row never put is invalid");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left beside the store");
+}
+
+#[test]
+fn a_missing_chunk_is_an_error_and_not_a_row_of_zeros() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    let header = header([2, 2], [3, 3]);
+    let writer = MatrixWriter::create(&path, header.clone()).unwrap();
+    writer.finish().unwrap();
+    std::fs::remove_file(path.join("valid/c.1.0.0.0.0")).unwrap();
+    let reader = MatrixReader::open(&path).unwrap();
+    reader.read(0..2).unwrap();
+    assert!(matches!(reader.read(2..4), Err(Error::BrokenMatrix { .. })));
+}
+
+#[test]
+fn a_stopped_writer_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    drop(MatrixWriter::create(&path, header([2, 2], [3, 3])).unwrap());
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+/// 3 × 2 points with places, deviations and shots that no exchange of axes leaves alike.
+fn uneven() -> MatrixHeader {
+    MatrixHeader {
+        points: [3, 2],
+        window: [5, 3],
+        pitch_mm: 0.25,
+        lit_pitch_mm: [0.75, 0.5],
+        lit_mm: (0..6).map(|r| [10.0 + f64::from(r), -20.0 - 0.5 * f64::from(r * r)]).collect(),
+        position_sd_mm: (0..6).map(|r| 0.01 * f64::from(r)).collect(),
+        shot_of: [Some(1), None, Some(0), Some(1), Some(0), None].to_vec(),
+        shots: ["a", "b"].map(|n| ShotRecord { name: n.into(), drift_px: [0.1, 0.2], drift_sd_px: Some(0.3) }).to_vec(),
+        warnings: Vec::new(),
+        provenance: serde_json::Value::Null,
+    }
+}
+
+/// The bytes of a small array's only chunk, as f64.
+fn stored(path: &Path, chunk: &str) -> Vec<f64> {
+    let bytes = std::fs::read(path.join(chunk)).unwrap();
+    bytes.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
+}
+
+#[test]
+fn coordinates_on_disk_are_under_their_own_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    MatrixWriter::create(&path, uneven()).unwrap().finish().unwrap();
+    // Read without our reader, which could exchange what the writer has exchanged.
+    assert_eq!(stored(&path, "x_i_mm/c/0/0"), [10.0, 11.0, 12.0, 13.0, 14.0, 15.0]);
+    assert_eq!(stored(&path, "y_i_mm/c/0/0"), [-20.0, -20.5, -22.0, -24.5, -28.0, -32.5]);
+    let sd = stored(&path, "position_sd_mm/c/0/0");
+    assert!((0..6).all(|r| (sd[r] - 0.01 * r as f64).abs() < 1e-15), "{sd:?}");
+    assert_eq!(stored(&path, "dx/c/0"), [-0.5, -0.25, 0.0, 0.25, 0.5]);
+    assert_eq!(stored(&path, "dy/c/0"), [-0.25, 0.0, 0.25]);
+    let shots = std::fs::read(path.join("shot/c/0/0")).unwrap();
+    let shots: Vec<i32> = shots.as_chunks::<4>().0.iter().map(|b| i32::from_le_bytes(*b)).collect();
+    assert_eq!(shots, [1, -1, 0, 1, 0, -1]);
+    let json = |name: &str| -> serde_json::Value {
+        serde_json::from_slice(&std::fs::read(path.join(name).join("zarr.json")).unwrap()).unwrap()
+    };
+    for (name, unit) in [("response", "mm^-2"), ("variance", "mm^-4"), ("valid", "1")] {
+        let array = json(name);
+        assert_eq!(array["shape"], serde_json::json!([2, 3, 3, 5, 3]));
+        assert_eq!(array["dimension_names"], serde_json::json!(["y_i", "x_i", "dy", "dx", "channel"]));
+        assert_eq!(array["attributes"]["units"], unit);
+        assert_eq!(array["attributes"]["coordinates"], "x_i_mm y_i_mm");
+    }
+    assert_eq!((&json("shot")["attributes"]["units"], &json("dx")["attributes"]["units"]), (&"1".into(), &"mm".into()));
+    assert_eq!(json("x_i_mm")["dimension_names"], serde_json::json!(["y_i", "x_i"]));
+    let reader = MatrixReader::open(&path).unwrap();
+    assert_eq!((reader.header(), reader.path()), (&uneven(), path.as_path()));
+}
+
+#[test]
+fn an_entry_lies_at_its_line_column_sample_and_channel() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    let header = uneven();
+    let writer = MatrixWriter::create(&path, header.clone()).unwrap();
+    for index in 0..6 {
+        writer.put(index, &row(&header, index)).unwrap();
+    }
+    assert_eq!(writer.row(4).unwrap(), row(&header, 4));
+    writer.finish().unwrap();
+    let store = Arc::new(FilesystemStore::new(&path).unwrap());
+    let array = Array::open(store, "/response").unwrap();
+    for [y, x, dy, dx, c] in [[1, 0, 2, 4, 1], [0, 2, 1, 3, 2], [1, 1, 0, 1, 0]] {
+        let one = ArraySubset::new_with_ranges(&[y, x, dy, dx, c].map(|k| k..k + 1));
+        let found = array.retrieve_array_subset::<Vec<f32>>(&one).unwrap();
+        assert_eq!(found, [(((3 * y + x) * 45) + (5 * dy + dx) * 3 + c) as f32]);
+    }
+    let reader = MatrixReader::open(&path).unwrap();
+    let (all, light) = (reader.read(1..5).unwrap(), reader.read_responses(1..5).unwrap());
+    assert_eq!((light.first, light.rows, &light.response, &light.valid), (1, 4, &all.response, &all.valid));
+    assert!(light.variance.is_empty() && all.variance.len() == 4 * 45);
+    assert_eq!(reader.read(3..3).unwrap().rows, 0);
+    for wrong in [4..7, 7..7, std::ops::Range { start: 3, end: 2 }] {
+        assert!(matches!(reader.read(wrong), Err(Error::Internal { .. })));
+    }
+}
+
+#[test]
+fn sizes_and_offsets_are_those_of_the_window() {
+    let header = uneven();
+    assert_eq!((header.rows(), header.window_len(), header.row_len()), (6, 15, 45));
+    assert_eq!((header.offset_px([0, 0]), header.offset_px([4, 1])), ([-2, -1], [2, 0]));
+}
+
+#[test]
+fn rows_of_several_chunks_are_read_across_their_borders() {
+    // A row is 4 · 3 · 301 · 201 bytes: five of them fit 4 MiB, and seven points are two equal chunks of four.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    let header = MatrixHeader { window: [301, 201], ..header([7, 2], [301, 201]) };
+    assert_eq!(chunks(&header).collect::<Vec<_>>(), [0..4, 4..7, 7..11, 11..14]);
+    let n = header.row_len();
+    let writer = MatrixWriter::create(&path, header).unwrap();
+    for index in 0..14 {
+        let number = index as f32;
+        let row = Row { response: vec![number; n], variance: vec![number + 0.5; n], valid: vec![index % 3 == 0; n] };
+        writer.put(index, &row).unwrap();
+    }
+    writer.finish().unwrap();
+    let reader = MatrixReader::open(&path).unwrap();
+    for range in [2..13, 3..5, 5..6, 6..8, 12..14] {
+        let block = reader.read(range.clone()).unwrap();
+        for (k, index) in range.enumerate() {
+            for at in [k * n, k * n + n / 2, (k + 1) * n - 1] {
+                let found = (block.response[at], block.variance[at], block.valid[at]);
+                assert_eq!(found, (index as f32, index as f32 + 0.5, u8::from(index % 3 == 0)));
+            }
+        }
+    }
+}
+
+#[test]
+fn rows_that_do_not_fit_or_are_no_numbers_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let header = uneven();
+    let writer = MatrixWriter::create(&folder.path().join("m.rd.zarr"), header.clone()).unwrap();
+    let refused = |index: usize, change: &dyn Fn(&mut Row)| {
+        let mut row = row(&header, 1);
+        change(&mut row);
+        matches!(writer.put(index, &row), Err(Error::Internal { .. }))
+    };
+    assert!(!refused(5, &|_| ()) && refused(6, &|_| ()));
+    for change in [
+        (|r: &mut Row| r.response.push(0.0)) as fn(&mut Row),
+        |r| r.variance.truncate(44),
+        |r| r.valid.push(true),
+        |r| r.response[44] = f32::NAN,
+        |r| r.variance[0] = f32::INFINITY,
+    ] {
+        assert!(refused(2, &change));
+    }
+    assert!(writer.row(5).is_ok() && writer.row(2).is_err() && writer.row(6).is_err());
+}
+
+#[test]
+fn a_number_on_disk_that_is_not_finite_is_told_with_its_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    for name in ["response", "variance"] {
+        MatrixWriter::create(&path, uneven()).unwrap().finish().unwrap();
+        let store = Arc::new(FilesystemStore::new(&path).unwrap());
+        let array = Array::open(store, &format!("/{name}")).unwrap();
+        // Line 1, column 2: lit point [2, 1]; sample (3, 2), channel 1.
+        let one = ArraySubset::new_with_ranges(&[1, 2, 2, 3, 1].map(|k| k..k + 1));
+        array.store_array_subset(&one, vec![f32::NEG_INFINITY]).unwrap();
+        let reader = MatrixReader::open(&path).unwrap();
+        assert!(reader.read(0..5).is_ok());
+        match reader.read(4..6) {
+            Err(Error::NotFinite { field, found, at, .. }) => {
+                assert_eq!((field, at.as_str()), (name, "lit point [2, 1], sample [3, 2], channel 1"));
+                assert_eq!(found, f64::NEG_INFINITY);
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[test]
+fn headers_out_of_range_are_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    let finished = |change: fn(&mut MatrixHeader)| {
+        let mut writer = MatrixWriter::create(&path, uneven()).unwrap();
+        change(writer.header_mut());
+        writer.finish().is_ok()
+    };
+    assert!(finished(|_| ()));
+    for change in [
+        (|h: &mut MatrixHeader| h.points = [3, 0]) as fn(&mut MatrixHeader),
+        |h| h.points = [65_537, 1],
+        |h| h.window = [5, 2],
+        |h| h.window = [4097, 3],
+        |h| h.pitch_mm = 0.9e-9,
+        |h| h.pitch_mm = f64::NAN,
+        |h| h.lit_pitch_mm = [0.5, 1.1e9],
+        |h| h.lit_pitch_mm = [-0.5, 0.5],
+        |h| h.shots[1].drift_px = [0.0, f64::NAN],
+        |h| h.shots[0].drift_sd_px = Some(f64::INFINITY),
+        |h| h.lit_mm[4][1] = -1.1e9,
+        |h| h.lit_mm[2][0] = f64::NAN,
+        |h| h.position_sd_mm[5] = -1e-3,
+        |h| h.position_sd_mm[1] = 1.1e9,
+    ] {
+        assert!(!finished(change));
+    }
+    // The bounds themselves are allowed.
+    assert!(finished(|h| (h.pitch_mm, h.lit_pitch_mm, h.position_sd_mm[3]) = (1e-9, [1e9, 1e-9], 0.0)));
+    assert!(finished(|h| (h.lit_mm[0], h.position_sd_mm[3]) = ([-1e9, 1e9], 1e9)));
+}
+
+#[test]
+fn a_folder_that_is_no_whole_matrix_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    let after = |change: &dyn Fn(&Path)| {
+        MatrixWriter::create(&path, uneven()).unwrap().finish().unwrap();
+        change(&path);
+        MatrixReader::open(&path).err().map(|e| e.to_string())
+    };
+    let edit = |name: &'static str, from: &'static str, to: &'static str| {
+        move |path: &Path| {
+            let text = std::fs::read_to_string(path.join(name)).unwrap();
+            assert!(text.contains(from), "{text}");
+            std::fs::write(path.join(name), text.replacen(from, to, 1)).unwrap();
+        }
+    };
+    assert_eq!(after(&|_| ()), None);
+    let said = |change: &dyn Fn(&Path), part: &str| assert!(after(change).unwrap().contains(part), "{part}");
+    said(&edit("zarr.json", "\"acquire_format\": 1", "\"acquire_format\": 2"), "acquire_format");
+    said(&|path: &Path| std::fs::write(path.join("shot/c/0/0"), [2u8, 0, 0, 0].repeat(6)).unwrap(), "below 2, found 2");
+    said(&|path: &Path| std::fs::write(path.join("x_i_mm/c/0/0"), [0; 47]).unwrap(), "48 bytes, found 47");
+    said(&|path: &Path| std::fs::write(path.join("y_i_mm/c/0/0"), [0xff; 48]).unwrap(), "x_i_mm or y_i_mm");
+    said(&|path: &Path| std::fs::remove_dir_all(path.join("variance")).unwrap(), "variance");
+    said(&edit("valid/zarr.json", "\"fill_value\": 255", "\"fill_value\": 0"), "fill value 255");
+    assert!(matches!(MatrixReader::open(&folder.path().join("none")), Err(Error::Io { .. })));
+    // Whatever else is there is not overwritten.
+    std::fs::create_dir(folder.path().join("other")).unwrap();
+    let other = MatrixWriter::create(&folder.path().join("other"), uneven());
+    assert!(matches!(other, Err(Error::Setting { .. })));
+}
