@@ -116,8 +116,10 @@ mod tests {
     use super::*;
     use exr::prelude::{ReadChannels, ReadLayers, read};
 
-    /// All layers: name, size, and channels by name.
-    fn layers(path: &Path) -> Vec<(String, [usize; 2], Vec<(String, Vec<f32>)>)> {
+    /// Name, size, and channels by name.
+    type Found = (String, [usize; 2], Vec<(String, Vec<f32>)>);
+
+    fn layers(path: &Path) -> Vec<Found> {
         let image = read()
             .no_deep_data()
             .largest_resolution_level()

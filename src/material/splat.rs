@@ -159,7 +159,7 @@ mod tests {
         let lit_mm = [[0.0; 2], [0.0; 2], [11.0, -2.5], [12.625, -2.875]];
         let shape = Shape { points: [4, 1], window: [3, 3], pitch_mm: 0.5, lit_pitch_mm: [1.0; 2], lit_mm: &lit_mm };
         let value = |k: usize, s: usize| ((7 * s + 5 * k) % 23) as f32 - 4.0;
-        let valid = |k: usize, s: usize| u8::from((s + k) % 5 != 0);
+        let valid = |k: usize, s: usize| u8::from(!(s + k).is_multiple_of(5));
         let block = RowBlock {
             first: 2,
             rows: 2,

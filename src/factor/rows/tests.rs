@@ -6,7 +6,7 @@ const WINDOW: [usize; 2] = [5, 3];
 const SHIFTS: [[i16; 2]; 6] = [[0, 0], [1, 0], [0, 1], [-1, 0], [0, -1], [0, 0]];
 
 fn valid(i: usize, k: usize, c: usize) -> bool {
-    !(i == 2 && c == 1 && k == 4 || i == 5 && k % 5 == 0)
+    !(i == 2 && c == 1 && k == 4 || i == 5 && k.is_multiple_of(5))
 }
 
 /// A peak where the shift says, another colour for each row.

@@ -19,7 +19,7 @@ fn response(i: usize, k: usize, c: usize) -> f64 {
 }
 
 fn valid(i: usize, k: usize, c: usize) -> bool {
-    !((i == 1 && k % 7 == 0) || (i == 3 && (k, c) == (5, 1)))
+    !((i == 1 && k.is_multiple_of(7)) || (i == 3 && (k, c) == (5, 1)))
 }
 
 fn photons(i: usize, k: usize, c: usize) -> f64 {
