@@ -177,7 +177,7 @@ mod tests {
         let low = low_rank(&rows, 3, Backend::Full, 0.0, None).unwrap();
         let projected = triplets(&rows, &low, 3, true).unwrap();
         for p in 0..2 {
-            let profile: Vec<f64> = (0..m).map(|d| (0..n).map(|i| f(i)).sum::<f64>() / n as f64 * h(p, d)).collect();
+            let profile: Vec<f64> = (0..m).map(|d| (0..n).map(f).sum::<f64>() / n as f64 * h(p, d)).collect();
             let found = factorize(&projected, 2 * m, p * m, &profile, 1);
             for (i, d) in (0..n).flat_map(|i| (0..m).map(move |d| (i, d))) {
                 let fit = found.left[i] * found.right[d] * profile[d];
