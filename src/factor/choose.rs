@@ -263,3 +263,6 @@ fn sampled_errors(reader: &MatrixReader, material: &Material, degree: usize) -> 
     }
     Ok((table, energy))
 }
+
+#[cfg(test)]
+mod tests;

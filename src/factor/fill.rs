@@ -237,6 +237,7 @@ pub fn extend_edges(values: &mut [f64], measured: &[bool], size: [usize; 2]) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::test_matrices::solved;
     use super::*;
 
     fn filled(basis: &Basis, row: &[f32], missing: &[u32]) -> Vec<f32> {
@@ -271,6 +272,163 @@ mod tests {
     #[test]
     fn a_row_without_any_sample_stays_as_it_is() {
         assert_eq!(filled(&Basis::mean(&[1.0, 2.0]), &[0.0, 0.0], &[0, 1]), [0.0, 0.0]);
+    }
+
+    /// What a Gaussian prior expects of the missing samples: rows are Σ a_j h_j plus noise, the a_j independent with variances σ_j²/rows.
+    /// Solved over the measured samples instead of the profiles.
+    fn expected(low: &LowRank, rows: usize, noise: f64, row: &[f32], missing: &[usize]) -> Vec<f64> {
+        let columns = row.len();
+        let covariance = |a: usize, b: usize| -> f64 {
+            let h = |j: usize, d: usize| low.vectors[j * columns + d];
+            let variance = |j: usize| low.singular_values[j].powi(2) / rows as f64;
+            (0..low.singular_values.len()).map(|j| h(j, a) * variance(j) * h(j, b)).sum()
+        };
+        let seen: Vec<usize> = (0..columns).filter(|d| !missing.contains(d)).collect();
+        let system =
+            seen.iter().map(|&a| seen.iter().map(|&b| covariance(a, b) + if a == b { noise } else { 0.0 }).collect());
+        let weights = solved(system.collect(), seen.iter().map(|&d| f64::from(row[d])).collect());
+        missing.iter().map(|&d| seen.iter().zip(&weights).map(|(&s, w)| covariance(d, s) * w).sum()).collect()
+    }
+
+    /// Three profiles of seven columns, neither orthogonal where a part is missing nor alike in size.
+    fn three_terms() -> LowRank {
+        let vectors = (0..21).map(|k| ((k * k % 13) as f64 - 5.5) / 12.0 + 0.05 * (k / 7) as f64).collect();
+        LowRank::new(vec![6.0, 2.0, 0.5], vectors)
+    }
+
+    #[test]
+    fn a_gap_holds_what_the_noise_and_the_spread_of_the_terms_lead_to_expect() {
+        let (low, row) = (three_terms(), [0.9_f32, -0.4, 1.7, 0.3, 2.2, -1.1, 0.6]);
+        // From nearly exact rows to such where the ridge decides: from 4e-4 to 40 times the profiles' products.
+        for noise in [1e-5, 0.02, 0.4, 3.0] {
+            let basis = Basis::factors(&low, 3, 4, 7, noise);
+            for missing in [vec![0], vec![5, 6], vec![1, 2, 4], vec![0, 1, 2, 3, 5, 6]] {
+                let found = filled(&basis, &row, &missing.iter().map(|&d| d as u32).collect::<Vec<_>>());
+                for (&d, e) in missing.iter().zip(expected(&low, 4, noise, &row, &missing)) {
+                    // Values near 1 are stored as f32.
+                    assert!((f64::from(found[d]) - e).abs() < 1e-6, "noise {noise} {missing:?}: {} {e}", found[d]);
+                }
+                assert!((0..7).filter(|d| !missing.contains(d)).all(|d| found[d] == row[d]), "what was measured stays");
+            }
+        }
+    }
+
+    #[test]
+    fn only_the_first_terms_fill() {
+        let low = three_terms();
+        let two = LowRank::new(low.singular_values[..2].to_vec(), low.vectors[..14].to_vec());
+        let row = [0.9_f32, -0.4, 1.7, 0.3, 0.0, 0.0, 0.6];
+        let found = filled(&Basis::factors(&low, 2, 9, 7, 0.1), &row, &[4, 5]);
+        for (d, e) in [4, 5].into_iter().zip(expected(&two, 9, 0.1, &row, &[4, 5])) {
+            assert!((f64::from(found[d]) - e).abs() < 1e-6, "f32: {} {e}", found[d]);
+        }
+        let rest = Basis::factors(&low, 9, 9, 7, 0.1);
+        assert_eq!(rest.ridge.len(), 3, "no more than there are");
+    }
+
+    #[test]
+    fn every_row_of_a_block_has_its_own_gaps_and_what_stood_there_does_not_count() {
+        let (low, noise) = (three_terms(), 0.3);
+        let basis = Basis::factors(&low, 3, 5, 7, noise);
+        let patterns = [([0, 0], vec![2]), ([1, -1], vec![0, 6]), ([2, 0], vec![])];
+        let rows: Vec<f32> = (0..35).map(|k| ((k * 11 % 17) as f32 - 6.0) / 5.0).collect();
+        let missing = [
+            Missing::Nothing,
+            Missing::Pattern(1),
+            Missing::Columns(vec![3, 4]),
+            Missing::Pattern(0),
+            Missing::Columns((0..7).collect()),
+        ];
+        let gaps: [&[usize]; 5] = [&[], &[0, 6], &[3, 4], &[2], &[0, 1, 2, 3, 4, 5, 6]];
+        let mut found = rows.clone();
+        for (i, gap) in gaps.iter().enumerate() {
+            gap.iter().for_each(|&d| found[7 * i + d] = 1e30);
+        }
+        basis.prepared(&patterns).fill(&mut found, &missing);
+        for i in 0..5 {
+            let row = &rows[7 * i..7 * i + 7];
+            let want = if gaps[i].len() < 7 { expected(&low, 5, noise, row, gaps[i]) } else { vec![0.0; 7] };
+            for d in 0..7 {
+                let e = gaps[i].iter().position(|&g| g == d).map_or(f64::from(row[d]), |at| want[at]);
+                assert!((f64::from(found[7 * i + d]) - e).abs() < 1e-6, "f32, row {i}: {} {e}", found[7 * i + d]);
+            }
+        }
+    }
+
+    #[test]
+    fn large_blocks_are_multiplied_in_f32_and_filled_alike() {
+        let (rows, columns, k) = (500, 2003, 20);
+        // Cosines, orthogonal over the columns; row i holds a few of them in known amounts.
+        let h = |j: usize, d: usize| {
+            let angle = std::f64::consts::PI * (d as f64 + 0.5) * j as f64 / columns as f64;
+            angle.cos() * (if j == 0 { 1.0 } else { 2.0 } / columns as f64).sqrt()
+        };
+        let amount = |i: usize, j: usize| ((7 * i + 3 * j) % 5) as f64 - 1.5;
+        let value = |i: usize, d: usize| -> f64 { (0..k).map(|j| amount(i, j) * h(j, d)).sum() };
+        let vectors: Vec<f64> = (0..k * columns).map(|at| h(at / columns, at % columns)).collect();
+        let missing = |i: usize| vec![3 + i as u32, 1500];
+        let mut values = vec![0.0; rows * columns];
+        for i in 0..rows {
+            let row = &mut values[i * columns..][..columns];
+            for j in 0..k {
+                let a = amount(i, j);
+                row.iter_mut().zip(&vectors[j * columns..]).for_each(|(v, h)| *v += (a * h) as f32);
+            }
+            missing(i).iter().for_each(|&d| row[d as usize] = -9.0);
+        }
+        assert!(rows * columns * k >= FEW_PRODUCTS);
+        let low = LowRank::new(vec![1.0; k], vectors);
+        let all: Vec<Missing> = (0..rows).map(|i| Missing::Columns(missing(i))).collect();
+        Basis::factors(&low, k, rows, columns, 0.0).prepared(&[]).fill(&mut values, &all);
+        for i in 0..rows {
+            for d in missing(i).into_iter().map(|d| d as usize) {
+                // Products of 2003 samples in f32: 1e-7 of amounts up to 2.5, times 20 profiles of .03.
+                let found = f64::from(values[i * columns + d]);
+                assert!((found - value(i, d)).abs() < 1e-6, "row {i} column {d}: {found} {}", value(i, d));
+            }
+        }
+    }
+
+    #[test]
+    fn a_cholesky_factor_solves_and_drops_what_is_not_determined() {
+        // A = L Lᵀ with L = [[2], [1, 3], [-1, 4, 5]]; only the lower half is read.
+        let nan = f64::NAN;
+        let a = vec![4.0, nan, nan, 2.0, 10.0, nan, -2.0, 11.0, 42.0];
+        let mut b = vec![4.0 - 4.0 - 6.0, 2.0 - 20.0 + 33.0, -2.0 - 22.0 + 126.0]; // A (1, −2, 3)
+        assert!(Cholesky::new(a.clone(), 3).solve(&mut b));
+        assert!(b.iter().zip([1.0, -2.0, 3.0]).all(|(a, b)| (a - b).abs() < 1e-13), "rounding: {b:?}");
+        let mut b = vec![2.0, 2.0];
+        assert!(Cholesky::new(vec![1.0, nan, 1.0, 1.0], 2).solve(&mut b));
+        assert_eq!(b, [2.0, 0.0], "the second is the first once more");
+        // A pivot of 1e-10 is small and known: (1, 1; 1, 1 + 1e-10) (1, 2) to eps / 1e-10.
+        let mut b = vec![3.0, 3.0 + 2e-10];
+        assert!(Cholesky::new(vec![1.0, nan, 1.0, 1.0 + 1e-10], 2).solve(&mut b));
+        assert!((b[0] - 1.0).abs() < 1e-5 && (b[1] - 2.0).abs() < 1e-5, "{b:?}");
+        // One of 4e-15 is the rounding of what was subtracted.
+        let mut b = vec![3.0, 3.0 + 8e-15];
+        assert!(Cholesky::new(vec![1.0, nan, 1.0, 1.0 + 4e-15], 2).solve(&mut b));
+        assert_eq!(b, [3.0, 0.0]);
+        assert!(!Cholesky::new(a, 3).solve(&mut [1.0, nan, 0.0]));
+        assert!(!Cholesky::new(vec![4.0], 1).solve(&mut [f64::INFINITY]));
+    }
+
+    #[test]
+    fn edges_of_a_wide_window_are_extended_along_lines_first() {
+        // 5 × 4; of equally near samples and lines the first.
+        let known = [
+            [None, None, None, None, None],
+            [None, Some(2.0), None, Some(5.0), None],
+            [None, None, None, None, None],
+            [Some(7.0), None, None, None, Some(9.0)],
+        ];
+        let measured: Vec<bool> = known.iter().flatten().map(Option::is_some).collect();
+        let mut values: Vec<f64> = known.iter().flatten().map(|v| v.unwrap_or(-1.0)).collect();
+        extend_edges(&mut values, &measured, [5, 4]);
+        let upper = [2.0, 2.0, 2.0, 5.0, 5.0];
+        assert_eq!(values, [upper, upper, upper, [7.0, 7.0, 7.0, 9.0, 9.0]].concat());
+        let mut none = [3.0, 4.0];
+        extend_edges(&mut none, &[false, false], [2, 1]);
+        assert_eq!(none, [3.0, 4.0], "nothing to extend");
     }
 
     #[test]

@@ -14,6 +14,8 @@ mod rows;
 mod shared_basis;
 mod survey;
 mod terms;
+#[cfg(test)]
+mod test_matrices;
 mod vector;
 
 pub use backend::Backend;

@@ -145,4 +145,46 @@ mod tests {
         // Alternating least squares ends near the exact factors, not at them.
         assert!(error < 1e-4 * size, "{}", (error / size).sqrt());
     }
+
+    #[test]
+    fn a_sweep_takes_the_best_column_after_column_given_the_others() {
+        // Three rows, two columns. products = A H, gram = H H.
+        let mut factor = Mat::from_fn(3, 2, |i, j| [[1.0, 2.0], [0.5, 4.0], [3.0, 0.0]][i][j]);
+        let products = Mat::from_fn(3, 2, |i, j| [[9.0, 4.0], [1.0, 7.0], [8.0, 11.0]][i][j]);
+        let gram = Mat::from_fn(2, 2, |i, j| [[4.0, 1.0], [1.0, 2.0]][i][j]);
+        update(&mut factor, &products, &gram);
+        // First column (p − gram₁₀ other) / gram₀₀: 7/4, −3/4 → 0, 8/4; the second with these: (4 − 7/4)/2, 7/2, (11 − 2)/2.
+        let expected = [[1.75, 1.125], [0.0, 3.5], [2.0, 4.5]];
+        for i in 0..3 {
+            assert!((0..2).all(|j| (factor[(i, j)] - expected[i][j]).abs() < 1e-15), "rounding: {factor:?}");
+        }
+        let before = factor.clone();
+        update(&mut factor, &products, &Mat::zeros(2, 2));
+        assert_eq!(factor, before, "nothing is known of a column whose other side is zero");
+        // ‖F H‖² of F = (1 2; 3 4; 5 6), H = (1 0 2; 0 3 1): entries 1 6 4, 3 12 10, 5 18 16.
+        let f = Mat::from_fn(3, 2, |i, j| [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]][i][j]);
+        let h = Mat::from_fn(2, 3, |i, j| [[1.0, 0.0, 2.0], [0.0, 3.0, 1.0]][i][j]);
+        assert_eq!(squared(&(f.transpose() * &f), &(&h * h.transpose())), 911.0);
+    }
+
+    #[test]
+    fn a_plane_is_factored_by_itself_over_its_own_profile() {
+        let (n, m) = (7, 5);
+        let f = |i: usize| 0.5 + ((i * 3) % 7) as f64 / 7.0;
+        let h = |p: usize, d: usize| if (p, d) == (1, 3) { 0.0 } else { (1 + p) as f64 / (1.0 + (d + 2 * p) as f64) };
+        let values: Vec<f64> = (0..n * 2 * m).map(|at| f(at / 10) * h(at % 10 / m, at % m)).collect();
+        let rows = InMemory::new(&values, 2 * m, 3);
+        let low = low_rank(&rows, 3, Backend::Full, 0.0, None).unwrap();
+        let projected = triplets(&rows, &low, 3, true).unwrap();
+        for p in 0..2 {
+            let profile: Vec<f64> = (0..m).map(|d| (0..n).map(f).sum::<f64>() / n as f64 * h(p, d)).collect();
+            let found = factorize(&projected, 2 * m, p * m, &profile, 1);
+            for (i, d) in (0..n).flat_map(|i| (0..m).map(move |d| (i, d))) {
+                let fit = found.left[i] * found.right[d] * profile[d];
+                // One term is found by the first sweep; rows are f32.
+                assert!((fit - f(i) * h(p, d)).abs() < 1e-5, "plane {p} row {i} sample {d}: {fit}");
+            }
+            assert!(p == 0 || found.right[3] == 0.0, "nothing where the profile is zero");
+        }
+    }
 }

@@ -144,3 +144,159 @@ fn intensity_range(material: &Material) -> [f32; 2] {
     // Rounded outwards: arguments are clamped to the range, and none that was fitted may be.
     if low < high { [(low as f32).next_down(), (high as f32).next_up()] } else { [0.0, 1.0] }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_matrices::{Stored, solved, stored};
+    use super::*;
+    use crate::material::{MaterialHeader, Model};
+    use crate::transport::Row;
+
+    const POINTS: [usize; 2] = [3, 2];
+    const WINDOW: [usize; 2] = [7, 5];
+    const EXTENDED: [usize; 2] = [9, 7];
+    const SHIFTS: [[i16; 2]; 6] = [[0, 0], [1, -1], [0, 1], [-1, 0], [1, 1], [0, 0]];
+    const DEGREE: usize = 2;
+
+    fn valid(i: usize, k: usize, c: usize) -> bool {
+        !(i == 1 && (k * 5 + c * 3).is_multiple_of(7) || i == 3 && k < 7)
+    }
+
+    fn response(i: usize, k: usize, c: usize) -> f64 {
+        0.3 + 0.1 * ((k * k + 3 * k * (c + 1) + 5 * i) % 19) as f64 * (1.0 + 0.5 * c as f64)
+    }
+
+    fn matrix() -> Stored {
+        stored(
+            POINTS,
+            WINDOW,
+            |_| 0.0,
+            |i| Row {
+                response: (0..105)
+                    .map(|s| if valid(i, s / 3, s % 3) { response(i, s / 3, s % 3) as f32 } else { 0.0 })
+                    .collect(),
+                variance: vec![0.0; 105],
+                valid: (0..105).map(|s| valid(i, s / 3, s % 3)).collect(),
+            },
+        )
+    }
+
+    /// Two terms without a polynomial.
+    fn material() -> Material {
+        let samples = EXTENDED[0] * EXTENDED[1];
+        Material {
+            header: MaterialHeader {
+                model: Model::Tucker,
+                points: POINTS,
+                window: WINDOW,
+                pitch_mm: 0.25,
+                lit_pitch_mm: [0.5, 0.75],
+                extended: EXTENDED,
+                terms: 2,
+                incident_planes: 1,
+                offset_planes: 1,
+                shared_maps: None,
+                profile: false,
+                degree: None,
+                intensity_range: [0.0, 1.0],
+                singular_values: Vec::new(),
+                noise_level: 0.0,
+                warnings: Vec::new(),
+                provenance: serde_json::Value::Null,
+            },
+            lit_mm: vec![[0.0; 2]; 6],
+            weights: vec![2.0, 0.5],
+            incident_factors: (0..12).map(|k| 0.25 + ((k * 5) % 7) as f32 * 0.125).collect(),
+            offset_factors: (0..2 * samples).map(|k| ((k * k) % 23) as f32 / 23.0 - 0.2).collect(),
+            shared: None,
+            profile: Vec::new(),
+            color_coefficients: Vec::new(),
+            shift: SHIFTS.to_vec(),
+        }
+    }
+
+    /// The intensity that the terms give at sample k of the window of row i.
+    fn intensity(m: &Material, i: usize, k: usize) -> f64 {
+        let x = (k % 7) as isize - 3 - isize::from(SHIFTS[i][0]) + 4;
+        let y = (k / 7) as isize - 2 - isize::from(SHIFTS[i][1]) + 3;
+        let e = (x + 9 * y) as usize;
+        let term = |j: usize| {
+            f64::from(m.weights[j]) * f64::from(m.incident_factors[2 * i + j]) * f64::from(m.offset_factors[63 * j + e])
+        };
+        term(0) + term(1)
+    }
+
+    #[test]
+    fn every_channel_of_every_row_is_fitted_as_its_normal_equations_say() {
+        let (stored, mut fitted) = (matrix(), material());
+        let error = color(&stored.reader, &mut fitted, DEGREE, &Progress::silent()).unwrap();
+        let all: Vec<f64> =
+            (0..6).flat_map(|i| (0..35).map(move |k| (i, k))).map(|(i, k)| intensity(&fitted, i, k)).collect();
+        let (low, high) = all.iter().fold((f64::MAX, f64::MIN), |(l, h), &v| (l.min(v), h.max(v)));
+        let [found_low, found_high] = fitted.header.intensity_range.map(f64::from);
+        // Rounded outwards to the next f32 or the one after.
+        assert!(found_low < low && found_low > low - 3e-7 && found_high > high && found_high < high + 6e-7);
+        assert_eq!((fitted.header.degree, fitted.color_coefficients.len()), (Some(DEGREE), 6 * 3 * 3));
+        let mut left = 0.0;
+        for i in 0..6 {
+            for c in 0..3 {
+                let samples: Vec<usize> = (0..35).filter(|&k| valid(i, k, c)).collect();
+                let basis = |k: usize| {
+                    let u = 2.0 * (intensity(&fitted, i, k) - found_low) / (found_high - found_low) - 1.0;
+                    [1.0, u, 1.5 * u * u - 0.5]
+                };
+                let sum = |f: &dyn Fn(usize) -> f64| samples.iter().map(|&k| f(k)).sum::<f64>();
+                let gram = (0..3).map(|a| (0..3).map(|b| sum(&|k| basis(k)[a] * basis(k)[b])).collect()).collect();
+                let right = (0..3).map(|a| sum(&|k| basis(k)[a] * f64::from(response(i, k, c) as f32))).collect();
+                let beta = solved(gram, right);
+                for p in 0..3 {
+                    let found = f64::from(fitted.color_coefficients[(i * 3 + c) * 3 + p]);
+                    // Rounded to f32; coefficients are of size one.
+                    assert!((found - beta[p]).abs() < 1e-6, "row {i} channel {c} degree {p}: {found} {}", beta[p]);
+                }
+                left += sum(&|k| {
+                    let fit: f64 = (0..3).map(|p| beta[p] * basis(k)[p]).sum();
+                    (fit - f64::from(response(i, k, c) as f32)).powi(2)
+                });
+            }
+        }
+        // The energy less the fitted shares: some eps of the energy, and what rounding coefficients adds.
+        assert!((error / left - 1.0).abs() < 1e-9, "{error} {left}");
+    }
+
+    #[test]
+    fn channels_measured_alike_share_a_basis_and_others_have_their_own() {
+        let (stored, material) = (matrix(), material());
+        let block = stored.reader.read_responses(0..6).unwrap();
+        let found = rows(&material, &block, |_, channels| {
+            let mut seen = Vec::new();
+            with_bases(channels, 1, |c, at, values, basis| {
+                assert_eq!((at.len(), values.len()), (values.len(), channels[c].values.len()));
+                assert_eq!(basis.project(values).len(), 2);
+                seen.push((c, at.to_vec(), values.to_vec()));
+            });
+            seen
+        });
+        for (i, row) in found.into_iter().enumerate() {
+            assert_eq!(row.len(), 3);
+            for (c, at, values) in row {
+                let expected: Vec<usize> = (0..35).filter(|&k| valid(i, k, c)).collect();
+                assert_eq!(at, expected, "row {i} channel {c}");
+                let expected: Vec<f64> = expected.iter().map(|&k| f64::from(response(i, k, c) as f32)).collect();
+                assert_eq!(values, expected);
+            }
+        }
+    }
+
+    #[test]
+    fn rows_of_zeros_do_not_count_in_the_range_and_constants_have_a_plain_one() {
+        let mut m = material();
+        m.offset_factors.fill(0.5);
+        m.incident_factors = (0..12).map(|k| if k / 2 == 4 { 0.0 } else { 1.0 + (k / 2) as f32 }).collect();
+        // Row i is 2.5 · (1 + i) · 0.5 everywhere; row 4 is no row.
+        let [low, high] = intensity_range(&m);
+        assert!(low < 1.25 && low > 1.249_999 && high > 7.5 && high < 7.500_002, "{low} {high}");
+        m.incident_factors.fill(0.0);
+        assert_eq!(intensity_range(&m), [0.0, 1.0]);
+    }
+}

@@ -279,3 +279,6 @@ impl Rows for PreparedRows<'_> {
         self.for_each_chunk("factor", &mut |first, values, _| each(first, values))
     }
 }
+
+#[cfg(test)]
+mod tests;

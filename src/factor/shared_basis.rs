@@ -82,3 +82,63 @@ impl<'a> Sharing<'a> {
         Ok(Some(SharedBasis { maps, vectors: vectors.into_iter().map(|v| v as f32).collect(), core }))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SAMPLES: usize = 11;
+    /// h_{k,j} = amount times one of three cosines: term after term, plane after plane.
+    const MAPS: [(f64, usize); 6] = [(0.6, 0), (0.8, 1), (0.5, 0), (0.3, 2), (0.0, 1), (0.4, 1)];
+
+    fn cosine(l: usize, e: usize) -> f64 {
+        let k = (l + 1) as f64;
+        (2.0 / SAMPLES as f64).sqrt() * (std::f64::consts::PI * k * (e as f64 + 0.5) / SAMPLES as f64).cos()
+    }
+
+    fn triplets() -> Triplets {
+        let right = (0..6 * SAMPLES).map(|at| MAPS[at / SAMPLES].0 * cosine(MAPS[at / SAMPLES].1, at % SAMPLES));
+        Triplets { weights: vec![3.0, 2.0], left: Vec::new(), right: right.collect() }
+    }
+
+    fn near(found: &[f64], expected: &[f64]) {
+        assert_eq!(found.len(), expected.len());
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-13), "rounding: {found:?} {expected:?}");
+    }
+
+    #[test]
+    fn what_fewer_maps_leave_out_is_the_sum_of_their_squares() {
+        let all = triplets();
+        let sharing = Sharing::new(&all, 3, 2);
+        // Weights squared, 9 and 4. First cosine 9 (.36 + .25), second 9 · .64 + 4 · .16, third 4 · .09.
+        near(&sharing.left_out(2).unwrap(), &[12.25, 5.85, 0.36, 0.0, 0.0, 0.0, 0.0]);
+        near(&sharing.left_out(1).unwrap(), &[11.25, 5.49, 0.0, 0.0]);
+        // A hundredth of what the terms leave goes unnoticed.
+        assert_eq!(sharing.unnoticed(2, 36.1).unwrap(), 2);
+        assert_eq!(sharing.unnoticed(2, 35.9).unwrap(), 3);
+        assert_eq!(sharing.unnoticed(2, 1e9).unwrap(), 1, "one at least");
+    }
+
+    #[test]
+    fn maps_and_cores_make_the_offset_factors_as_far_as_they_are_kept() {
+        let all = triplets();
+        let sharing = Sharing::new(&all, 3, 2);
+        for kept in [2, 3] {
+            let shared = sharing.basis(2, kept).unwrap().unwrap();
+            assert_eq!((shared.maps, shared.vectors.len(), shared.core.len()), (kept, kept * SAMPLES, 6 * kept));
+            let factors = shared.offset_factors();
+            for (j, k) in [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2)] {
+                let (amount, l) = MAPS[3 * j + k];
+                // The third cosine is the weakest.
+                let amount = if l == 2 && kept == 2 { 0.0 } else { amount };
+                for e in 0..SAMPLES {
+                    let found = f64::from(factors[(k * 2 + j) * SAMPLES + e]);
+                    assert!((found - amount * cosine(l, e)).abs() < 1e-6, "f32, plane {k} term {j}: {found}");
+                }
+            }
+        }
+        // Four maps take 4 · (11 + 6) numbers, the factors themselves 66.
+        assert!(sharing.basis(2, 4).unwrap().is_none() && sharing.basis(2, 99).unwrap().is_none());
+        assert!(Sharing::new(&all, 1, 2).basis(2, 1).unwrap().is_none(), "one plane has nothing to share with");
+    }
+}

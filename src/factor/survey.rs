@@ -301,3 +301,6 @@ impl Sums {
         (all, complete)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -81,3 +81,51 @@ pub fn axpy_in(s: f64, x: &[f64], y: &mut [f64]) {
         *y += s * x;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whole numbers: every order of summation gives the same sum.
+    fn numbers(n: usize) -> (Vec<f64>, Vec<f64>) {
+        (0..n).map(|k| ((k * 7 % 11) as f64 - 4.0, (k * 5 % 13) as f64 - 3.0)).unzip()
+    }
+
+    #[test]
+    fn a_product_has_every_entry_once_whatever_the_length() {
+        for n in [0, 1, 15, 16, 17, 32, 47, 100] {
+            let (a, b) = numbers(n);
+            let mut naive = 0.0;
+            for k in 0..n {
+                naive += a[k] * b[k];
+            }
+            assert_eq!(dot(&a, &b), naive, "{n} entries");
+        }
+    }
+
+    #[test]
+    fn the_energy_is_a_sum_of_squares_and_the_peak_the_largest_wherever_it_stands() {
+        for n in [1, 15, 16, 40] {
+            for at in [0, n / 2, n - 1] {
+                let mut values: Vec<f32> = (0..n).map(|k| -((k % 5) as f32) - 1.0).collect();
+                let rest: f64 = values.iter().map(|&v| f64::from(v) * f64::from(v)).sum();
+                let replaced = f64::from(values[at]).powi(2);
+                assert_eq!(energy_and_peak(&values), (rest, 0.0), "none is positive");
+                values[at] = 3.0;
+                assert_eq!(energy_and_peak(&values), (rest - replaced + 9.0, 3.0), "{n} values, {at}");
+            }
+        }
+        assert_eq!(energy_and_peak(&[]), (0.0, 0.0));
+        // Squares of 1e30 are beyond f32.
+        let (energy, peak) = energy_and_peak(&[1e30, -2e30, 1e-30]);
+        assert!((energy / 5e60 - 1.0).abs() < 1e-6 && peak == f64::from(1e30_f32), "f32 inputs: {energy:e} {peak:e}");
+    }
+
+    #[test]
+    fn a_multiple_is_added_entry_by_entry() {
+        let (x, mut y) = numbers(21);
+        let expected: Vec<f64> = (0..21).map(|k| y[k] - 2.5 * x[k]).collect();
+        axpy_in(-2.5, &x, &mut y);
+        assert_eq!(y, expected);
+    }
+}

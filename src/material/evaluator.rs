@@ -161,8 +161,8 @@ impl Evaluator {
     pub fn nearest(&self, x_i: Point, x_o: Point) -> [f32; 3] {
         let u = self.lattice.map(x_i);
         let cell: [Option<usize>; 2] = std::array::from_fn(|a| {
-            let whole = u[a].round().max(0.0);
-            (u[a] >= -0.5 && whole < self.points[a] as f64 + 0.5).then_some((whole as usize).min(self.points[a] - 1))
+            let last = self.points[a] - 1;
+            (u[a] >= -0.5 && u[a] <= last as f64 + 0.5).then_some((u[a].round().max(0.0) as usize).min(last))
         });
         let steps = [0, 1].map(|a| (x_o[a] - x_i[a]) / self.pitch_mm);
         let ([Some(x), Some(y)], true) = (cell, steps.iter().all(|s| s.is_finite())) else { return [0.0; 3] };

@@ -109,3 +109,79 @@ pub fn write_png(image: &image::RgbImage, path: &Path) -> Result<()> {
     image.write_to(&mut bytes, image::ImageFormat::Png).map_err(Error::internal)?;
     write_whole(path, bytes.get_ref())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::naive;
+    use super::*;
+    use exr::prelude::{ReadChannels, ReadLayers, read};
+
+    /// Name, size, and channels by name.
+    type Found = (String, [usize; 2], Vec<(String, Vec<f32>)>);
+
+    fn layers(path: &Path) -> Vec<Found> {
+        let image = read()
+            .no_deep_data()
+            .largest_resolution_level()
+            .all_channels()
+            .all_layers()
+            .all_attributes()
+            .from_file(path)
+            .unwrap();
+        let layer = |l: &FlatLayer| {
+            let channel = |c: &AnyChannel<FlatSamples>| (c.name.to_string(), c.sample_data.values_as_f32().collect());
+            let name = l.attributes.layer_name.as_ref().unwrap().to_string();
+            (name, [l.size.0, l.size.1], l.channel_data.list.iter().map(channel).collect())
+        };
+        image.layer_data.iter().map(layer).collect()
+    }
+
+    #[test]
+    fn maps_are_layers_of_their_own_size_under_their_names() {
+        let folder = tempfile::tempdir().unwrap();
+        for m in naive::materials() {
+            let path = folder.path().join("m.exr");
+            export_exr(&m, &path).unwrap();
+            let found = layers(&path);
+            let h = &m.header;
+            let get = |name: &str, channel: &str, size: [usize; 2]| -> Vec<f32> {
+                let layer = found.iter().find(|l| l.0 == name).unwrap_or_else(|| panic!("no layer {name}"));
+                assert_eq!(layer.1, size, "{name}");
+                layer.2.iter().find(|c| c.0 == channel).unwrap_or_else(|| panic!("no {channel} in {name}")).1.clone()
+            };
+            let names = |planes: usize| if planes == 1 { vec!["Y"] } else { vec!["R", "G", "B"] };
+            for j in 0..3 {
+                for (k, name) in names(h.incident_planes).into_iter().enumerate() {
+                    let map = get(&format!("f_{j:02}"), name, naive::POINTS);
+                    let expected = (0..15).map(|i| m.weights[j] * m.incident_factors[(k * 15 + i) * 3 + j]);
+                    assert_eq!(map, expected.collect::<Vec<_>>(), "f_{j} {name}");
+                }
+                for (k, name) in names(h.offset_planes).into_iter().enumerate() {
+                    let map = get(&format!("h_{j:02}"), name, naive::EXTENDED);
+                    assert_eq!(map, m.offset_factors[(k * 3 + j) * 63..][..63], "h_{j} {name}");
+                }
+            }
+            if h.profile {
+                for (k, name) in names(h.offset_planes).into_iter().enumerate() {
+                    assert_eq!(get("profile", name, naive::EXTENDED), m.profile[k * 63..][..63]);
+                }
+            }
+            for (a, name) in ["X", "Y"].into_iter().enumerate() {
+                let shifts: Vec<f32> = m.shift.iter().map(|s| f32::from(s[a])).collect();
+                assert_eq!(get("shift", name, naive::POINTS), shifts);
+            }
+            let Some(degree) = h.degree else { continue };
+            for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
+                let powers: Vec<Vec<f32>> =
+                    (0..=degree).map(|p| get(&format!("color_{p:02}"), name, naive::POINTS)).collect();
+                for i in 0..15 {
+                    for v in [-0.6, 0.1, 1.3] {
+                        let found: f64 = (0..=degree).map(|p| f64::from(powers[p][i]) * f64::powi(v, p as i32)).sum();
+                        let expected = naive::colored(&m, i, [v; 3])[c];
+                        assert!((found - expected).abs() < 1e-5, "f32 coefficients of size 10: {found} {expected}");
+                    }
+                }
+            }
+        }
+    }
+}

@@ -108,4 +108,45 @@ mod tests {
         assert_eq!(argument(5.0, 1.0, 1.0), 0.0);
         assert_eq!(monomials(&[2.0, 7.0, 4.0], 1.0, 1.0)[0], 0.0, "2 + 4 L_2(0) = 0");
     }
+
+    #[test]
+    fn polynomials_up_to_the_highest_have_their_values() {
+        // Σ (−1)^k C(n, k) C(2n − 2k, n) u^(n−2k) / 2^n in exact fractions.
+        let degrees = [2, 3, 5, 8, 15];
+        let table = [
+            (-0.7, [0.235, 0.1925, 0.365_198_75, 0.306_704_346_484_375, -0.123_203_581_740_076_34]),
+            (0.2, [-0.44, -0.28, 0.307_52, -0.039_564_8, -0.003_868_892_692_48]),
+            (0.9, [0.715, 0.4725, -0.041_141_25, -0.409_685_903_515_625, 0.305_197_542_128_423_76]),
+        ];
+        for (u, expected) in table {
+            let mut l = [0.0; MOST_DEGREE + 1];
+            evaluate(u, &mut l);
+            let columns = columns(&[0.0, u], MOST_DEGREE + 1);
+            for (p, e) in degrees.into_iter().zip(expected) {
+                // Some eps from the recursion.
+                assert!((l[p] - e).abs() < 1e-14, "L_{p}({u}) = {}", l[p]);
+                assert_eq!(columns[p][1], l[p]);
+            }
+        }
+        assert!(columns(&[], 3).iter().all(Vec::is_empty) && columns(&[0.5], 0).is_empty());
+    }
+
+    #[test]
+    fn powers_of_an_intensity_are_those_of_the_books() {
+        // L_7 = (429 u⁷ − 693 u⁵ + 315 u³ − 35 u) / 16.
+        let seventh = monomials(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], -1.0, 1.0);
+        assert_eq!(seventh, [0.0, -35.0, 0.0, 315.0, 0.0, -693.0, 0.0, 429.0].map(|v| v / 16.0));
+        // On [2, 4] u = x − 3: L_2 = 1.5 x² − 9 x + 13; on [1, 5] u = (x − 3) / 2: 0.375 x² − 2.25 x + 2.875.
+        assert_eq!(monomials(&[0.0, 0.0, 1.0], 2.0, 4.0), [13.0, -9.0, 1.5]);
+        assert_eq!(monomials(&[0.0, 0.0, 1.0], 1.0, 5.0), [2.875, -2.25, 0.375]);
+        assert_eq!(monomials(&[2.0, 3.0], 2.0, 4.0), [-7.0, 3.0]);
+        assert!(monomials(&[], 0.0, 1.0).is_empty());
+    }
+
+    #[test]
+    fn an_argument_is_where_an_intensity_lies_between_the_ends() {
+        assert_eq!([1.0, 2.5, 4.0, 7.0].map(|v| argument(v, 1.0, 7.0)), [-1.0, -0.5, 0.0, 1.0]);
+        assert_eq!([-9.0, 1e30].map(|v| argument(v, 1.0, 7.0)), [-1.0, 1.0], "clamped");
+        assert_eq!(argument(3.0, 7.0, 1.0), 0.0, "an interval the wrong way round is empty");
+    }
 }

@@ -213,4 +213,108 @@ mod tests {
             assert!((srgb_from_linear(linear_from_srgb(v)) - v).abs() < 1e-5, "f32 powers: {v}");
         }
     }
+
+    /// 5 × 3 cells of 0.5 × 2 mm: as many columns as lines of no light.
+    fn flux(light: &Light) -> Vec<[f64; 3]> {
+        light.flux(&shape([5, 3])).unwrap()
+    }
+
+    #[test]
+    fn built_in_lights_are_their_formulas_at_the_middle_of_each_cell() {
+        let (spot, stripes) = (flux(&Light::Spot), flux(&Light::Stripes));
+        let (gradient, uniform) = (flux(&Light::Gradient), flux(&Light::Uniform));
+        for k in 0..15 {
+            let (u, v): (f64, f64) = (0.1 + 0.2 * (k % 5) as f64, [1.0 / 6.0, 0.5, 5.0 / 6.0][k / 5]);
+            // A cell of 1 mm².
+            let expected = (-((u - 0.5).powi(2) + (v - 0.5).powi(2)) / 0.045).exp();
+            assert!(spot[k].iter().all(|f| (f - expected).abs() < 1e-14), "rounding: {:?} {expected}", spot[k]);
+            // Eighths of the side in turn: u = .1 lies in the first, .3, .5, .7 and .9 in the third, fifth, sixth and eighth.
+            assert_eq!(stripes[k], [[1.0, 1.0, 1.0, 0.0, 0.0][k % 5]; 3]);
+            assert!(gradient[k].iter().all(|f| (f - u).abs() < 1e-15), "rounding: {:?}", gradient[k]);
+            assert_eq!(uniform[k], [1.0; 3]);
+        }
+        let wide = Shape { lit_pitch_mm: [3.0, 0.5], ..shape([5, 3]) };
+        assert_eq!(Light::Uniform.flux(&wide).unwrap()[4], [1.5; 3], "flux is irradiance times the cell");
+        assert_eq!(Light::Point([4, 1]).flux(&wide).unwrap()[9], [1.0; 3], "but a point has one");
+    }
+
+    #[test]
+    fn names_of_lights_are_read() {
+        let names = ["spot", "stripes", "gradient", "uniform", "point: 4, 2"];
+        let lights = [Light::Spot, Light::Stripes, Light::Gradient, Light::Uniform, Light::Point([4, 2])];
+        for (name, light) in names.into_iter().zip(lights) {
+            assert_eq!(Light::parse(name).unwrap(), light);
+        }
+        for wrong in ["point:", "point:1", "point:1,2,3", "point:1,-2", "point:a,2"] {
+            assert!(matches!(Light::parse(wrong), Err(Error::Setting { setting: "--light", .. })), "{wrong}");
+        }
+        assert!(matches!(Light::parse("/no/such/light.png"), Err(Error::Io { .. })));
+        // The first beyond the grid along each axis.
+        assert!(Light::Point([4, 2]).flux(&shape([5, 3])).is_ok());
+        for beyond in [[5, 0], [0, 3]] {
+            assert!(Light::Point(beyond).flux(&shape([5, 3])).is_err(), "{beyond:?}");
+        }
+    }
+
+    #[test]
+    fn the_mean_of_a_cell_counts_pixels_by_the_part_in_it() {
+        let image = LightImage {
+            size: [4, 2],
+            rgb: (0..8).map(|k| [k as f32, (k * k) as f32, if k == 5 { 16.0 } else { 0.0 }]).collect(),
+        };
+        let found = flux(&Light::Image(image.clone()));
+        for cell in 0..15 {
+            // A raster of 20 × 6 is finer than both grids: 4 × 2 of it in a cell, 5 × 3 in a pixel.
+            let mut expected = [0.0; 3];
+            for s in 0..8 {
+                let (x, y) = (cell % 5 * 4 + s % 4, cell / 5 * 2 + s / 4);
+                (0..3).for_each(|c| expected[c] += f64::from(image.rgb[x / 5 + y / 3 * 4][c]) / 8.0);
+            }
+            let near = (0..3).all(|c| (found[cell][c] - expected[c]).abs() < 1e-12);
+            assert!(near, "rounding, cell {cell}: {:?} {expected:?}", found[cell]);
+        }
+    }
+
+    #[test]
+    fn srgb_has_the_values_of_the_standard() {
+        // Worked out from IEC 61966-2-1: the straight part ends at 0.04045, the power is 2.4.
+        for (encoded, linear) in
+            [(0.5, 0.214_041_14), (0.02, 0.001_547_988), (0.735_357, 0.5), (0.461_356_13, 0.18), (1.0, 1.0), (0.0, 0.0)]
+        {
+            assert!((linear_from_srgb(encoded) - linear).abs() < 1e-6, "f32 powers: {encoded}");
+            assert!((srgb_from_linear(linear) - encoded).abs() < 1e-6, "f32 powers: {linear}");
+        }
+        assert_eq!(srgb_from_linear(-3.0), 0.0);
+        assert_eq!(srgb_from_linear(7.0), srgb_from_linear(1.0), "clamped");
+    }
+
+    #[test]
+    fn pictures_are_read_with_their_lines_columns_and_channels() {
+        let folder = tempfile::tempdir().unwrap();
+        let encoded = |x: u32, y: u32, c: usize| (20 + 30 * x + 90 * y + 7 * c as u32) as u8;
+        let png = folder.path().join("light.png");
+        image::RgbImage::from_fn(3, 2, |x, y| image::Rgb([0, 1, 2].map(|c| encoded(x, y, c)))).save(&png).unwrap();
+        let read = LightImage::read(&png).unwrap();
+        assert_eq!(read.size, [3, 2]);
+        for (k, rgb) in read.rgb.iter().enumerate() {
+            for c in 0..3 {
+                let v = f64::from(encoded(k as u32 % 3, k as u32 / 3, c)) / 255.0;
+                let linear = if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
+                assert!((f64::from(rgb[c]) - linear).abs() < 1e-6, "f32 powers: pixel {k} channel {c}");
+            }
+        }
+        let exr = folder.path().join("light.exr");
+        let canvas = crate::material::Canvas { origin_mm: [0.0; 2], size: [3, 2], pitch_mm: 1.0 };
+        let mut exitance = crate::material::Exitance::new(canvas);
+        for c in 0..3 {
+            exitance.planes[c] = (0..6).map(|k| (10 * k) as f64 + c as f64 + 0.25).collect();
+        }
+        crate::material::write_exitance(&exitance, &exr).unwrap();
+        let read = LightImage::read(&exr).unwrap();
+        assert_eq!(read.size, [3, 2]);
+        assert_eq!(read.rgb, (0..6).map(|k| [0, 1, 2].map(|c| (10 * k + c) as f32 + 0.25)).collect::<Vec<_>>());
+        exitance.planes[1][4] = 1e38;
+        crate::material::write_exitance(&exitance, &exr).unwrap();
+        assert_eq!(LightImage::read(&exr).unwrap().rgb[4][1], 1e38);
+    }
 }

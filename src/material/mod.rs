@@ -12,6 +12,8 @@ mod exr_layers;
 mod file;
 pub mod legendre;
 pub mod light;
+#[cfg(test)]
+mod naive;
 mod npz;
 mod relight;
 mod rows;

@@ -70,3 +70,59 @@ fn add<T: npyz::Serialize + npyz::AutoSerialize + Copy>(
     zip.write_all(&array)?;
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::naive;
+    use super::*;
+    use std::io::Read;
+
+    fn array<T: npyz::Deserialize>(path: &Path, name: &str) -> (Vec<u64>, Vec<T>) {
+        let mut zip = zip::ZipArchive::new(std::fs::File::open(path).unwrap()).unwrap();
+        let mut bytes = Vec::new();
+        zip.by_name(&format!("{name}.npy")).unwrap().read_to_end(&mut bytes).unwrap();
+        let array = npyz::NpyFile::new(bytes.as_slice()).unwrap();
+        (array.shape().to_vec(), array.into_vec().unwrap())
+    }
+
+    #[test]
+    fn arrays_have_the_shapes_and_the_order_that_the_material_has() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.npz");
+        for m in naive::materials() {
+            export_npz(&m, &path).unwrap();
+            let h = &m.header;
+            let (a, b) = (h.incident_planes as u64, h.offset_planes as u64);
+            assert_eq!(array::<f32>(&path, "weights"), (vec![3], m.weights.clone()));
+            assert_eq!(array::<f32>(&path, "incident_factors"), (vec![a, 15, 3], m.incident_factors.clone()));
+            assert_eq!(array::<f32>(&path, "offset_factors"), (vec![b, 3, 7, 9], m.offset_factors.clone()));
+            assert_eq!(array::<i16>(&path, "shift"), (vec![15, 2], m.shift.concat()));
+            assert_eq!(array::<f64>(&path, "lit_mm"), (vec![15, 2], m.lit_mm.concat()));
+            assert_eq!(array::<f64>(&path, "points"), (vec![2], vec![5.0, 3.0]));
+            assert_eq!(array::<f64>(&path, "window"), (vec![2], vec![7.0, 5.0]));
+            assert_eq!(array::<f64>(&path, "extended"), (vec![2], vec![9.0, 7.0]));
+            assert_eq!(array::<f64>(&path, "pitch_mm"), (vec![], vec![0.5]));
+            assert_eq!(array::<f64>(&path, "lit_pitch_mm"), (vec![2], vec![0.75, 1.0]));
+            assert_eq!(array::<f64>(&path, "singular_values"), (vec![3], vec![3.0, 1.0, 0.5]));
+            assert_eq!(array::<f64>(&path, "noise_level"), (vec![], vec![0.01]));
+            if h.profile {
+                assert_eq!(array::<f32>(&path, "profile"), (vec![b, 7, 9], m.profile.clone()));
+            }
+            let header: super::super::MaterialHeader =
+                serde_json::from_slice(&array::<u8>(&path, "header_json").1).unwrap();
+            assert_eq!(&header, h);
+            let Some(degree) = h.degree else { continue };
+            let n = degree as u64 + 1;
+            assert_eq!(array::<f32>(&path, "color_coefficients"), (vec![15, 3, n], m.color_coefficients.clone()));
+            assert_eq!(array::<f64>(&path, "intensity_range"), (vec![2], vec![-0.75, 1.5]));
+            let (shape, powers) = array::<f64>(&path, "color_monomials");
+            assert_eq!(shape, [15, 3, n]);
+            for (at, powers) in powers.chunks_exact(degree + 1).enumerate() {
+                let (i, c) = (at / 3, at % 3);
+                let found: f64 = powers.iter().rev().fold(0.0, |sum, b| sum * 0.4 + b);
+                let expected = naive::colored(&m, i, [0.4; 3])[c];
+                assert!((found - expected).abs() < 1e-13, "rounding: {found} {expected}");
+            }
+        }
+    }
+}

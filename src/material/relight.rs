@@ -171,7 +171,7 @@ fn by_shift(material: &Material, rows: Vec<usize>) -> BTreeMap<[i16; 2], Vec<usi
 #[cfg(test)]
 mod tests {
     use super::super::file::tests::example;
-    use super::super::{Light, Source};
+    use super::super::{Light, Source, naive};
     use super::*;
 
     #[test]
@@ -273,5 +273,113 @@ mod tests {
                 assert!((out.planes[c][at] - f64::from(rgb[c])).abs() < 1e-6, "the row is rounded to f32");
             }
         }
+    }
+
+    /// A flux of three different channels into every point but one.
+    fn flux(i: usize, c: usize) -> f64 {
+        if i == 7 { 0.0 } else { 0.3 + ((5 * i + 3 * c) % 11) as f64 * 0.25 }
+    }
+
+    /// Every response of every point, spread over the samples of the canvas by its distance from them.
+    fn expected(m: &Material, canvas: &Canvas, c: usize, lit: &[usize]) -> Vec<f64> {
+        let mut out = vec![0.0; canvas.size[0] * canvas.size[1]];
+        for &i in lit {
+            for d in naive::offsets() {
+                let value = flux(i, c) * naive::response(m, i, d).unwrap()[c];
+                let at =
+                    |a: usize| (m.lit_mm[i][a] + d[a] as f64 * naive::PITCH_MM - canvas.origin_mm[a]) / naive::PITCH_MM;
+                for (k, sum) in out.iter_mut().enumerate() {
+                    let (x, y) = ((k % canvas.size[0]) as f64, (k / canvas.size[0]) as f64);
+                    *sum += value * naive::tent(at(0), x) * naive::tent(at(1), y);
+                }
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn a_slab_is_relit_as_a_loop_over_points_offsets_and_samples_does() {
+        for m in naive::materials() {
+            let source = Source::Material(Box::new(m.clone()), "m".into());
+            let fluxes = vec![(0..naive::ROWS).map(|i| [0, 1, 2].map(|c| flux(i, c))).collect::<Vec<_>>()];
+            let out = relight(&source, &fluxes, &Progress::silent()).unwrap();
+            let canvas = out[0].canvas;
+            // The leftmost lit point is the last line's first, the highest the first; half a window of 7 × 5 around them.
+            assert_eq!(canvas.origin_mm, [1.25 - 2.0 * 0.03125 - 3.0 * 0.5, -2.0 - 2.0 * 0.5]);
+            // 3.0625 mm by 2.25 mm between the outermost points, and a sample more for the spread.
+            assert_eq!(canvas.size, [7 + 7 + 1, 5 + 5 + 1]);
+            for c in 0..3 {
+                let all: Vec<usize> = (0..naive::ROWS).collect();
+                for (k, (a, b)) in out[0].planes[c].iter().zip(expected(&m, &canvas, c, &all)).enumerate() {
+                    // f64 throughout; polynomials in powers lose a digit.
+                    assert!((a - b).abs() < 1e-12, "{} channel {c} sample {k}: {a} {b}", m.header.model);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_convolution_is_that_loop_over_the_rows_of_one_shift() {
+        for m in naive::materials().into_iter().filter(|m| m.header.degree.is_none()) {
+            let source = Source::Material(Box::new(m.clone()), "m".into());
+            let shape = source.shape();
+            let canvas = Canvas::covering(&shape, Path::new("m")).unwrap();
+            let colored: Vec<[f64; 3]> = (0..naive::ROWS).map(|i| [0, 1, 2].map(|c| flux(i, c))).collect();
+            let grey: Vec<[f64; 3]> = (0..naive::ROWS).map(|i| [flux(i, 1); 3]).collect();
+            for shift in [[0, 0], [-1, 0], [2, 1], [1, -1]] {
+                let group: Vec<usize> = (0..naive::ROWS).filter(|&i| m.shift[i] == shift).collect();
+                let mut images = vec![Exitance::new(canvas), Exitance::new(canvas)];
+                convolve(&mut images, &Rows::new(&m), shift, &group, &shape, &[grey.clone(), colored.clone()]).unwrap();
+                for c in 0..3 {
+                    let found = images[1].planes[c].iter().zip(expected(&m, &canvas, c, &group));
+                    for (k, (a, b)) in found.enumerate() {
+                        // Rounding of transforms of some hundred samples of size one.
+                        assert!((a - b).abs() < 1e-12, "{} channel {c} sample {k}: {a} {b}", m.header.model);
+                    }
+                }
+                // Under grey light green is as under the coloured one, whose green it is.
+                let pairs = images[0].planes[1].iter().zip(&images[1].planes[1]);
+                assert!(pairs.into_iter().all(|(a, b)| (a - b).abs() < 1e-12), "the same flux");
+            }
+        }
+    }
+
+    #[test]
+    fn lights_are_told_apart_and_rows_without_light_add_nothing() {
+        let m = naive::materials().remove(0);
+        let source = Source::Material(Box::new(m.clone()), "m".into());
+        let one = |at: usize, rgb: [f64; 3]| {
+            (0..naive::ROWS).map(|i| if i == at { rgb } else { [0.0; 3] }).collect::<Vec<_>>()
+        };
+        let fluxes = [one(3, [0.0, 2.0, 0.0]), one(11, [1.0, 0.0, 3.0])];
+        let out = relight(&source, &fluxes, &Progress::silent()).unwrap();
+        let (total, row) = (
+            |k: usize, c: usize| out[k].planes[c].iter().sum::<f64>(),
+            |i: usize, c: usize| naive::offsets().map(|d| naive::response(&m, i, d).unwrap()[c]).sum::<f64>(),
+        );
+        // What leaves is the flux times the sum of a row: f64.
+        for (k, c, e) in [(0, 1, 2.0 * row(3, 1)), (1, 0, row(11, 0)), (1, 2, 3.0 * row(11, 2))] {
+            assert!((total(k, c) - e).abs() < 1e-12, "{} {e}", total(k, c));
+        }
+        assert!([(0, 0), (0, 2), (1, 1)].iter().all(|&(k, c)| out[k].planes[c].iter().all(|v| *v == 0.0)));
+    }
+
+    #[test]
+    fn white_is_the_percentile_and_tones_are_encoded_by_channel() {
+        let canvas = Canvas { origin_mm: [0.0; 2], size: [20, 10], pitch_mm: 1.0 };
+        let mut e = Exitance::new(canvas);
+        assert_eq!(e.white(), 1.0, "black has no white");
+        // 600 numbers 0 … 599: the one at 597 is exceeded by two.
+        for (k, v) in e.planes.iter_mut().flatten().enumerate() {
+            *v = ((k * 7) % 600) as f64;
+        }
+        // 7 and 600 have no common factor: each number once.
+        assert_eq!(e.white(), 597.0);
+        let mut e = Exitance::new(Canvas { origin_mm: [0.0; 2], size: [2, 1], pitch_mm: 1.0 });
+        e.planes = [vec![0.0, 4.0], vec![0.72, 2.0], vec![8.0, -1.0]];
+        // 0.18 of white is 46.1 % in sRGB (117.6), a half 73.5 % (187.5, rounded to even or up by f32), beyond white is white.
+        let found = e.tone_mapped(4.0);
+        assert_eq!([found[0], found[1], found[2], found[3], found[5]], [0, 118, 255, 255, 0]);
+        assert!(found[4] == 187 || found[4] == 188, "{}", found[4]);
     }
 }

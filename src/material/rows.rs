@@ -226,7 +226,7 @@ impl pulp::NullaryFnOnce for Color<'_> {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use super::super::{Model, file::tests::example};
+    use super::super::{Model, file::tests::example, naive};
     use super::*;
 
     /// Materials of every kind, with shifts, a common window that is smaller than some shifts need, and negative factors.
@@ -293,6 +293,27 @@ pub(super) mod tests {
             let mut out = vec![0.0; 6 * 3 * rows.window_len()];
             rows.planes(&[0, 1, 2, 3, 4, 5], &mut out);
             assert!(out.iter().all(|v| v.is_finite()));
+        }
+    }
+
+    #[test]
+    fn many_rows_at_once_are_the_naive_formula() {
+        for m in naive::materials() {
+            let rows = Rows::new(&m);
+            let indices: Vec<usize> = (0..naive::ROWS).rev().collect();
+            let (mut planes, mut interleaved) = (vec![7.0; 15 * 105], vec![7.0; 15 * 105]);
+            rows.planes(&indices, &mut planes);
+            rows.interleaved(&indices, &mut interleaved);
+            for (n, &i) in indices.iter().enumerate() {
+                for (k, d) in naive::offsets().enumerate() {
+                    let expected = naive::response(&m, i, d).unwrap();
+                    for c in 0..3 {
+                        let (a, b) = (planes[n * 105 + c * 35 + k], interleaved[n * 105 + 3 * k + c]);
+                        assert!((a - expected[c]).abs() < 1e-13, "f64, row {i} {d:?}: {a} {}", expected[c]);
+                        assert!((f64::from(b) - expected[c]).abs() < 1e-6, "f32, row {i} {d:?}: {b} {}", expected[c]);
+                    }
+                }
+            }
         }
     }
 }

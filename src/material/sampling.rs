@@ -260,3 +260,6 @@ impl pulp::NullaryFnOnce for Walk<'_> {
         self.tree.chosen(self.factors, self.part, self.at)
     }
 }
+
+#[cfg(test)]
+mod tests;

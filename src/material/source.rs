@@ -136,3 +136,37 @@ impl Source {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::naive;
+    use super::*;
+
+    #[test]
+    fn rows_of_a_material_are_read_in_order_and_are_all_valid() {
+        let m = naive::materials().remove(0);
+        let source = Source::Material(Box::new(m.clone()), "m".into());
+        let block = source.read(4..7).unwrap();
+        assert_eq!((block.first, block.rows), (4, 3));
+        assert!(block.valid.iter().all(|&v| v == 1) && block.variance.iter().all(|&v| v == 0.0));
+        for (s, value) in block.response.iter().enumerate() {
+            let (i, k, c) = (4 + s / 105, s % 105 / 3, s % 3);
+            let d = [(k % 7) as isize - 3, (k / 7) as isize - 2];
+            let expected = naive::response(&m, i, d).unwrap()[c];
+            assert!((f64::from(*value) - expected).abs() < 1e-6, "f32, row {i} {d:?}: {value} {expected}");
+        }
+        let shape = source.shape();
+        assert_eq!((shape.points, shape.window, shape.rows()), ([5, 3], [7, 5], 15));
+        assert_eq!((shape.pitch_mm, shape.lit_pitch_mm, shape.lit_mm), (0.5, [0.75, 1.0], m.lit_mm.as_slice()));
+        assert_eq!(source.bytes_f32(), m.bytes_f32());
+    }
+
+    #[test]
+    fn blocks_of_a_material_are_all_its_rows_once() {
+        let mut m = naive::materials().remove(0);
+        // 2 Mi numbers a block, 105 a row: 19972 rows.
+        m.header.points = [199, 201];
+        let blocks = Source::Material(Box::new(m), "m".into()).blocks();
+        assert_eq!(blocks, [0..19_972, 19_972..39_944, 39_944..39_999]);
+    }
+}

@@ -145,3 +145,58 @@ impl pulp::NullaryFnOnce for AddLine<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::naive::tent;
+    use super::*;
+
+    /// Two images of 9 × 6 samples, rows 2 and 3 of four with windows of 3 × 2, on the canvas and between its samples.
+    #[test]
+    fn measured_entries_are_spread_over_the_four_nearest_samples_and_others_are_not() {
+        let canvas = Canvas { origin_mm: [10.0, -4.0], size: [9, 6], pitch_mm: 0.5 };
+        // Windows of 3 × 3 around them; the third lies on samples of the canvas, the last between them.
+        let lit_mm = [[0.0; 2], [0.0; 2], [11.0, -2.5], [12.625, -2.875]];
+        let shape = Shape { points: [4, 1], window: [3, 3], pitch_mm: 0.5, lit_pitch_mm: [1.0; 2], lit_mm: &lit_mm };
+        let value = |k: usize, s: usize| ((7 * s + 5 * k) % 23) as f32 - 4.0;
+        let valid = |k: usize, s: usize| u8::from(!(s + k).is_multiple_of(5));
+        let block = RowBlock {
+            first: 2,
+            rows: 2,
+            response: (0..54).map(|s| value(s / 27, s % 27)).collect(),
+            variance: Vec::new(),
+            valid: (0..54).map(|s| valid(s / 27, s % 27)).collect(),
+        };
+        let flux = |light: usize, i: usize, c: usize| (1 + light) as f64 + 0.25 * i as f64 - 0.5 * c as f64;
+        let fluxes: Vec<Vec<[f64; 3]>> =
+            (0..2).map(|l| (0..4).map(|i| [0, 1, 2].map(|c| flux(l, i, c))).collect()).collect();
+        let mut images = vec![Exitance::new(canvas), Exitance::new(canvas)];
+        splat(&mut images, &block, &shape, &fluxes);
+        for (light, image) in images.iter().enumerate() {
+            for c in 0..3 {
+                for (at, found) in image.planes[c].iter().enumerate() {
+                    let mut e = 0.0;
+                    for k in 0..2 {
+                        for s in (0..9).filter(|s| valid(k, 3 * s + c) != 0) {
+                            let offset = [(s % 3) as f64 - 1.0, (s / 3) as f64 - 1.0];
+                            let place = |a: usize| (lit_mm[2 + k][a] - canvas.origin_mm[a]) / 0.5 + offset[a];
+                            let near = tent(place(0), (at % 9) as f64) * tent(place(1), (at / 9) as f64);
+                            e += flux(light, 2 + k, c) * near * f64::from(value(k, 3 * s + c));
+                        }
+                    }
+                    assert!((found - e).abs() < 1e-12, "f64, light {light} channel {c} sample {at}: {found} {e}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_corner_of_a_window_is_half_of_it_before_its_point() {
+        let canvas = Canvas { origin_mm: [1.0, 2.0], size: [9, 9], pitch_mm: 0.25 };
+        let corner = canvas.corner([2.5625, 3.25], [5, 3]);
+        // 6.25 and 5 samples from the origin, less 2 and 1.
+        assert_eq!((corner.at, corner.beyond), ([4, 4], [0.25, 0.0]));
+        let before = canvas.corner([1.0, 2.0], [5, 3]);
+        assert_eq!((before.at, before.beyond), ([0, 0], [0.0, 0.0]), "a point nearer to the rim is held");
+    }
+}

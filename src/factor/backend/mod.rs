@@ -345,4 +345,60 @@ pub(super) mod tests {
             assert!(t.weights[1..].iter().all(|s| *s < 3e-7 * t.weights[0]), "{backend:?} {:?}", t.weights);
         }
     }
+
+    /// k-th cosine of n samples, of unit length: orthogonal to the others.
+    fn cosine(n: usize, k: usize, x: usize) -> f64 {
+        let norm = if k == 0 { 1.0 } else { 2.0 } / n as f64;
+        norm.sqrt() * (std::f64::consts::PI * k as f64 * (x as f64 + 0.5) / n as f64).cos()
+    }
+
+    #[test]
+    fn products_of_cosines_have_the_triplets_that_they_were_made_of() {
+        let sigma = [5.0, 3.0, 2.0, 0.5];
+        for (n, m) in [(7, 11), (11, 7)] {
+            // Rows have cosine 2, 0, 3, 1 where columns have 1, 4, 0, 2.
+            let (left, right) =
+                (|j: usize, i| cosine(n, [2, 0, 3, 1][j], i), |j: usize, d| cosine(m, [1, 4, 0, 2][j], d));
+            let value = |i: usize, d: usize| -> f64 { (0..4).map(|j| sigma[j] * left(j, i) * right(j, d)).sum() };
+            let values: Vec<f64> = (0..n * m).map(|at| value(at / m, at % m)).collect();
+            let rows = InMemory::new(&values, m, 3);
+            for backend in ALL {
+                let low = low_rank(&rows, 4, backend, 1e-6, None).unwrap();
+                let t = triplets(&rows, &low, 4, true).unwrap();
+                // Rows, and products of some back ends, are f32; vectors are off by that over gaps of a few tenths.
+                for j in 0..4 {
+                    assert!((t.weights[j] - sigma[j]).abs() < 3e-6, "{backend:?} {n}×{m}: {:?}", t.weights);
+                    assert!((low.singular_values[j] - sigma[j]).abs() < 2e-5, "{backend:?}: {:?}", low.singular_values);
+                    let h = &t.right[j * m..][..m];
+                    let largest = h.iter().copied().fold(0.0, |a: f64, b| if b.abs() > a.abs() + 1e-5 { b } else { a });
+                    let along: f64 = (0..m).map(|d| h[d] * right(j, d)).sum();
+                    assert!((along.abs() - 1.0).abs() < 1e-5, "{backend:?} {n}×{m} term {j}: {h:?}");
+                    assert!(largest > 0.0 || (0..m).any(|d| h[d] >= -largest - 1e-5), "its largest entry is positive");
+                    for i in 0..n {
+                        let found = t.left[i * 4 + j];
+                        assert!((found - along * left(j, i)).abs() < 1e-4, "{backend:?} {n}×{m} term {j}: {found}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_quickest_back_end_that_is_accurate_enough_is_chosen() {
+        assert_eq!(choose(1000, 1000, 1e-5), Backend::Full, "a thousand million multiplications");
+        assert_eq!(choose(1000, 1001, 1e-5), Backend::Randomized);
+        assert_eq!(choose(1_000_000, 30, 1e-9), Backend::Full, "30² million");
+        assert_eq!(choose(1_000_000, 32, 1e-6), Backend::Randomized);
+        assert_eq!(choose(1_000_000, 4500, 0.9e-6), Backend::Gram);
+        assert_eq!(choose(1_000_000, 4501, 0.9e-6), Backend::Full, "columns too many to square");
+        assert_eq!(choose(usize::MAX, usize::MAX, 1e-5), Backend::Randomized);
+    }
+
+    #[test]
+    fn the_largest_entry_decides_the_sign() {
+        assert_eq!(sign_of_largest(&[1.0, -3.0, 2.0]), -1.0);
+        assert_eq!(sign_of_largest(&[1.0, -2.0, 3.0]), 1.0);
+        assert_eq!(sign_of_largest(&[-2.0, 2.0]), -1.0, "the first of equals");
+        assert_eq!((sign_of_largest(&[]), sign_of_largest(&[0.0])), (1.0, 1.0));
+    }
 }

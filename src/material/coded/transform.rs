@@ -164,4 +164,113 @@ mod tests {
             }
         }
     }
+
+    /// The orthonormal cosine transform by its definition.
+    fn naive_dct(map: &[f64], [w, h]: [usize; 2]) -> Vec<f64> {
+        let part = |n: usize, k: usize, x: usize| {
+            let norm = if k == 0 { 1.0 } else { 2.0 } / n as f64;
+            norm.sqrt() * (std::f64::consts::PI * k as f64 * (x as f64 + 0.5) / n as f64).cos()
+        };
+        let entry =
+            |k: usize| -> f64 { (0..w * h).map(|s| map[s] * part(w, k % w, s % w) * part(h, k / w, s / w)).sum() };
+        (0..w * h).map(entry).collect()
+    }
+
+    fn uneven(size: [usize; 2]) -> Vec<f64> {
+        (0..size[0] * size[1]).map(|k| ((k * k) as f64 * 0.37).sin() + 0.1 * (k % size[0]) as f64).collect()
+    }
+
+    #[test]
+    fn the_cosine_transform_is_its_definition() {
+        for size in [[7, 5], [1, 6], [12, 3], [31, 2]] {
+            let map = uneven(size);
+            let mut found = map.clone();
+            forward(Transform::Cosine, &mut Plans::default(), &mut found, size);
+            let expected = naive_dct(&map, size);
+            // Rounding of sums of a hundred numbers.
+            assert!(
+                found.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-13),
+                "{size:?}: {found:?} {expected:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn blocks_of_eight_are_transformed_each_by_itself_up_to_the_rim() {
+        let size = [19, 10];
+        let map = uneven(size);
+        let mut found = map.clone();
+        forward(Transform::Blocks8, &mut Plans::default(), &mut found, size);
+        for (x, y, w, h) in [(0, 0, 8, 8), (8, 0, 8, 8), (16, 0, 3, 8), (0, 8, 8, 2), (8, 8, 8, 2), (16, 8, 3, 2)] {
+            let at = |k: usize| x + k % w + (y + k / w) * size[0];
+            let block: Vec<f64> = (0..w * h).map(|k| map[at(k)]).collect();
+            for (k, e) in naive_dct(&block, [w, h]).into_iter().enumerate() {
+                assert!((found[at(k)] - e).abs() < 1e-13, "rounding, block {x} {y}: {} {e}", found[at(k)]);
+            }
+        }
+    }
+
+    /// One level of CDF 9/7 by convolution with its filters (`Cohen1992`), the line mirrored at its end samples.
+    fn filtered(line: &[f64]) -> Vec<f64> {
+        // Analysis filters, unit gain at zero frequency for the low one, as in JPEG 2000 part 1, table F.4.
+        const LOW: [f64; 5] = [
+            0.602_949_018_236_357_9,
+            0.266_864_118_442_872_3,
+            -0.078_223_266_528_987_85,
+            -0.016_864_118_442_874_95,
+            0.026_748_757_410_809_76,
+        ];
+        const HIGH: [f64; 4] =
+            [1.115_087_052_456_994, -0.591_271_763_114_247, -0.057_543_526_228_499_57, 0.091_271_763_114_249_48];
+        let n = line.len() as isize;
+        let mirrored = |k: isize| {
+            let k = k.rem_euclid(2 * (n - 1));
+            line[k.min(2 * (n - 1) - k) as usize]
+        };
+        let sum = |taps: &[f64], at: isize| -> f64 {
+            let both = |(d, t): (usize, &f64)| t * (mirrored(at - d as isize) + mirrored(at + d as isize));
+            taps[0] * mirrored(at) + taps.iter().enumerate().skip(1).map(both).sum::<f64>()
+        };
+        let root = 2.0_f64.sqrt();
+        let low = (0..n).step_by(2).map(|k| root * sum(&LOW, k));
+        low.chain((1..n).step_by(2).map(|k| sum(&HIGH, k) / root)).collect()
+    }
+
+    #[test]
+    fn a_level_of_the_wavelet_is_a_convolution_with_its_published_filters() {
+        for n in [12, 13, 31] {
+            let line = uneven([n, 1]);
+            let mut found = line.clone();
+            analyse(&mut found);
+            let expected = filtered(&line);
+            for (a, b) in found.iter().zip(&expected) {
+                // Lifting steps and scale are published to 12 digits or more.
+                assert!((a - b).abs() < 1e-9, "{n}: {a} {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn levels_of_the_wavelet_split_the_corner_of_the_level_before() {
+        let size = [11, 6];
+        let map = uneven(size);
+        for (transform, count) in [(Transform::Wavelet2, 2), (Transform::Wavelet3, 3)] {
+            let mut found = map.clone();
+            forward(transform, &mut Plans::default(), &mut found, size);
+            let mut expected = map.clone();
+            for part in [[11, 6], [6, 3], [3, 2]].into_iter().take(count) {
+                for x in 0..part[0] {
+                    let column: Vec<f64> = (0..part[1]).map(|y| expected[x + 11 * y]).collect();
+                    filtered(&column).iter().enumerate().for_each(|(y, v)| expected[x + 11 * y] = *v);
+                }
+                for y in 0..part[1] {
+                    let line = filtered(&expected[11 * y..11 * y + part[0]]);
+                    expected[11 * y..11 * y + part[0]].copy_from_slice(&line);
+                }
+            }
+            for (at, (a, b)) in found.iter().zip(&expected).enumerate() {
+                assert!((a - b).abs() < 1e-8, "digits of the filters, {transform:?} {at}: {a} {b}");
+            }
+        }
+    }
 }

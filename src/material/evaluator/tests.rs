@@ -1,3 +1,4 @@
+use super::super::naive;
 use super::super::rows::tests::every_kind;
 use super::*;
 use crate::Error;
@@ -160,4 +161,107 @@ fn a_material_that_is_not_whole_is_refused() {
     let mut m = every_kind().remove(0);
     m.offset_factors.pop();
     assert!(matches!(Evaluator::new(&m), Err(Error::Internal { .. })));
+}
+
+/// Points all over the slab and beyond it, in lattice coordinates, none half way between two lattice points or samples.
+fn places() -> Vec<[f64; 2]> {
+    let along = |n: f64| (0..).map(|k| -0.72 + 0.28 * f64::from(k)).take_while(move |v| *v < n).collect::<Vec<_>>();
+    along(4.8).into_iter().flat_map(|u| along(2.8).into_iter().map(move |v| [u, v])).collect()
+}
+
+fn mm(u: [f64; 2]) -> [f64; 2] {
+    [0, 1].map(|r| naive::ORIGIN_MM[r] + u[0] * naive::STEPS_MM[0][r] + u[1] * naive::STEPS_MM[1][r])
+}
+
+/// Offsets in samples, within the window and beyond.
+const STEPS: [[f64; 2]; 9] =
+    [[0.0, 0.0], [1.2, -0.7], [-2.6, 1.3], [3.4, 0.2], [-3.3, -2.4], [0.3, 2.45], [3.7, 0.0], [0.0, -2.6], [-0.4, 0.4]];
+
+#[test]
+fn points_on_a_turned_lattice_are_the_naive_formula() {
+    for m in naive::materials() {
+        let evaluator = Evaluator::new(&m).unwrap();
+        for i in 0..naive::ROWS {
+            for d in naive::offsets() {
+                let expected = naive::response(&m, i, d).unwrap();
+                for (a, b) in evaluator.response(i, d).unwrap().into_iter().zip(expected) {
+                    assert!((f64::from(a) - b).abs() < 1e-6, "f32: {} row {i} {d:?}: {a} {b}", m.header.model);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_nearest_is_that_of_the_nearest_lattice_point_at_the_nearest_offset() {
+    for m in naive::materials() {
+        let evaluator = Evaluator::new(&m).unwrap();
+        for u in places() {
+            for step in STEPS {
+                let x_i = mm(u);
+                let x_o = [0, 1].map(|a| x_i[a] + step[a] * naive::PITCH_MM);
+                let point = (0..naive::ROWS)
+                    .find(|i| (u[0] - (i % 5) as f64).abs() < 0.5 && (u[1] - (i / 5) as f64).abs() < 0.5);
+                let expected =
+                    point.and_then(|i| naive::response(&m, i, step.map(|s| s.round() as isize))).unwrap_or([0.0; 3]);
+                for (a, b) in evaluator.nearest(x_i, x_o).into_iter().zip(expected) {
+                    assert!((f64::from(a) - b).abs() < 1e-6, "f32: {u:?} {step:?}: {a} {b}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn between_points_is_bilinear_in_the_lattice_and_in_the_offset() {
+    for m in naive::materials() {
+        let evaluator = Evaluator::new(&m).unwrap();
+        for u in places() {
+            for step in STEPS {
+                let x_i = mm(u);
+                let x_o = [0, 1].map(|a| x_i[a] + step[a] * naive::PITCH_MM);
+                let inside = u[0] >= -0.5 && u[0] <= 4.5 && u[1] >= -0.5 && u[1] <= 2.5;
+                let inside = inside && step[0].abs() <= 3.5 && step[1].abs() <= 2.5;
+                let (u, d) = (
+                    [u[0].clamp(0.0, 4.0), u[1].clamp(0.0, 2.0)],
+                    [step[0].clamp(-3.0, 3.0), step[1].clamp(-2.0, 2.0)],
+                );
+                let mut expected = [0.0; 3];
+                for i in (0..naive::ROWS).filter(|_| inside) {
+                    let weight = naive::tent(u[0], (i % 5) as f64) * naive::tent(u[1], (i / 5) as f64);
+                    let (mut planes, mut modelled) = ([0.0; 3], 0.0);
+                    for at in naive::offsets() {
+                        let share = naive::tent(d[0], at[0] as f64) * naive::tent(d[1], at[1] as f64);
+                        let Some(e) = naive::sample(&m, i, at).filter(|_| share > 0.0) else { continue };
+                        modelled += share;
+                        let values = naive::planes(&m, i, e);
+                        (0..3).for_each(|k| planes[k] += share * values[k]);
+                    }
+                    if modelled == 0.0 {
+                        continue;
+                    }
+                    // The intensity of what is modelled has a colour; beyond it there is nothing, in proportion.
+                    let row = naive::colored(&m, i, planes.map(|v| v / modelled)).map(|v| v * modelled);
+                    (0..3).for_each(|c| expected[c] += weight * row[c]);
+                }
+                for (a, b) in evaluator.between(x_i, x_o).into_iter().zip(expected) {
+                    assert!((f64::from(a) - b).abs() < 1e-6, "f32: {} {u:?} {step:?}: {a} {b}", m.header.model);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_lattice_of_one_line_or_of_points_in_one_place_takes_the_pitch() {
+    let line = Lattice::of([4, 1], &[[1.0, 5.0], [1.5, 5.25], [2.0, 5.5], [2.5, 5.75]], [9.0, 0.75]);
+    // One step is (0.5, 0.25) mm; across it the pitch, along y.
+    for (u, p) in [([0.0, 0.0], [1.0, 5.0]), ([3.0, 0.0], [2.5, 5.75]), ([1.0, 2.0], [1.5, 6.75])] {
+        let found = line.map(p);
+        assert!((0..2).all(|a| (found[a] - u[a]).abs() < 1e-12), "rounding: {found:?} {u:?}");
+    }
+    let heap = Lattice::of([3, 2], &[[2.0, 3.0]; 6], [0.5, 0.25]);
+    let found = heap.map([2.5, 3.5]);
+    // The middle of 3 × 2 points is (1, 0.5).
+    assert!((found[0] - 2.0).abs() < 1e-12 && (found[1] - 2.5).abs() < 1e-12, "rounding: {found:?}");
 }

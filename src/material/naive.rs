@@ -1,0 +1,205 @@
+//! The formula of [`Material`] written down once more, as loops over points and offsets, and materials for tests on which an
+//! exchanged axis, a wrong channel or a wrong sign shows.
+
+use super::{Material, MaterialHeader, Model};
+
+/// Lit points along x and y.
+pub const POINTS: [usize; 2] = [5, 3];
+/// Their number.
+pub const ROWS: usize = 15;
+/// Samples of a window.
+pub const WINDOW: [usize; 2] = [7, 5];
+/// Of the common window: a shift of 2 along x loses a column.
+pub const EXTENDED: [usize; 2] = [9, 7];
+/// Side of a sample, mm.
+pub const PITCH_MM: f64 = 0.5;
+/// Where the first lit point is, mm, and the steps to the next along each index: a lattice that is turned and sheared a little.
+pub const ORIGIN_MM: [f64; 2] = [1.25, -2.0];
+pub const STEPS_MM: [[f64; 2]; 2] = [[0.75, 0.0625], [-0.03125, 1.0]];
+
+/// Joint, non-negative with a profile, grey with a profile, and a cubic colour; positive and negative numbers of size one.
+pub fn materials() -> Vec<Material> {
+    let kinds = [
+        (Model::Joint, [1, 3], false, None),
+        (Model::Peers2006, [3, 3], true, None),
+        (Model::Peers2006, [3, 1], false, None),
+        (Model::Joint, [1, 1], true, None),
+        (Model::Tucker, [1, 1], false, Some(3)),
+        (Model::Peers2006, [1, 1], true, Some(2)),
+    ];
+    kinds.into_iter().map(|(model, planes, profile, degree)| material(model, planes, profile, degree)).collect()
+}
+
+fn material(model: Model, [a, b]: [usize; 2], profile: bool, degree: Option<usize>) -> Material {
+    let (terms, samples) = (3, EXTENDED[0] * EXTENDED[1]);
+    let wave = |n: usize, f: f32, low: f32| (0..n).map(|k| low + (f * (k as f32 + 1.0)).sin()).collect::<Vec<f32>>();
+    let lit = |k: usize, r: usize| {
+        ORIGIN_MM[r] + (k % POINTS[0]) as f64 * STEPS_MM[0][r] + (k / POINTS[0]) as f64 * STEPS_MM[1][r]
+    };
+    Material {
+        header: MaterialHeader {
+            model,
+            points: POINTS,
+            window: WINDOW,
+            pitch_mm: PITCH_MM,
+            lit_pitch_mm: [0.75, 1.0],
+            extended: EXTENDED,
+            terms,
+            incident_planes: a,
+            offset_planes: b,
+            shared_maps: None,
+            profile,
+            degree,
+            intensity_range: [-0.75, 1.5],
+            singular_values: vec![3.0, 1.0, 0.5],
+            noise_level: 0.01,
+            warnings: Vec::new(),
+            provenance: serde_json::json!({}),
+        },
+        lit_mm: (0..ROWS).map(|k| [lit(k, 0), lit(k, 1)]).collect(),
+        weights: vec![1.0, 0.625, -0.25],
+        incident_factors: wave(a * ROWS * terms, 0.7, 0.3),
+        offset_factors: wave(b * terms * samples, 0.37, 0.2),
+        shared: None,
+        profile: if profile { wave(b * samples, 0.23, 1.0) } else { Vec::new() },
+        color_coefficients: degree.map_or(Vec::new(), |p| wave(ROWS * 3 * (p + 1), 1.1, 0.1)),
+        // Points 6 and 7 and those below them are shifted alike, others not.
+        shift: (0..ROWS)
+            .map(|k| [[0, 0], [1, 0], [0, -1], [2, 1], [-1, 1], [0, 0], [-1, 0], [-1, 0], [1, -1], [0, 1]][k % 10])
+            .map(|s: [i16; 2]| s)
+            .collect(),
+    }
+}
+
+/// v_k at a sample of the common window.
+pub fn plane(m: &Material, k: usize, i: usize, [ex, ey]: [usize; 2]) -> f64 {
+    let h = &m.header;
+    let (a, b) = (if h.incident_planes == 1 { 0 } else { k }, if h.offset_planes == 1 { 0 } else { k });
+    let mut sum = 0.0;
+    for j in 0..h.terms {
+        let f = m.incident_factors[(a * ROWS + i) * h.terms + j];
+        let map = m.offset_factors[((b * h.terms + j) * EXTENDED[1] + ey) * EXTENDED[0] + ex];
+        sum += f64::from(m.weights[j]) * f64::from(f) * f64::from(map);
+    }
+    if h.profile { sum * f64::from(m.profile[(b * EXTENDED[1] + ey) * EXTENDED[0] + ex]) } else { sum }
+}
+
+/// The sample of the common window at an offset of a row; `None` where nothing is modelled.
+pub fn sample(m: &Material, i: usize, d: [isize; 2]) -> Option<[usize; 2]> {
+    let x = d[0] - isize::from(m.shift[i][0]) + 4;
+    let y = d[1] - isize::from(m.shift[i][1]) + 3;
+    ((0..9).contains(&x) && (0..7).contains(&y)).then_some([x as usize, y as usize])
+}
+
+/// Colours of the planes' values, for row i.
+pub fn colored(m: &Material, i: usize, planes: [f64; 3]) -> [f64; 3] {
+    let Some(degree) = m.header.degree else { return planes };
+    let [low, high] = m.header.intensity_range.map(f64::from);
+    let u = ((2.0 * planes[0] - low - high) / (high - low)).clamp(-1.0, 1.0);
+    let legendre = [1.0, u, (3.0 * u * u - 1.0) / 2.0, (5.0 * u * u * u - 3.0 * u) / 2.0];
+    [0, 1, 2].map(|c| {
+        let beta = |p: usize| f64::from(m.color_coefficients[(i * 3 + c) * (degree + 1) + p]);
+        (0..=degree).map(|p| beta(p) * legendre[p]).sum()
+    })
+}
+
+/// The three planes, a single one repeated.
+pub fn planes(m: &Material, i: usize, e: [usize; 2]) -> [f64; 3] {
+    let one = m.header.incident_planes.max(m.header.offset_planes) == 1;
+    [0, 1, 2].map(|k| plane(m, if one { 0 } else { k }, i, e))
+}
+
+/// R̂_d at an offset of a row's window; `None` outside the window.
+pub fn response(m: &Material, i: usize, d: [isize; 2]) -> Option<[f64; 3]> {
+    (d[0].abs() <= 3 && d[1].abs() <= 2).then(|| sample(m, i, d).map_or([0.0; 3], |e| colored(m, i, planes(m, i, e))))
+}
+
+/// All offsets of a window, line by line.
+pub fn offsets() -> impl Iterator<Item = [isize; 2]> {
+    (-2..=2).flat_map(|y| (-3..=3).map(move |x| [x, y]))
+}
+
+/// How much a sample at `at` adds to one at whole number `k`, both in steps: linear between neighbours.
+pub fn tent(at: f64, k: f64) -> f64 {
+    (1.0 - (at - k).abs()).max(0.0)
+}
+
+#[test]
+fn rows_and_points_of_a_material_are_its_formula() {
+    for m in materials() {
+        for i in 0..ROWS {
+            let row = m.evaluate_row(i);
+            for (k, d) in offsets().enumerate() {
+                let expected = response(&m, i, d).unwrap();
+                let point = m.response(i, d).unwrap();
+                for c in 0..3 {
+                    // Values of size one in f32.
+                    assert!((f64::from(row[3 * k + c]) - expected[c]).abs() < 1e-6, "{} row {i} {d:?}", m.header.model);
+                    assert!((f64::from(point[c]) - expected[c]).abs() < 1e-6, "{} row {i} {d:?}", m.header.model);
+                }
+            }
+            for beyond in [[4, 0], [-4, 0], [0, 3], [0, -3]] {
+                assert_eq!(m.response(i, beyond), None);
+            }
+        }
+    }
+}
+
+#[test]
+fn planes_of_rows_are_their_sums_over_terms_times_the_profile() {
+    for m in materials() {
+        for k in 0..m.header.planes() {
+            let block = m.plane_block(k, 4..9);
+            for i in 4..9 {
+                let row = m.plane_row(k, i);
+                for e in 0..63 {
+                    let expected = plane(&m, k, i, [e % 9, e / 9]);
+                    // f64 sums.
+                    assert!((row[e] - expected).abs() < 1e-14 && (block[63 * (i - 4) + e] - expected).abs() < 1e-14);
+                }
+            }
+        }
+        assert!(m.plane_row(0, ROWS).is_empty());
+    }
+}
+
+#[test]
+fn shared_maps_are_summed_for_every_channel_and_term() {
+    let (maps, samples, factors) = (2, 12, 6);
+    let shared = super::SharedBasis {
+        maps,
+        vectors: (0..maps * samples).map(|k| (k as f32 * 0.7).sin()).collect(),
+        core: (0..factors * maps).map(|k| (k as f32 * 1.3).cos()).collect(),
+    };
+    let found = shared.offset_factors();
+    assert_eq!(found.len(), factors * samples);
+    for (at, found) in found.iter().enumerate() {
+        let (factor, e) = (at / samples, at % samples);
+        let sum: f64 = (0..maps)
+            .map(|l| f64::from(shared.core[factor * maps + l]) * f64::from(shared.vectors[l * samples + e]))
+            .sum();
+        assert!((f64::from(*found) - sum).abs() < 1e-7, "rounded to f32: {found} {sum}");
+    }
+}
+
+#[test]
+fn every_stored_number_counts_four_bytes() {
+    // 3 weights; 15 points and 63 samples for 3 terms of each plane; a profile; coefficients and the range; 30 shifts.
+    let numbers = [
+        3 + 45 + 3 * 189 + 30,
+        3 + 135 + 3 * 189 + 3 * 63 + 30,
+        3 + 135 + 189 + 30,
+        3 + 45 + 189 + 63 + 30,
+        3 + 45 + 189 + 180 + 2 + 30,
+        3 + 45 + 189 + 63 + 135 + 2 + 30,
+    ];
+    for (mut m, n) in materials().into_iter().zip(numbers) {
+        assert_eq!(m.bytes_f32(), 4 * n, "{:?}", m.header);
+        m.shift.fill([0, 0]);
+        assert_eq!(m.bytes_f32(), 4 * (n - 30), "no shifts");
+    }
+    let mut joint = materials().remove(0).header;
+    joint.shared_maps = Some(4);
+    // Four maps and a core of 3 · 3 · 4 in the place of the offset factors.
+    assert_eq!(joint.bytes_f32(false), 4 * (3 + 45 + 4 * 63 + 36));
+}
