@@ -332,13 +332,13 @@ mod tests {
         let (width, height) = (17, 11);
         let along = |axis: usize, at: f64| {
             let value = (0..width * height).map(|k| step(at, [k % width, k / width][axis])).collect();
-            find_edges(&Contrast { axis: 0, bit: 0, value }, width, height)
+            find_edges(&Contrast { axis: 0, bit: 0, value }, [width, height], axis)
         };
         for (axis, lines, at) in [(0, 11, 9.3), (1, 17, 5.75), (0, 11, 2.6)] {
             let edges = along(axis, at);
             assert_eq!(edges.len(), lines);
-            for (line, (point, found_along)) in edges.iter().enumerate() {
-                assert_eq!((*found_along, point[1 - axis]), (axis, line as f64));
+            for (line, point) in edges.iter().enumerate() {
+                assert_eq!(point[1 - axis], line as f64);
                 // f32 sums of four numbers of order 1.
                 assert!((point[axis] - at).abs() < 1e-5, "{point:?} {at}");
             }
@@ -351,12 +351,12 @@ mod tests {
         // A contrast of 1 is half of what is possible; less is no edge.
         let weak = |high: f32, low: f32| {
             let value = (0..width * height).map(|k| Some(if k % width < 8 { high } else { low })).collect();
-            find_edges(&Contrast { axis: 0, bit: 0, value }, width, height).len()
+            find_edges(&Contrast { axis: 0, bit: 0, value }, [width, height], 0).len()
         };
         assert_eq!((weak(0.6, -0.45), weak(0.5, -0.45), weak(-0.6, 0.45)), (11, 0, 11));
         let mut value: Vec<Option<f32>> = (0..width).map(|k| step(9.3, k)).collect();
         value[11] = None;
-        assert_eq!(find_edges(&Contrast { axis: 0, bit: 0, value }, width, 1).len(), 0);
+        assert_eq!(find_edges(&Contrast { axis: 0, bit: 0, value }, [width, 1], 0).len(), 0);
     }
 
     #[test]
