@@ -69,10 +69,10 @@ fn small() -> Options {
     }
 }
 
-/// Twelve shots of twenty dots on a chessboard whose fields are about a shot's spacing: every dot lies near an edge.
+/// Twelve shots of ten dots on a chessboard whose fields are about a shot's spacing: every dot lies near an edge.
 fn dense() -> Options {
     Options {
-        grid: [16, 15],
+        grid: [12, 10],
         window: [13, 9],
         lit_pitch_mm: Some([1.5, 2.0]),
         step_projector_px: [4, 5],

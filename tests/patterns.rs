@@ -16,8 +16,11 @@ use std::path::{Path, PathBuf};
 fn simulated() -> (tempfile::TempDir, PathBuf, Truth) {
     let options = Options {
         grid: [7, 5],
-        window: [7, 5],
-        spacing: Some([3, 2]),
+        // A plan has one pitch for both axes.
+        lit_pitch_mm: Some([0.5; 2]),
+        step_projector_px: [4, 4],
+        window: [5, 5],
+        spacing: Some([3, 3]),
         exposures: 2,
         drift_px: 0.0,
         ..Options::default()
@@ -98,12 +101,12 @@ fn shots_are_those_of_a_simulated_capture() {
     let options = PatternsOptions {
         slab_mm: Some(m.slab.size_mm),
         projector_px_per_mm: Some(8.0),
-        grid: Some([6, 6]),
+        grid: Some([7, 5]),
         window: Some(5),
         spacing_mm: Some(1.5),
         frame_mm: 1.0,
-        // Six points 0.5 mm apart, as simulated.
-        margin_mm: Some((m.slab.size_mm[0] - 2.9) / 2.0),
+        // Seven points 0.5 mm apart, as simulated.
+        margin_mm: Some((m.slab.size_mm[0] - 3.4) / 2.0),
         ..PatternsOptions::default()
     };
     let planned = plan(&options, &capture.rig, None).unwrap().plan;
@@ -125,7 +128,7 @@ fn shots_are_those_of_a_simulated_capture() {
     };
     let simulated = sweep(m.shots.iter().map(|s| &s.pattern).collect());
     assert_eq!(simulated, sweep(planned.shots.iter().map(|s| &s.pattern).collect()));
-    assert_eq!(simulated, lattice_shots([6, 6], [3, 3]));
+    assert_eq!(simulated, lattice_shots([7, 5], [3, 3]));
 }
 
 /// The pictures of a simulated capture's own plan, seen by the camera that truth.toml describes, against its photographs.

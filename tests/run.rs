@@ -22,7 +22,7 @@ fn a_capture_becomes_results_with_a_report_that_needs_no_network() {
         serde_json::from_slice(&std::fs::read(out.join("measures.json")).unwrap()).unwrap();
     assert!(measures["matrix_against_truth"]["rel_rmse"].as_f64().unwrap() < 0.03);
     let html = std::fs::read_to_string(out.join("report/report.html")).unwrap();
-    assert!(html.contains("of 6×6 points, 9×9 window; material "));
+    assert!(html.contains("of 7×5 points, 11×7 window; material "));
     assert_eq!(html.matches("http").count(), html.matches("http://www.w3.org/2000/svg").count());
 
     let (status, _, stderr) = acquire(&["run", capture, "--out", results]);

@@ -9,6 +9,7 @@ use super::small::solve;
 use crate::capture::{Camera, FrameMarks};
 use crate::geometry::{CameraView, Homography, Lens, Point};
 use crate::radiance::Radiance;
+use std::collections::BTreeSet;
 
 /// Softness of printed edges that is tried besides the pixel's own width, scale of a logistic distribution, px.
 const SOFTNESS_PX: [f64; 4] = [0.05, 0.15, 0.3, 0.5];
@@ -58,7 +59,9 @@ pub fn register_frame(
         Some(pairs) => pairs,
         None => {
             let blobs = find_blobs(picture);
-            let view = match_layout(&blobs, frame, camera)?;
+            // A view that is known shows how the picture is turned.
+            let turns = if prior.is_some() { &TURNS_DEG[..1] } else { &TURNS_DEG };
+            let view = match_layout(&blobs, frame, camera, turns)?;
             locate(picture, frame, &view)
         }
     };
@@ -248,12 +251,13 @@ fn settle(
     None
 }
 
-/// Turns of the picture that are tried for the first match of the marks, degrees: to either side of upright, as slab coordinates are defined.
+/// Turns of the picture that are tried for the first match of the marks where no board tells it, degrees: to either side of upright, as slab
+/// coordinates are defined.
 const TURNS_DEG: [f64; 9] = [0.0, 8.0, -8.0, 16.0, -16.0, 24.0, -24.0, 32.0, -32.0];
 
 /// A first view from discs that nobody has numbered: their layout about upright in the picture, as slab coordinates are defined. Of the
 /// turns tried the one counts that matches most marks.
-fn match_layout(blobs: &[Blob], frame: &FrameMarks, camera: &Camera) -> Result<CameraView, String> {
+fn match_layout(blobs: &[Blob], frame: &FrameMarks, camera: &Camera, turns_deg: &[f64]) -> Result<CameraView, String> {
     let all = frame.marks_mm.len();
     let few = || format!("{} discs of one size were found in the picture, but the frame has {all} marks", blobs.len());
     if blobs.len() < LEAST_MARKS || 2 * blobs.len() < all {
@@ -266,7 +270,7 @@ fn match_layout(blobs: &[Blob], frame: &FrameMarks, camera: &Camera) -> Result<C
     }
     let scale = discs.spread / marks.spread;
     let mut best: Option<(usize, Homography)> = None;
-    for turn in TURNS_DEG {
+    for turn in turns_deg {
         let (sin, cos) = turn.to_radians().sin_cos();
         let about_middle = Homography::similarity(1.0, marks.middle.map(|v| -v));
         let turned = [[scale * cos, -scale * sin, 0.0], [scale * sin, scale * cos, 0.0], [0.0, 0.0, 1.0]];
@@ -296,27 +300,27 @@ impl Cloud {
     }
 }
 
-/// Matches each mark with the disc nearest to where the view expects it, and fits the view anew, by turns: the number of marks that have one, and the view.
+/// Matches each mark with the disc nearest to where the view expects it, and fits the view anew, by turns: the number of discs that are some
+/// mark's, and the view. (Of discs, not of marks: a view that squeezes all marks onto a few discs is none.)
 fn settle_layout(mut view: Homography, seen: &[Point], frame: &FrameMarks, scale: f64) -> Option<(usize, Homography)> {
     const ROUNDS: usize = 6;
-    let mut matched = 0;
+    let mut matched = BTreeSet::new();
     for _ in 0..ROUNDS {
-        let observations: Vec<Observation> = frame
-            .marks_mm
-            .iter()
-            .filter_map(|&mark| {
-                let q = view.map(mark);
-                let far = |d: &Point| (d[0] - q[0]).hypot(d[1] - q[1]);
-                let nearest = seen.iter().min_by(|a, b| far(a).total_cmp(&far(b)))?;
-                // Half the way to another mark at the least: discs are farther apart than they are wide.
-                (far(nearest) < frame.diameter_mm * scale).then_some((mark, *nearest))
-            })
-            .flat_map(|(from, to)| [0, 1].map(|axis| Observation { from, axis, to: to[axis] }))
-            .collect();
-        matched = observations.len() / 2;
+        matched.clear();
+        let mut observations = Vec::new();
+        for &mark in &frame.marks_mm {
+            let q = view.map(mark);
+            let far = |d: &Point| (d[0] - q[0]).hypot(d[1] - q[1]);
+            let (nearest, disc) = seen.iter().enumerate().min_by(|a, b| far(a.1).total_cmp(&far(b.1)))?;
+            // Half the way to another mark at the least: discs are farther apart than they are wide.
+            if far(disc) < frame.diameter_mm * scale {
+                matched.insert(nearest);
+                observations.extend([0, 1].map(|axis| Observation { from: mark, axis, to: disc[axis] }));
+            }
+        }
         (view, _) = fit_homography(&observations)?;
     }
-    Some((matched, view))
+    Some((matched.len(), view))
 }
 
 #[cfg(test)]
