@@ -1,13 +1,14 @@
 # make demo: set-up, release build, and the whole way on a simulated capture.
 # make test: set-up, then the tests; CI=true adds the slow ones, formatting, lints and documentation.
 # SLOW=1 adds the slow tests only.
+# make mutants: small faults that no test notices (docs/testing.md); some hours, for a night. MUTANTS=src/evaluate: only there; STEP=4: every fourth.
 
 CARGO ?= cargo
 DEMO  ?= results/demo
 TARGET = $(or $(CARGO_TARGET_DIR),target)
 ACQUIRE = $(TARGET)/release/acquire
 
-.PHONY: demo test check build setup
+.PHONY: demo test check build mutants setup
 
 demo: build
 	rm -rf $(DEMO)
@@ -27,6 +28,12 @@ check: setup
 
 build: setup
 	$(CARGO) build --release --locked
+
+MUTANTS ?= $(addprefix src/,evaluate factor material transport response radiance registration)
+STEP    ?= 1
+
+mutants: setup
+	scripts/mutants.py $(MUTANTS) --step $(STEP)
 
 setup:
 	@scripts/setup.sh

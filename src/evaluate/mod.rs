@@ -227,7 +227,8 @@ struct Albedo {
 impl Albedo {
     fn add(&mut self, row: [f64; 3]) {
         for c in 0..3 {
-            self.max[c] = self.max[c].max(row[c]);
+            // Noise can make all of a dark matrix's albedos negative: the largest is then below zero, too.
+            self.max[c] = if self.rows == 0 { row[c] } else { self.max[c].max(row[c]) };
             self.sum[c] += row[c];
         }
         self.rows += 1;

@@ -457,6 +457,8 @@ fn the_camera_s_scale_is_taken_from_what_the_provenance_says_first() {
     assert_eq!(header(serde_json::json!({"camera_px_per_mm": 7.5, "options": simulated})), Some(7.5));
     assert_eq!(header(serde_json::json!({"options": simulated})), Some(12.0));
     assert_eq!(header(serde_json::json!({"options": {"pitch_mm": 0.25}})), None);
+    // A large sample has less than a pixel to a millimetre.
+    assert_eq!(header(serde_json::json!({"camera_px_per_mm": 0.4})), Some(0.4));
     for no_scale in [0.0, -2.0] {
         assert_eq!(header(serde_json::json!({"camera_px_per_mm": no_scale})), None);
     }
@@ -483,4 +485,29 @@ fn other_points_and_pitches_are_refused() {
     assert_eq!(refused(POINTS, PITCH * (1.0 + 0.9e-6)), None);
     assert!(refused(POINTS, PITCH * (1.0 + 1.1e-6)).is_some());
     assert!(refused(POINTS, PITCH * (1.0 - 1.1e-6)).is_some());
+}
+
+#[test]
+fn the_largest_of_albedos_below_zero_is_below_zero() {
+    let mut dark = Albedo::default();
+    assert_eq!(dark.max, [0.0; 3]);
+    dark.add([-0.2, -0.1, -0.3]);
+    dark.add([-0.1, -0.4, -0.3]);
+    assert_eq!((dark.max, dark.violations), ([-0.1, -0.1, -0.3], 0));
+}
+
+#[test]
+fn ratios_are_told_of_the_faintest_matrix() {
+    let folder = tempfile::tempdir().unwrap();
+    let reference = matrix(&folder.path().join("r.rd.zarr"), 1e-4, [3, 3], [0.0, 0.0], 0.0);
+    matrix(&folder.path().join("c.rd.zarr"), 1.1e-4, [3, 3], [0.0, 0.0], 0.0);
+    let candidate = Source::open(&folder.path().join("c.rd.zarr")).unwrap();
+    let m = evaluate(&candidate, &reference, &Progress::silent()).unwrap();
+    // Responses are f32: seven digits, a tenth of which is the difference.
+    assert!((m.rel_rmse.unwrap() - 0.1).abs() < 1e-5, "{m:?}");
+    // Rows lie half a millimetre, a sample, apart and differ by 1 : 2 and so on; the gain changes nothing.
+    let bright = matrix(&folder.path().join("b.rd.zarr"), 1.0, [3, 3], [0.0, 0.0], 0.0);
+    let source = Source::open(&folder.path().join("b.rd.zarr")).unwrap();
+    let of_bright = evaluate(&source, &bright, &Progress::silent()).unwrap().reciprocity.unwrap();
+    assert!((m.reciprocity.unwrap() / of_bright - 1.0).abs() < 1e-5, "{m:?} {of_bright}");
 }

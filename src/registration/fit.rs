@@ -183,6 +183,7 @@ pub(super) fn gauss_newton<T, const N: usize>(
 
 #[cfg(test)]
 mod tests {
+    use super::super::pictures::jitter;
     use super::*;
 
     fn view(k1: f64) -> CameraView {
@@ -213,5 +214,87 @@ mod tests {
     fn points_on_a_line_are_refused() {
         let line: Vec<_> = (0..20).map(|k| ([k as f64, 0.0], [k as f64, 0.0])).collect();
         assert!(fit_view(&line, [0.0, 0.0], 100.0).is_none_or(|f| f.rms_px.is_finite()));
+    }
+
+    fn noisy(view: &CameraView, count: usize) -> Vec<(Point, Point)> {
+        let off = |k| 0.04 * jitter(k);
+        let moved = |(k, (p, q)): (usize, (Point, Point))| (p, [q[0] + off(2 * k), q[1] + off(2 * k + 1)]);
+        pairs(view).into_iter().enumerate().map(moved).step_by(80 / count).take(count).collect()
+    }
+
+    /// RMS per axis, pair by pair.
+    fn rms_of(view: &CameraView, pairs: &[(Point, Point)]) -> f64 {
+        let mut square = 0.0;
+        for (p, q) in pairs {
+            let seen = view.camera_from_slab(*p);
+            square += (seen[0] - q[0]) * (seen[0] - q[0]) + (seen[1] - q[1]) * (seen[1] - q[1]);
+        }
+        (square / (2 * pairs.len()) as f64).sqrt()
+    }
+
+    #[test]
+    fn the_deviation_of_a_modelled_point_counts_the_parameters_of_the_plane_and_of_the_lens() {
+        for (k1, k2, parameters) in [(0.0, 0.0, 8.0), (-0.15, 0.0, 9.0), (-0.3, 0.8, 10.0f64)] {
+            let truth = CameraView { lens: Lens { k1, k2, ..view(0.0).lens }, ..view(0.0) };
+            let seen = noisy(&truth, 80);
+            let fit = fit_view(&seen, truth.lens.center_px, truth.lens.focal_px).unwrap();
+            let lens = fit.view.lens;
+            assert_eq!((lens.k1 != 0.0, lens.k2 != 0.0), (k1 != 0.0, k2 != 0.0), "{lens:?}");
+            assert!((fit.rms_px - rms_of(&fit.view, &seen)).abs() < 1e-12, "{fit:?}");
+            assert!((fit.sd_px - fit.rms_px * (parameters / 160.0).sqrt()).abs() < 1e-12, "{fit:?}");
+            // No worse than the truth, which the model holds but for the choice of terms: the jitter is 0.04 / √3.
+            assert!(fit.rms_px <= rms_of(&truth, &seen) && fit.rms_px > 0.8 * 0.04 / 3f64.sqrt(), "{fit:?}");
+        }
+    }
+
+    #[test]
+    fn few_points_get_no_lens_and_fewer_no_view() {
+        let truth = CameraView { lens: Lens { k1: -0.3, k2: 0.8, ..view(0.0).lens }, ..view(0.0) };
+        let terms = |count: usize| {
+            let all = pairs(&truth);
+            // Spread over the plane, corners too.
+            let some: Vec<_> = (0..count).map(|k| all[k * 79 / (count - 1)]).collect();
+            fit_view(&some, truth.lens.center_px, truth.lens.focal_px)
+                .map(|f| usize::from(f.view.lens.k1 != 0.0) + usize::from(f.view.lens.k2 != 0.0))
+        };
+        // Fifteen points for each term.
+        let found = [9, 10, 14, 15, 29, 30].map(terms);
+        assert_eq!(found, [None, Some(0), Some(0), Some(1), Some(1), Some(2)]);
+    }
+
+    #[test]
+    fn a_homography_of_single_coordinates_is_that_of_least_distances() {
+        let matrix = [[6.0, 0.3, 12.0], [-0.2, 6.1, 9.0], [1e-2, -5e-3, 1.0]];
+        let truth = Homography { matrix };
+        // Eleven times x, nine times y, off by a tenth of a pixel.
+        let seen: Vec<Observation> = (0..20)
+            .map(|k| {
+                let from = [(k * 7 % 20) as f64, (k * 3 % 11) as f64 * 1.5];
+                let axis = usize::from(k % 11 >= 6 || k == 19);
+                Observation { from, axis, to: truth.map(from)[axis] + 0.1 * jitter(k) }
+            })
+            .collect();
+        let square = |h: &Homography| seen.iter().map(|o| (h.map(o.from)[o.axis] - o.to).powi(2)).sum::<f64>();
+        let (found, rms) = fit_homography(&seen).unwrap();
+        assert!((rms - (square(&found) / 20.0).sqrt()).abs() < 1e-12);
+        // A minimum of the squared distances: no entry moved to either side is better. Reweighting stops within a hundredth
+        // of a deviation of it, which these steps (of about one) are larger than.
+        for entry in 0..8 {
+            for sign in [-1.0, 1.0] {
+                let mut other = found;
+                let [r, c] = [entry / 3, entry % 3];
+                other.matrix[r][c] += sign * [0.01, 0.01, 0.1][c] * if r == 2 { 0.01 } else { 1.0 };
+                assert!(square(&other) > square(&found), "{entry} {sign}");
+            }
+        }
+        assert!(fit_homography(&seen[..7]).is_none());
+        // Eight exact ones determine it: every point once, and one coordinate of each of some.
+        let exact: Vec<Observation> =
+            seen.iter().map(|o| Observation { to: truth.map(o.from)[o.axis], ..*o }).collect();
+        let (found, rms) = fit_homography(&exact).unwrap();
+        assert!(rms < 1e-9, "{rms}");
+        for (a, b) in found.matrix.iter().flatten().zip(matrix.iter().flatten()) {
+            assert!((a / found.matrix[2][2] - b).abs() < 1e-7, "{found:?}");
+        }
     }
 }

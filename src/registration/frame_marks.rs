@@ -356,7 +356,10 @@ mod tests {
 
     /// Discs of the slab's plane as the camera sees them, on light that grows downwards; not those that `without` names.
     fn photograph(view: &CameraView, without: &[usize]) -> Radiance {
-        let rect = Rect { x: 0, y: 0, width: 230, height: 140 };
+        part_of_photograph(Rect { x: 0, y: 0, width: 230, height: 140 }, view, without)
+    }
+
+    fn part_of_photograph(rect: Rect, view: &CameraView, without: &[usize]) -> Radiance {
         let back = view.ideal_from_slab.inverse().unwrap();
         let marks: Vec<Point> =
             frame().marks_mm.into_iter().enumerate().filter(|(k, _)| !without.contains(k)).map(|(_, m)| m).collect();
@@ -461,5 +464,84 @@ mod tests {
         // 24 coordinates, eight of which the plane takes.
         assert!((fit.rms_px - (square / 24.0).sqrt()).abs() < 1e-12);
         assert!((fit.sd_px - fit.rms_px / 3f64.sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_picture_that_does_not_begin_at_the_corner_shows_the_marks_at_the_same_places() {
+        let part = Rect { x: 9, y: 1, width: 210, height: 136 };
+        let [whole, part] = [photograph(&view(), &[]), part_of_photograph(part, &view(), &[])];
+        for prior in [Some(view()), None] {
+            let [a, b] = [&whole, &part].map(|p| register_frame(p, &frame(), prior.as_ref(), &camera()).unwrap());
+            assert_eq!((a.marks.len(), b.marks.len()), (12, 12));
+            for (a, b) in a.marks.iter().zip(&b.marks) {
+                assert_eq!(a.index, b.index);
+                // The same pixels; without a prior the first view is another in its last digits, and so is where the search ends.
+                let off = (a.camera_px[0] - b.camera_px[0]).hypot(a.camera_px[1] - b.camera_px[1]);
+                assert!(off < 1e-4, "{a:?} {b:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_mark_at_the_rim_of_the_picture_is_not_used() {
+        // The disc's middle is at (17.9, 88.6), 1.4 radii are 7.7 px along x: a picture from x = 11 on cuts its surroundings.
+        let at = view().camera_from_slab(frame().marks_mm[9]);
+        assert!((at[0] - 17.9).abs() < 0.2, "{at:?}");
+        for (x, found) in [(9, true), (11, false)] {
+            let part = part_of_photograph(Rect { x, y: 0, width: 230 - x, height: 140 }, &view(), &[]);
+            let marks = register_frame(&part, &frame(), Some(&view()), &camera()).unwrap().marks;
+            assert_eq!(marks.iter().any(|m| m.index == 9), found, "{x}");
+        }
+    }
+
+    #[test]
+    fn a_mark_that_is_not_where_the_rig_says_is_left_out() {
+        let mut wrong = frame();
+        wrong.marks_mm[3] = [33.5, -3.2];
+        let found = register_frame(&photograph(&view(), &[]), &wrong, Some(&view()), &camera()).unwrap();
+        let indices: Vec<usize> = found.marks.iter().map(|m| m.index).collect();
+        assert_eq!(indices, [0, 1, 2, 4, 5, 6, 7, 8, 9, 10, 11]);
+        let p = [12.0, 13.0];
+        let (a, b) = (found.fit.view.camera_from_slab(p), view().camera_from_slab(p));
+        assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 0.02 && found.fit.rms_px < 0.02, "{a:?} {b:?}");
+    }
+
+    #[test]
+    fn marks_are_dropped_beyond_four_usual_distances() {
+        let lens = Some(view());
+        let seen = |off: &dyn Fn(usize) -> Point| -> Vec<FoundMark> {
+            let at = |k: usize| view().camera_from_slab(frame().marks_mm[k]);
+            (0..12)
+                .map(|k| (k, at(k), off(k)))
+                .map(|(index, q, o)| FoundMark { index, camera_px: [q[0] + o[0], q[1] + o[1]] })
+                .collect()
+        };
+        // Alternating tenths of a pixel, and what one mark is off by besides.
+        for far in [0.0, 0.4, 0.8, 1.6, 3.2] {
+            let off = |k: usize| [[0.1, -0.1][k % 2] + if k == 7 { far } else { 0.0 }, [0.06, 0.02, -0.08][k % 3]];
+            let mut pairs = seen(&off);
+            let points: Vec<(Point, Point)> = pairs.iter().map(|m| (frame().marks_mm[m.index], m.camera_px)).collect();
+            let first = fit_plane(&points, view().lens).unwrap();
+            let mut distances: Vec<f64> = points
+                .iter()
+                .map(|(p, q)| {
+                    let at = first.view.camera_from_slab(*p);
+                    (at[0] - q[0]).hypot(at[1] - q[1])
+                })
+                .collect();
+            let kept: Vec<usize> = {
+                let mut sorted = distances.clone();
+                sorted.sort_by(f64::total_cmp);
+                let usual = 0.5 * (sorted[5] + sorted[6]);
+                (0..12).filter(|&k| distances[k] <= 4.0 * usual).collect()
+            };
+            let fit = fit_marks(&mut pairs, &frame(), lens.as_ref(), &camera()).unwrap();
+            assert_eq!(pairs.iter().map(|m| m.index).collect::<Vec<_>>(), kept, "{far}");
+            assert_eq!(kept.contains(&7), far < 1.0, "{far}: {distances:?}");
+            distances.clear();
+            // The plane is that of the marks that were kept.
+            let points: Vec<_> = kept.iter().map(|&k| points[k]).collect();
+            assert!((fit.rms_px - fit_plane(&points, view().lens).unwrap().rms_px).abs() < 1e-12);
+        }
     }
 }

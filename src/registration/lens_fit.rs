@@ -48,6 +48,9 @@ const FLOOR_PX: f64 = 0.003;
 /// pose together, which is all that placing points on it needs. The centre is only fitted to two views or more: on one plane a homography
 /// stands in for it. `None` for no views, or one with fewer than ten points or a degenerate layout.
 pub fn fit_lens_of_views(views: &[Pairs], center_px: Point, focal_px: f64) -> Option<(Vec<ViewFit>, LensChoice)> {
+    if views.is_empty() {
+        return None;
+    }
     let alone: Vec<f64> =
         views.iter().map(|v| Some(fit_view(v, center_px, focal_px)?.rms_px.max(FLOOR_PX))).collect::<Option<_>>()?;
     let points: usize = views.iter().map(Vec::len).sum();
@@ -145,5 +148,64 @@ mod tests {
         let found = fits[0].view.lens.center_px;
         assert!((found[0] - 118.0).hypot(found[1] - 90.0) < 1.0, "{found:?}");
         assert!(fits.iter().all(|f| f.rms_px < 0.02), "{fits:?}");
+    }
+
+    #[test]
+    fn a_lens_is_chosen_by_what_its_points_say_over_what_each_view_is_off_by_alone() {
+        let (center, focal) = ([110.0, 95.0], 300.0);
+        let mut seen = views(Lens { center_px: center, focal_px: focal, k1: -0.2, k2: 0.0 });
+        // The second view is three times as uncertain, the third shorter.
+        for (k, (_, q)) in seen[1].iter_mut().enumerate() {
+            q[k % 2] += 0.1 * (f64::from((k * 37 % 100) as u32) / 50.0 - 1.0);
+        }
+        seen[2].truncate(104);
+        let (fits, choice) = fit_lens_of_views(&seen, center, focal).unwrap();
+        assert_eq!((choice.views, choice.points, choice.radial_terms, choice.center), (3, 416, 1, false));
+        let tried: Vec<_> = choice.trials.iter().map(|t| (t.radial_terms, t.center)).collect();
+        assert_eq!(tried, [(0, false), (1, false), (2, false), (2, true)]);
+        let (mut plain, mut weighted) = (0.0, 0.0);
+        for (fit, pairs) in fits.iter().zip(&seen) {
+            let alone = fit_view(pairs, center, focal).unwrap().rms_px;
+            let mut square = 0.0;
+            for (p, q) in pairs {
+                let at = fit.view.camera_from_slab(*p);
+                square += (at[0] - q[0]).powi(2) + (at[1] - q[1]).powi(2);
+            }
+            plain += square;
+            weighted += square / (alone * alone);
+            let n = 2.0 * pairs.len() as f64;
+            assert!((fit.rms_px - (square / n).sqrt()).abs() < 1e-12);
+            // Eight numbers of the plane and one of the lens.
+            assert!((fit.sd_px - fit.rms_px * (9.0 / n).sqrt()).abs() < 1e-12);
+        }
+        let n = 832.0f64;
+        let trial = &choice.trials[1];
+        assert!((trial.rms_px - (plain / n).sqrt()).abs() < 1e-12, "{trial:?}");
+        let information = n * (weighted / n).ln() + (3.0 * 8.0 + 1.0) * n.ln();
+        // Over hundreds: the last digits of the sums.
+        assert!((trial.information - information).abs() < 1e-8, "{trial:?} {information}");
+        assert!(choice.trials.iter().all(|t| t.information >= trial.information));
+    }
+
+    #[test]
+    fn one_view_has_no_centre_and_few_points_few_terms() {
+        let real = Lens { center_px: [118.0, 90.0], focal_px: 300.0, k1: -0.2, k2: 0.04 };
+        let all = views(real);
+        let trials = |views: &[Pairs]| fit_lens_of_views(views, [110.0, 95.0], 300.0).map(|f| f.1.trials.len());
+        assert_eq!(trials(&all[..1]), Some(3));
+        // Every eleventh of 156 is 15 points: one term; every twelfth 13: none; two views of 15 have two terms, of 39 the centre.
+        let every = |n: usize| -> Vec<Pairs> { all.iter().map(|v| v.iter().copied().step_by(n).collect()).collect() };
+        assert_eq!(trials(&every(11)[..1]), Some(2));
+        assert_eq!(trials(&every(12)[..1]), Some(1));
+        assert_eq!(trials(&every(11)[..2]), Some(3));
+        assert_eq!(trials(&every(4)[..2]), Some(4));
+        assert_eq!(trials(&every(20)[..2]), None, "eight points a view");
+        assert_eq!(trials(&[]), None);
+    }
+
+    #[test]
+    fn a_centre_counts_in_focal_lengths() {
+        let expected = Lens { center_px: [13.0, 17.0], focal_px: 200.0, k1: 0.5, k2: -0.25 };
+        assert_eq!(lens([0.5, -0.25, 0.015, -0.015], [10.0, 20.0], 200.0), expected);
     }
 }

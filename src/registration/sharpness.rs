@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 pub struct PointSpread {
     /// Its standard deviation without the pixels' own extent, camera px; 0 when the board is as sharp as it can be.
     pub psf_px: f64,
-    /// Standard deviation of `psf_px`² between parts of the picture, over their number's root, px².
+    /// Standard deviation of `psf_px`² between parts of the picture, over their number's root, px²; as large as what was found where
+    /// fewer than two parts can be told apart: it is then taken for none.
     pub variance_sd_px2: f64,
     /// The least and the largest standard deviation that a ninth of the picture gives by itself, camera px.
     pub range_px: [f64; 2],
@@ -58,15 +59,22 @@ pub fn measure_point_spread(picture: &Radiance, board: &Board, view: &CameraView
         .filter(|&part| edges.iter().filter(|e| e.part == part).count() >= 4)
         .map(|part| least_variance(edges.iter().filter(|e| e.part == part)))
         .collect();
-    let n = parts.len() as f64;
-    let mean = parts.iter().sum::<f64>() / n;
-    let spread =
-        if parts.len() < 2 { total } else { parts.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0) };
-    let variance_sd_px2 = (spread / n.max(1.0)).sqrt();
+    let variance_sd_px2 = sd_of_mean(&parts).unwrap_or(total.abs());
     let px = |variance: f64| variance.max(0.0).sqrt();
     let fold = |pick: fn(f64, f64) -> f64| px(parts.iter().copied().reduce(pick).unwrap_or(total));
     let psf_px = if total > SIGNIFICANCE * variance_sd_px2 { px(total) } else { 0.0 };
     Some(PointSpread { psf_px, variance_sd_px2, range_px: [fold(f64::min), fold(f64::max)] })
+}
+
+/// Standard deviation of the mean of variances, from their spread; `None` for fewer than two.
+fn sd_of_mean(variances: &[f64]) -> Option<f64> {
+    if variances.len() < 2 {
+        return None;
+    }
+    let n = variances.len() as f64;
+    let mean = variances.iter().sum::<f64>() / n;
+    let spread = variances.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    Some((spread / n).sqrt())
 }
 
 fn collect_edges(picture: &Radiance, board: &Board, view: &CameraView) -> Vec<Edge> {
@@ -243,6 +251,27 @@ mod tests {
         // A print that is said to be softer than the picture leaves nothing.
         let none = measure_point_spread(&picture(&view(3.0), 0.6), &board(0.06), &view(3.0)).unwrap();
         assert_eq!(none.psf_px, 0.0);
+    }
+
+    #[test]
+    fn a_board_too_small_for_parts_tells_no_blur_and_a_finite_deviation() {
+        // Twelve edges, at most two of them in a ninth of the picture: nothing to compare.
+        let small = |edge_blur_mm| Board { inner_corners: [3, 3], ..board(edge_blur_mm) };
+        let picture = picture(&view(3.0), 0.6);
+        // 0.36 px² in all; the print's 0.06 mm at 12 px per mm are 0.52 px², more than that: a variance below zero.
+        for (edge_blur_mm, expected) in [(0.0, 0.36), (0.06, 0.5184 - 0.36)] {
+            let found = measure_point_spread(&picture, &small(edge_blur_mm), &view(3.0)).unwrap();
+            assert_eq!(found.psf_px, 0.0);
+            // The picture is good to 2 % of 0.6 px: 4 % of its square.
+            assert!((found.variance_sd_px2 - expected).abs() < 0.04 * 0.36, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn the_deviation_of_a_mean_is_that_of_its_parts_over_the_root_of_their_number() {
+        // Mean 3; squares 4 + 0 + 1 + 1 over 3 are 2, over 4 a half.
+        assert!((sd_of_mean(&[1.0, 3.0, 4.0, 4.0]).unwrap() - 0.5f64.sqrt()).abs() < 1e-15);
+        assert_eq!((sd_of_mean(&[5.0]), sd_of_mean(&[])), (None, None));
     }
 
     #[test]
