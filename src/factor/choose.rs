@@ -245,10 +245,12 @@ fn sampled_errors(reader: &MatrixReader, material: &Material, degree: usize) -> 
     let squares = |row: RowView<'_>| row.response.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>();
     energy += blocks.iter().flat_map(|b| (0..b.rows).map(|k| squares(b.view(k)))).sum::<f64>();
     let mut fewer = material.clone();
-    fewer.header.intensity_range = [-0.05, 1.05];
     for t in 1..=terms {
         // Fewer terms are the first of them: the others weigh nothing.
         fewer.weights = material.weights.iter().enumerate().map(|(j, &g)| if j < t { g } else { 0.0 }).collect();
+        // The range of the fit itself, as far as these rows tell: nothing is clamped.
+        let ranges = blocks.iter().map(|b| b.first..b.first + b.rows);
+        fewer.header.intensity_range = regression::intensity_range(&fewer, ranges);
         for block in &blocks {
             let rows = regression::rows(&fewer, block, |_, channels| {
                 let mut errors = vec![0.0; degree + 1];

@@ -244,3 +244,73 @@ impl Options {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_that_make_no_material_are_refused_by_name_and_limits_are_not() {
+        let base = Options::default;
+        let joint = Some(Model::Joint);
+        let peers = Some(Model::Peers2006);
+        let refused = [
+            ("--terms", Options { terms: Some(0), ..base() }),
+            ("--max-terms", Options { max_terms: 0, ..base() }),
+            ("--degree", Options { degree: Some(16), ..base() }),
+            ("--max-degree", Options { max_degree: 16, ..base() }),
+            ("--degree", Options { degree: Some(2), model: joint, ..base() }),
+            ("--degree", Options { degree: Some(2), model: peers, ..base() }),
+            ("--accuracy", Options { accuracy: 0.0, ..base() }),
+            ("--accuracy", Options { accuracy: 1.0, ..base() }),
+            ("--accuracy", Options { accuracy: f64::NAN, ..base() }),
+            ("--target-psnr", Options { goal: Goal::Psnr(0.0), ..base() }),
+            ("--target-psnr", Options { goal: Goal::Psnr(150.5), ..base() }),
+            ("--target-psnr", Options { goal: Goal::Psnr(f64::NAN), ..base() }),
+            ("--max-bytes", Options { goal: Goal::Bytes(0), ..base() }),
+        ];
+        for (name, options) in refused {
+            let found = options.check();
+            assert!(matches!(found, Err(Error::Setting { setting, .. }) if setting == name), "{name}: {found:?}");
+        }
+        let taken = [
+            base(),
+            Options { terms: Some(1), max_terms: 1, degree: Some(15), max_degree: 15, ..base() },
+            Options { degree: Some(2), model: peers, color_regression: true, ..base() },
+            Options { goal: Goal::Psnr(150.0), accuracy: 0.5, ..base() },
+            Options { goal: Goal::Bytes(1), ..base() },
+        ];
+        assert!(taken.iter().all(|o| o.check().is_ok()));
+    }
+
+    #[test]
+    fn a_misfit_is_measured_by_the_energy_and_by_the_peak() {
+        let misfit = Misfit { error: 8.0, energy: 200.0, peak: 4.0, entries: 50 };
+        assert!((misfit.rel_rmse() - 0.2).abs() < 1e-15, "rounding");
+        // RMSE 0.4, a tenth of the peak.
+        assert!((misfit.psnr_db().unwrap() - 20.0).abs() < 1e-12, "rounding");
+        let nothing = Misfit { error: 0.0, energy: 0.0, peak: 0.0, entries: 0 };
+        assert_eq!((nothing.rel_rmse(), nothing.psnr_db()), (0.0, None));
+        assert_eq!(Misfit { peak: 0.0, ..misfit }.psnr_db(), None);
+        assert_eq!(Misfit { error: 0.0, ..misfit }.psnr_db(), None);
+    }
+
+    #[test]
+    fn a_material_with_a_number_that_is_not_finite_is_refused_with_its_place() {
+        let row = |_| crate::transport::Row { response: vec![1.0; 9], variance: vec![0.0; 9], valid: vec![true; 9] };
+        let matrix = test_matrices::stored([2, 1], [3, 1], |_| 0.0, row);
+        let options = Options { model: Some(Model::Tucker), terms: Some(1), degree: Some(1), ..Options::default() };
+        let mut material = factor(&matrix.reader, &options, &Progress::silent()).unwrap().material;
+        assert!(check_finite(&matrix.reader, &material).is_ok());
+        material.color_coefficients[7] = f32::INFINITY;
+        let found = check_finite(&matrix.reader, &material);
+        let Err(Error::NotFinite { field, at, .. }) = found else { panic!("{found:?}") };
+        assert_eq!((field, at.as_str()), ("color_coefficients", "number 7"));
+    }
+
+    #[test]
+    fn half_of_the_memory_is_a_sensible_number_of_bytes() {
+        // From 64 MiB to 64 TiB on any machine that builds this.
+        assert!((1_u64 << 26..1 << 46).contains(&half_of_memory()), "{}", half_of_memory());
+    }
+}

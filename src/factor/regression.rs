@@ -7,6 +7,7 @@ use crate::progress::Progress;
 use crate::transport::rows::RowView;
 use crate::transport::{MatrixReader, RowBlock};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Arguments and values of one channel of a row, where it was measured.
 pub(super) struct Channel {
@@ -79,7 +80,7 @@ pub(super) fn with_bases(
 pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usize, progress: &Progress) -> Result<f64> {
     let stage = progress.stage("color", reader.header().rows());
     material.header.degree = Some(degree);
-    material.header.intensity_range = intensity_range(material);
+    material.header.intensity_range = intensity_range(material, std::iter::once(0..material.header.rows()));
     let mut error = 0.0;
     let mut coefficients = Vec::with_capacity(reader.header().rows() * 3 * (degree + 1));
     for range in reader.blocks() {
@@ -116,13 +117,14 @@ pub(super) fn rows<T: Send>(
         .collect()
 }
 
-/// The range of the reconstructed intensities over all windows.
-fn intensity_range(material: &Material) -> [f32; 2] {
-    let (samples, rows) = (material.header.layout().len(), material.header.rows());
+/// The range of the reconstructed intensities over the windows of some rows.
+pub(super) fn intensity_range(material: &Material, rows: impl IntoIterator<Item = Range<usize>>) -> [f32; 2] {
+    let samples = material.header.layout().len();
     let step = ((4 << 20) / samples.max(1)).max(1);
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-    for first in (0..rows).step_by(step) {
-        let end = (first + step).min(rows);
+    let pieces =
+        |rows: Range<usize>| rows.clone().step_by(step).map(move |first| (first, (first + step).min(rows.end)));
+    for (first, end) in rows.into_iter().flat_map(pieces) {
         let block = material.plane_block(0, first..end);
         let ranges: Vec<[f64; 2]> = (first..end)
             .into_par_iter()
@@ -294,9 +296,9 @@ mod tests {
         m.offset_factors.fill(0.5);
         m.incident_factors = (0..12).map(|k| if k / 2 == 4 { 0.0 } else { 1.0 + (k / 2) as f32 }).collect();
         // Row i is 2.5 · (1 + i) · 0.5 everywhere; row 4 is no row.
-        let [low, high] = intensity_range(&m);
+        let [low, high] = intensity_range(&m, [0..2, 2..6]);
         assert!(low < 1.25 && low > 1.249_999 && high > 7.5 && high < 7.500_002, "{low} {high}");
         m.incident_factors.fill(0.0);
-        assert_eq!(intensity_range(&m), [0.0, 1.0]);
+        assert_eq!(intensity_range(&m, std::iter::once(0..6)), [0.0, 1.0]);
     }
 }

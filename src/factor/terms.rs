@@ -390,3 +390,6 @@ fn residual_of_rows(reader: &MatrixReader, material: &Material) -> Result<f64> {
     }
     Ok(error)
 }
+
+#[cfg(test)]
+mod tests;

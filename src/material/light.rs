@@ -236,6 +236,9 @@ mod tests {
         let wide = Shape { lit_pitch_mm: [3.0, 0.5], ..shape([5, 3]) };
         assert_eq!(Light::Uniform.flux(&wide).unwrap()[4], [1.5; 3], "flux is irradiance times the cell");
         assert_eq!(Light::Point([4, 1]).flux(&wide).unwrap()[9], [1.0; 3], "but a point has one");
+        let picture = LightImage { size: [2, 1], rgb: vec![[2.0, 4.0, 6.0], [8.0, 10.0, 12.0]] };
+        let lit = Light::Image(picture).flux(&Shape { points: [2, 1], ..wide }).unwrap();
+        assert_eq!(lit, [[3.0, 6.0, 9.0], [12.0, 15.0, 18.0]], "a picture as the others");
     }
 
     #[test]

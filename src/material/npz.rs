@@ -125,4 +125,25 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn shared_maps_are_written_beside_the_offset_factors_that_they_make() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.npz");
+        let mut m = naive::materials().remove(0);
+        let wave = |n: usize, f: f32| (0..n).map(|k| (f * (k as f32 + 1.0)).sin()).collect::<Vec<f32>>();
+        let shared = super::super::SharedBasis { maps: 2, vectors: wave(2 * 63, 0.41), core: wave(3 * 3 * 2, 1.3) };
+        (m.header.shared_maps, m.offset_factors) = (Some(2), shared.offset_factors());
+        m.shared = Some(shared.clone());
+        export_npz(&m, &path).unwrap();
+        assert_eq!(array::<f32>(&path, "offset_maps"), (vec![2, 7, 9], shared.vectors.clone()));
+        assert_eq!(array::<f32>(&path, "offset_core"), (vec![3, 3, 2], shared.core.clone()));
+        let (shape, factors) = array::<f32>(&path, "offset_factors");
+        assert_eq!(shape, [3, 3, 7, 9]);
+        for (at, found) in factors.iter().enumerate() {
+            let (factor, e) = (at / 63, at % 63);
+            let sum: f32 = (0..2).map(|l| shared.core[2 * factor + l] * shared.vectors[63 * l + e]).sum();
+            assert!((found - sum).abs() < 1e-6, "f32: {found} {sum}");
+        }
+    }
 }

@@ -202,3 +202,60 @@ fn orthonormal_rest(
     }
     Some(block)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::InMemory;
+    use super::super::{Backend, low_rank};
+    use super::*;
+
+    const ROWS: usize = 60;
+    const COLUMNS: usize = 40;
+
+    fn sigma(j: usize) -> f64 {
+        0.7_f64.powi(j as i32)
+    }
+
+    /// Column cosine of term j: orthonormal, and not in the order of the terms.
+    fn right(j: usize, d: usize) -> f64 {
+        let k = (7 * j + 3) % COLUMNS;
+        let norm = if k == 0 { 1.0 } else { 2.0_f64.sqrt() } / (COLUMNS as f64).sqrt();
+        norm * (std::f64::consts::PI * k as f64 * (d as f64 + 0.5) / COLUMNS as f64).cos()
+    }
+
+    fn rows() -> InMemory {
+        let left = |j: usize, i: usize| {
+            (2.0 / ROWS as f64).sqrt() * (std::f64::consts::PI * (j + 1) as f64 * (i as f64 + 0.5) / ROWS as f64).cos()
+        };
+        let value = |i: usize, d: usize| (0..20).map(|j| sigma(j) * left(j, i) * right(j, d)).sum();
+        let values: Vec<f64> = (0..ROWS * COLUMNS).map(|at| value(at / COLUMNS, at % COLUMNS)).collect();
+        InMemory::new(&values, COLUMNS, 13)
+    }
+
+    fn known(terms: usize, off: f64) -> LowRank {
+        let vector = |j: usize| (0..COLUMNS).map(move |d| right(j, d) + off * ((d * d + 3 * j) as f64).sin());
+        LowRank::new((0..terms).map(sigma).collect(), (0..terms).flat_map(vector).collect())
+    }
+
+    #[test]
+    fn a_start_with_the_vectors_looked_for_ends_after_one_pass() {
+        let found = low_rank(&rows(), 6, Backend::Randomized, 1e-5, Some(&known(6, 0.0))).unwrap();
+        assert_eq!(found.passes, 1);
+        for j in 0..6 {
+            assert!((found.singular_values[j] - sigma(j)).abs() < 1e-6, "products in f32: {:?}", found.singular_values);
+            let along: f64 = (0..COLUMNS).map(|d| found.vectors[j * COLUMNS + d] * right(j, d)).sum();
+            assert!((along.abs() - 1.0).abs() < 1e-6, "the same vector: {along}");
+        }
+    }
+
+    #[test]
+    fn a_start_that_is_rough_or_too_short_is_improved_to_the_accuracy_asked_for() {
+        for (start, k) in [(known(6, 0.02), 6), (known(3, 0.0), 8), (known(12, 0.02), 5)] {
+            let found = low_rank(&rows(), k, Backend::Randomized, 1e-5, Some(&start)).unwrap();
+            for j in 0..k {
+                let off = (found.singular_values[j] - sigma(j)).abs();
+                assert!(off < 1e-5, "σ_{j} of {k} from {}: {off}", start.singular_values.len());
+            }
+        }
+    }
+}

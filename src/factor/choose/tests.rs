@@ -47,8 +47,8 @@ fn matrix(points: [usize; 2]) -> super::super::test_matrices::Stored {
                 let (x, y) = ((k % 5) as f64 - 2.0, (k / 5) as f64 - 1.0);
                 let narrow = (-(x * x + 2.0 * y * y)).exp();
                 let broad = (-(0.2 * x * x + 0.1 * y * y)).exp();
-                // Little enough that one term stays within the range that sampled rows are clamped to.
-                let share = (i * 5 % 7) as f64 / 30.0;
+                // So much that one term leaves the range of normalized intensities, 0 to 1.
+                let share = (i * 5 % 7) as f64 / 10.0;
                 (2.0 * narrow + share * broad) * [1.0, 0.6, 0.3][c] + 0.2 * c as f64 * broad * broad
             };
             Row {
@@ -229,4 +229,44 @@ fn conditions_are_the_median_and_the_largest_over_rows() {
     for (found, expected) in found[1].iter().zip([expected[2], expected[4]]) {
         assert!((found / expected - 1.0).abs() < 1e-12, "rounding: {found} {expected}");
     }
+}
+
+/// Channels are a line and a square of the intensity, whose squares sum to nothing; rows of noise of variance `noise`, which say `stated`.
+fn squares(noise: f64, stated: f64) -> super::super::test_matrices::Stored {
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+    let value = |i: usize, k: usize, c: usize| {
+        let (x, y) = ((k % 9) as f64 - 3.5, (k / 9) as f64 - 3.0);
+        let v = (1.0 + 0.1 * (i % 5) as f64) * (-(0.12 * x * x + 0.05 * x * y + 0.2 * y * y)).exp();
+        [1.0, 0.7, 0.4][c] * v + [0.5, -0.2, -0.3][c] * v * v
+    };
+    stored(
+        [8, 6],
+        [9, 7],
+        |_| 0.0,
+        |i| {
+            let mut random = rand_pcg::Pcg64::seed_from_u64(i as u64);
+            let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
+            let response = (0..189).map(|s| (value(i, s / 3, s % 3) + noise.sqrt() * draw()) as f32).collect();
+            Row { response, variance: vec![stated as f32; 189], valid: vec![true; 189] }
+        },
+    )
+}
+
+#[test]
+fn a_degree_goes_as_far_as_the_polynomial_stands_out_of_the_stated_noise() {
+    let chosen = |noise: f64, stated: f64| {
+        let matrix = squares(noise, stated);
+        let material = made(&matrix.reader, &options(1, 1)).material;
+        degree_by_noise(&matrix.reader, &material, 6).unwrap()
+    };
+    let (degree, why) = chosen(1e-6, 1e-6);
+    assert_eq!(degree, 2, "{why}");
+    assert!(why.starts_with("degree 3 explains no more than noise"), "{why}");
+    // The square is 0.5 v² at the most, 0.06 from a line: far below a deviation of 1, where the line is 0.7 of it.
+    let (degree, why) = chosen(1e-6, 1.0);
+    assert!(degree < 2, "{degree}: {why}");
+    let (degree, why) = chosen(1e-4, 1e-8);
+    assert_eq!(degree, 6, "noise that is not stated looks like colour");
+    assert!(why.starts_with("the highest allowed"), "{why}");
 }

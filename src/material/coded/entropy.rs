@@ -305,3 +305,59 @@ const RATE_FIRST: i32 = 50;
 const RATE_TIME: i32 = 64;
 /// How far a context that saw 0 … 15 bits is believed, in 1/256.
 const CONFIDENCE: [i32; 16] = [0, 110, 150, 175, 190, 200, 208, 214, 220, 224, 228, 232, 236, 240, 244, 256];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn probabilities_are_the_logistic_function_and_back() {
+        for s in (-2047..=2047).step_by(61) {
+            let expected = 65536.0 / (1.0 + (-f64::from(s) / 256.0).exp());
+            // Straight lines between 33 points, whose ends are held a little from 0 and 1.
+            assert!((f64::from(squash(s)) - expected).abs() < 200.0, "{s}: {} {expected}", squash(s));
+        }
+        for p in (300..65_300).step_by(500) {
+            let back = squash(stretch(p as u16));
+            // 4096 steps of probability, and one of log-odds: at most 1/4 · 65536 / 256.
+            assert!((back - p).abs() <= 16 + 64, "{p}: {back}");
+        }
+    }
+
+    #[test]
+    fn a_bit_costs_the_logarithm_of_its_probability() {
+        for one in [40_u16, 700, 9_000, 32_768, 50_000, 65_000] {
+            for bit in [false, true] {
+                let p = if bit { f64::from(one) } else { 65_535.0 - f64::from(one) } / 65_536.0;
+                let found = cost(bit, one) as f64 / 65_536.0;
+                // The probability is that of the middle of one of 4096 steps.
+                let most = (1.0 + 9.0 / (65_536.0 * p)).log2() + 1e-3;
+                assert!((found + p.log2()).abs() < most, "{bit} {one}: {found} {}", -p.log2());
+            }
+        }
+    }
+
+    #[test]
+    fn bits_come_back_and_take_about_what_the_meter_says() {
+        let bit = |k: usize| (k * k % 7 == 1) ^ k.is_multiple_of(13);
+        let context = |k: usize| [k % 3, 3 + k % 7];
+        let run = |bits: &mut dyn FnMut(&mut Mixer, usize) -> bool| {
+            let mut mixer = Mixer::new(2, 16, 2);
+            (0..4000).map(|k| bits(&mut mixer, k)).collect::<Vec<bool>>()
+        };
+        let (mut writer, mut meter) = (Writer::default(), Meter::default());
+        let asked =
+            run(&mut |m, k| m.code(&mut writer, bit(k), Contexts { slots: &context(k), sets: [0, k % 2] }).unwrap());
+        run(&mut |m, k| m.code(&mut meter, bit(k), Contexts { slots: &context(k), sets: [0, k % 2] }).unwrap());
+        let bytes = writer.finish();
+        let mut reader = Reader::new(&bytes).unwrap();
+        let found =
+            run(&mut |m, k| m.code(&mut reader, false, Contexts { slots: &context(k), sets: [0, k % 2] }).unwrap());
+        assert_eq!(found, asked);
+        assert!(reader.is_at_end());
+        assert_eq!(asked, (0..4000).map(bit).collect::<Vec<_>>());
+        // What is learned makes them cheaper than a bit each; costs are rounded to 4096 steps, words end at 8 bytes.
+        let (written, metered) = (bytes.len() as f64 * 8.0, meter.cost as f64 / 65_536.0);
+        assert!(written < 3600.0 && (written - metered).abs() < 64.0 + 0.01 * metered, "{written} {metered}");
+    }
+}

@@ -207,3 +207,86 @@ fn on_grid(grid: &[f64; 3], points: [usize; 2], at: usize) -> f64 {
     let middle = points.map(|p| (p - 1) as f64 / 2.0);
     grid[0] + grid[1] * ((at % points[0]) as f64 - middle[0]) + grid[2] * ((at / points[0]) as f64 - middle[1])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::entropy::{Reader, Writer};
+    use super::*;
+
+    #[test]
+    fn shifts_along_x_and_y_come_back_each_as_its_own() {
+        let points = [5, 3];
+        let moved: Vec<[i16; 2]> = (0..15).map(|k| [(k * 7 % 11) - 5, (k * k % 9) * 31 - 3]).collect();
+        for asked in [moved, vec![[0, 0]; 15]] {
+            let mut w = Writer::default();
+            assert_eq!(shifts(&mut w, &asked, points).unwrap(), asked);
+            assert_eq!(shifts(&mut Reader::new(&w.finish()).unwrap(), &[], points).unwrap(), asked);
+        }
+    }
+
+    #[test]
+    fn weights_come_from_the_header_or_by_themselves() {
+        let singular = [3.0, 1.5, 0.25, 0.125];
+        for asked in [vec![3.0_f32, 1.5, 0.25], vec![3.0, 0.25, 1.5], vec![-1e-30, 7e20, 0.0]] {
+            let mut w = Writer::default();
+            assert_eq!(weights(&mut w, &asked, &singular, 3).unwrap(), asked);
+            let bytes = w.finish();
+            assert_eq!(weights(&mut Reader::new(&bytes).unwrap(), &[], &singular, 3).unwrap(), asked);
+        }
+    }
+
+    #[test]
+    fn positions_are_off_by_half_a_step_at_the_most_on_any_lattice() {
+        let points = [6, 4];
+        let quantum = 0.01;
+        let turned = |k: usize| {
+            let (i, j) = ((k % 6) as f64, (k / 6) as f64);
+            // Turned and sheared, with a period of three along x and some unrest along y.
+            [2.5 + 0.75 * i - 0.1 * j + 0.03 * (i % 3.0), -8.0 + 0.2 * i + 1.5 * j + 0.04 * (k as f64 * 1.7).sin()]
+        };
+        let far = |k: usize| [((k * k) % 17) as f64 * 3.0, -2.0 * ((k * 5) % 7) as f64];
+        let places: [&dyn Fn(usize) -> [f64; 2]; 2] = [&turned, &far];
+        for place in places {
+            let asked: Vec<Point> = (0..24).map(place).collect();
+            let mut w = Writer::default();
+            let seen = positions(&mut w, &asked, points, quantum).unwrap();
+            let read = positions(&mut Reader::new(&w.finish()).unwrap(), &[], points, 0.0).unwrap();
+            assert_eq!(seen, read);
+            for (found, asked) in read.iter().zip(&asked) {
+                for a in 0..2 {
+                    // Half a step, and the rounding of f32 at 48 mm.
+                    assert!((found[a] - asked[a]).abs() <= quantum / 2.0 + 2e-6, "{found:?} {asked:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn predictions_use_the_neighbours_that_they_name() {
+        // 4 × 3, line by line.
+        let steps = [5, 1, 8, 2, 7, 3, 9, 4, 6, 20, 11, 13];
+        let guess = |how: Prediction, at: usize| how.guess(&steps, 4, at);
+        assert_eq!(guess(Prediction::Zero, 6), 0);
+        assert_eq!(guess(Prediction::Mean, 6), (3 + 8) / 2, "left and above, rounded down");
+        assert_eq!(guess(Prediction::Plane, 6), 3 + 8 - 1);
+        assert_eq!((guess(Prediction::Mean, 2), guess(Prediction::Plane, 4)), (1, 5), "one neighbour on the rim");
+        assert_eq!(guess(Prediction::Period(2), 6), 7, "two before");
+        assert_eq!(guess(Prediction::Period(2), 9), 1, "two above where x is too small");
+        assert_eq!(guess(Prediction::Period(3), 5), (7 + 1) / 2, "the mean where neither is there");
+        assert_eq!(guess(Prediction::Plane, 0), 0);
+    }
+
+    #[test]
+    fn raw_numbers_come_back_bit_by_bit_and_must_be_finite() {
+        let mut w = Writer::default();
+        raw(&mut w, 0b1_0110, 5).unwrap();
+        raw_f32(&mut w, -1.25e-30).unwrap();
+        raw_f64(&mut w, std::f64::consts::PI).unwrap();
+        assert!(raw_f32(&mut w, f32::NAN).is_err() && raw_f64(&mut w, f64::INFINITY).is_err());
+        let mut r = Reader::new(&w.finish()).unwrap();
+        assert_eq!(raw(&mut r, 0, 5), Ok(0b1_0110));
+        assert_eq!(raw_f32(&mut r, 0.0), Ok(-1.25e-30));
+        assert_eq!(raw_f64(&mut r, 0.0), Ok(std::f64::consts::PI));
+        assert!(raw_f32(&mut r, 0.0).is_err());
+    }
+}

@@ -199,3 +199,86 @@ fn quantize(t: f64, unit: f64, lambda: f64, cost: &dyn Fn(i32) -> u64) -> i32 {
     }
     sign * best.1
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_fourth_roots_of_powers_of_two() {
+        for index in [-41, -4, -3, -1, 0, 1, 2, 3, 4, 27] {
+            let expected = 2.0_f64.powf(f64::from(index) / 4.0);
+            assert!((step(index) / expected - 1.0).abs() < 1e-15, "rounding: {index} {}", step(index));
+            assert_eq!(step_index(expected), index);
+            assert_eq!(step_index(expected * 2.0_f64.powf(0.12)), index, "the nearest");
+        }
+    }
+
+    #[test]
+    fn a_coefficient_gets_the_number_that_costs_least() {
+        // Bits grow with the number; of zero, one and two more steeply.
+        let cost = |q: i32| (65536.0 * [0.5, 3.0, 4.5].get(q as usize).copied().unwrap_or(4.0 + f64::from(q))) as u64;
+        let read = |q: i32| f64::from(q) - [0.0, 0.02].get(q as usize).copied().unwrap_or(0.02);
+        for (unit, lambda) in [(1.0, 0.08), (0.5, 0.4), (2.0, 0.0)] {
+            for k in -90..=90 {
+                let t = f64::from(k) * 0.05;
+                let nearest = (t.abs() + 0.5).floor() as i32;
+                let total = |q: i32| unit * (read(q) - t.abs()).powi(2) + lambda * cost(q) as f64 / 65536.0;
+                // The nearest, the one below it, and zero where it is no further than two.
+                let tried =
+                    [nearest, nearest - 1, 0].into_iter().filter(|&q| q >= 0 && (q >= nearest - 1 || nearest <= 2));
+                let least = tried.map(total).fold(f64::INFINITY, f64::min);
+                let found = quantize(t, unit, lambda, &cost);
+                assert!(f64::from(found) * t >= 0.0, "the sign of {t}: {found}");
+                let expected = if nearest == 0 { total(0) } else { least };
+                assert!((total(found.abs()) - expected).abs() < 1e-12, "rounding, {t} {unit} {lambda}: {found}");
+            }
+        }
+    }
+
+    fn map(k: usize, size: [usize; 2]) -> Vec<f64> {
+        let at = |e: usize| ((e % size[0]) as f64, (e / size[0]) as f64);
+        let value = |(x, y): (f64, f64)| 3.0 * (-(x - 2.0).powi(2) / 9.0 - (y - 1.0 - k as f64).powi(2) / 4.0).exp();
+        (0..size[0] * size[1]).map(|e| value(at(e)) + 0.2 * ((e * (k + 3)) as f64 * 0.9).sin()).collect()
+    }
+
+    #[test]
+    fn maps_come_back_within_their_step_in_their_order() {
+        let size = [11, 6];
+        for (wanted, sensitivity) in [(0.05, 1.0), (0.4, 4.0), (0.001, 0.5)] {
+            // Without a price on bits every coefficient gets its nearest number.
+            let price = Price { step: wanted, lambda: 0.0 };
+            let mut writer = Writer::default();
+            let mut group = Group::new(size, 3, step_index(wanted));
+            let seen: Vec<Vec<f64>> =
+                (0..7).map(|k| group.encode(&mut writer, &map(k, size), sensitivity, price).unwrap()).collect();
+            let mut reader = Reader::new(&writer.finish()).unwrap();
+            let mut group = Group::new(size, 3, step_index(wanted));
+            for (k, seen) in seen.iter().enumerate() {
+                assert_eq!(&group.decode(&mut reader).unwrap(), seen, "map {k}");
+                let off: f64 = seen.iter().zip(map(k, size)).map(|(a, b)| (a - b).powi(2)).sum();
+                // Transforms keep the norm: 66 coefficients, each off by half a step and 0.02 of one; steps are fourth roots
+                // of two, the nearest one or the one next to it.
+                let most = 0.52 * wanted / sensitivity * 2.0_f64.powf(0.375) * 66.0_f64.sqrt();
+                assert!(off.sqrt() <= most, "map {k}: {} {most}", off.sqrt());
+            }
+        }
+    }
+
+    #[test]
+    fn a_map_is_predicted_from_the_sets_before_it_and_its_siblings() {
+        let mut group = Group::new([2, 1], 3, 0);
+        for k in 0..7 {
+            let one = Coded { transform: ALL[0], step_index: 0, numbers: vec![10 * k, k] };
+            group.coded.push(one);
+        }
+        // The eighth: second of the third set of three.
+        let first = |e: Earlier<'_>| e.map(|m| m.map(|m| m[0]));
+        assert_eq!(first(group.earlier(ALL[0])), [Some(40), Some(10), Some(60)]);
+        assert_eq!(first(group.earlier(ALL[1])), [None; 3], "of another transform");
+        group.coded.push(Coded { transform: ALL[0], step_index: 0, numbers: vec![70, 7] });
+        assert_eq!(first(group.earlier(ALL[0])), [Some(50), Some(60), Some(70)], "the third has two siblings");
+        group.coded.push(Coded { transform: ALL[0], step_index: 0, numbers: vec![80, 8] });
+        assert_eq!(first(group.earlier(ALL[0])), [Some(60), Some(30), None], "the first has none");
+    }
+}

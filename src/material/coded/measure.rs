@@ -110,3 +110,73 @@ pub fn refit_weights(h: &[Vec<f64>], q: &[Vec<f64>]) -> Vec<Vec<f64>> {
     }
     right
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::material::naive;
+
+    #[test]
+    fn errors_are_those_of_all_rows_and_channels() {
+        for m in naive::materials() {
+            let mut other = m.clone();
+            other.weights[1] *= 1.25;
+            let (mut off, mut all) = (0.0, 0.0);
+            for i in 0..naive::ROWS {
+                for d in naive::offsets() {
+                    let (a, b) = (naive::response(&m, i, d).unwrap(), naive::response(&other, i, d).unwrap());
+                    for c in 0..3 {
+                        off += (a[c] - b[c]).powi(2);
+                        all += a[c] * a[c];
+                    }
+                }
+            }
+            let sample = Sample::of(&m);
+            // Rows are f32.
+            assert!((sample.norm() / all.sqrt() - 1.0).abs() < 1e-6, "{} {}", sample.norm(), all.sqrt());
+            let found = sample.relative_error(&other);
+            assert!((found - (off / all).sqrt()).abs() < 1e-6, "{:?}: {found} {}", m.header.model, (off / all).sqrt());
+        }
+    }
+
+    #[test]
+    fn refitted_factors_leave_nothing_along_the_maps_that_are_left() {
+        let wave = |f: f64| (0..40).map(|k| (f * f64::from(k)).sin() + 0.3).collect::<Vec<f64>>();
+        let h = [wave(0.3), wave(0.9), wave(1.7)];
+        let q: Vec<Vec<f64>> =
+            (0..3).map(|k| (0..40).map(|e| h[k][e] + 0.2 * h[(k + 1) % 3][e] + 0.1 * wave(2.3)[e]).collect()).collect();
+        let weights = refit_weights(&h, &q);
+        // Least squares: h_j − Σ_k w_kj q_k has no part along any q.
+        for j in 0..3 {
+            let rest: Vec<f64> =
+                (0..40).map(|e| h[j][e] - (0..3).map(|k| weights[k][j] * q[k][e]).sum::<f64>()).collect();
+            for (k, q) in q.iter().enumerate() {
+                let along: f64 = rest.iter().zip(q).map(|(a, b)| a * b).sum();
+                assert!(along.abs() < 1e-6, "a ridge of 1e-9: {j} {k} {along}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_plane_moves_one_channel_or_all_three_or_as_much_as_its_polynomials_say() {
+        for m in naive::materials() {
+            let h = &m.header;
+            let expected = if h.degree.is_some() {
+                let (mut response, mut intensity) = (0.0, 0.0);
+                for i in 0..naive::ROWS {
+                    for e in 0..63 {
+                        let v = naive::planes(&m, i, [e % 9, e / 9]);
+                        response += naive::colored(&m, i, v).iter().map(|r| r * r).sum::<f64>();
+                        intensity += v[0] * v[0];
+                    }
+                }
+                (response / intensity).sqrt()
+            } else if h.planes() == 1 {
+                3.0_f64.sqrt()
+            } else {
+                1.0
+            };
+            assert!((slope(&m) / expected - 1.0).abs() < 1e-12, "f64: {} {expected}", slope(&m));
+        }
+    }
+}

@@ -227,3 +227,55 @@ pub fn try_map(
     let map = numbers.clone().code_map(&mut meter, size, earlier, choose).unwrap_or_default();
     (meter.cost, map)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::entropy::{Reader, Writer};
+    use super::*;
+
+    #[test]
+    fn numbers_of_any_size_and_sign_come_back_in_their_places() {
+        let size = [5, 4];
+        let large = [0, 1, -1, 13, -14, 15, 14, -300, 1 << 20, -(1 << 24), 16, 2, 0, 0, -7, 28, 29, 30, -31, 1 << 30];
+        let small: Vec<i32> = (0..20).map(|k| (k * 7 % 5) - 2).collect();
+        let mut w = Writer::default();
+        let mut numbers = Numbers::new();
+        assert_eq!(numbers.code_map(&mut w, size, [None; 3], |at, _| large[at]).unwrap(), large);
+        numbers.code_map(&mut w, size, [Some(&large), None, Some(&small)], |at, _| small[at]).unwrap();
+        let mut r = Reader::new(&w.finish()).unwrap();
+        let mut numbers = Numbers::new();
+        assert_eq!(numbers.code_map(&mut r, size, [None; 3], |_, _| 0).unwrap(), large);
+        let found = numbers.code_map(&mut r, size, [Some(&large), None, Some(&small)], |_, _| 0).unwrap();
+        assert_eq!(found, small);
+        assert!(r.is_at_end());
+    }
+
+    #[test]
+    fn what_is_around_a_place_is_read_from_its_own_neighbours() {
+        // 4 × 3 around (2, 1): left 7, above 3, upper left −5, upper right 0.
+        let current = [1, -5, 3, 0, 2, 7];
+        let before: Vec<i32> = (0..12).map(|k| k - 6).collect();
+        let known = Known { size: [4, 3], current: &current, earlier: [Some(&before), None, None] };
+        let at = |l, u| known.here(2, 1, l, u);
+        assert_eq!([at(1, 0), at(0, 1), at(1, 1), at(-1, 1), at(2, 0), at(0, 2), at(-2, 1)], [7, 3, -5, 0, 2, 0, 0]);
+        assert_eq!((known.before(0, 2, 1), known.before(1, 2, 1)), (0, 0));
+        assert_eq!(known.before(0, 3, 2), 5);
+        // Of −6 … 5 in lines of four: 1, −1, 4 and −4 around (2, 1), three at a rim.
+        assert_eq!(known.around_before(0, 2, 1), 10);
+        assert_eq!(known.around_before(0, 0, 0), 5 + 2);
+        assert_eq!(known.around_before(2, 2, 1), 0);
+        assert_eq!([0, 1, 3, 4, 5, 6, 7, 8, 12, 1 << 20].map(level), [0, 1, 3, 4, 4, 5, 5, 6, 7, 23]);
+    }
+
+    #[test]
+    fn a_map_that_is_tried_costs_what_writing_it_takes() {
+        let size = [16, 12];
+        let map: Vec<i32> = (0..192).map(|k: i32| (k * k % 11) - 5 + if k % 50 == 0 { 40 } else { 0 }).collect();
+        let (cost, tried) = try_map(&Numbers::new(), size, [None; 3], |at, _| map[at]);
+        assert_eq!(tried, map);
+        let mut w = Writer::default();
+        Numbers::new().code_map(&mut w, size, [None; 3], |at, _| map[at]).unwrap();
+        let (written, tried) = (w.finish().len() as f64 * 8.0, cost as f64 / 65_536.0);
+        assert!((written - tried).abs() < 64.0 + 0.01 * tried, "words and 4096 steps: {written} {tried}");
+    }
+}

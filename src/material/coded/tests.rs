@@ -228,3 +228,29 @@ fn a_header_is_a_fraction_of_its_text() {
     assert_eq!(stream::read_header(&bytes).unwrap(), text);
     assert!(4 * bytes.len() < text.len(), "{} of {}", bytes.len(), text.len());
 }
+
+#[test]
+fn shared_maps_are_coded_as_what_they_stand_for_and_the_header_keeps_its_digits() {
+    let mut m = crate::material::naive::materials().remove(0);
+    let wave = |n: usize, f: f32| (0..n).map(|k| (f * (k as f32 + 1.0)).sin()).collect::<Vec<f32>>();
+    let shared = crate::material::SharedBasis { maps: 2, vectors: wave(2 * 63, 0.41), core: wave(3 * 3 * 2, 1.3) };
+    (m.header.shared_maps, m.offset_factors) = (Some(2), shared.offset_factors());
+    m.shared = Some(shared);
+    m.header.singular_values = vec![std::f64::consts::PI, 1e-9 / 3.0];
+    m.header.noise_level = 1.0 / 3.0;
+    let error = 1e-3;
+    let coded = encode(&m, &Options { quality: Quality::AddedError(error), ..Options::default() }).unwrap();
+    let found = decode(&coded.bytes).unwrap();
+    assert_eq!((found.header.shared_maps, &found.shared), (None, &None));
+    let rows = |m: &Material| (0..15).flat_map(|i| m.evaluate_row(i)).map(f64::from).collect::<Vec<f64>>();
+    let (asked, seen) = (rows(&m), rows(&found));
+    let off: f64 = asked.iter().zip(&seen).map(|(a, b)| (a - b).powi(2)).sum();
+    let all: f64 = asked.iter().map(|a| a * a).sum();
+    // Rows are f32.
+    assert!((off / all).sqrt() <= error + 1e-6, "{off} {all}");
+    for (found, asked) in found.header.singular_values.iter().zip(&m.header.singular_values) {
+        assert!((found / asked - 1.0).abs() < 1.0 / 16_777_216.0, "half a unit in the last place of an f32");
+    }
+    assert_eq!(found.header.noise_level, m.header.noise_level);
+    assert_eq!(found.header.points, m.header.points);
+}

@@ -66,3 +66,19 @@ pub fn code_text<B: Bits>(bits: &mut B, text: Option<&str>) -> Result<String, St
     }
     String::from_utf8(found).map_err(|e| format!("header: {e}"))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::entropy::{Reader, Writer};
+    use super::*;
+
+    #[test]
+    fn any_text_without_a_zero_comes_back() {
+        for text in ["", "x", "{\"model\":\"joint\",\"µ\":[1.5,−2]}", "ÿ\u{10FFFF}\n\t".repeat(40).as_str()] {
+            let mut w = Writer::default();
+            assert_eq!(code_text(&mut w, Some(text)).as_deref(), Ok(text));
+            assert_eq!(code_text(&mut Reader::new(&w.finish()).unwrap(), None).as_deref(), Ok(text));
+        }
+        assert!(code_text(&mut Writer::default(), Some("a\0b")).is_err());
+    }
+}
