@@ -195,4 +195,25 @@ mod tests {
         let met = sorted.iter().filter(|e| e.contains(&inner)).count();
         assert_eq!((inner % stride, met), (0, 24));
     }
+
+    #[test]
+    fn pairs_reach_as_far_along_each_axis_as_the_window_does() {
+        // 6 × 4 points 1 mm apart, windows of 9 × 5 cells of 0.5 mm: two points away along x, one along y.
+        let lit: Vec<Point> = (0..24).map(|i| [(i % 6) as f64, (i / 6) as f64]).collect();
+        let shape = Shape { points: [6, 4], window: [9, 5], pitch_mm: 0.5, lit_pitch_mm: [1.0, 1.0], lit_mm: &lit };
+        let mut reciprocity = Reciprocity::new(&shape);
+        // In a row 5 and 4 pairs, one and two points away; between rows 6 straight, 2 · 5 and 2 · 4 aslant.
+        assert_eq!(reciprocity.values.len(), 4 * (5 + 4) + 3 * (6 + 10 + 8));
+        // Only the samples two points to the right differ from those two to the left, by 0.2 around 1; everything else is dark.
+        let value = |_: usize, [dx, dy]: [isize; 2]| match (dx, dy) {
+            (4, 0) => 1.1,
+            (-4, 0) => 0.9,
+            _ => 0.0,
+        };
+        reciprocity.add(&block(24, [9, 5], value), &shape);
+        let found = reciprocity.relative_rms().unwrap();
+        assert!((found - 0.2).abs() < 1e-6, "f32: {found}");
+        let measured = reciprocity.values.iter().filter(|[ab, _]| ab.is_some_and(|v| v[0] > 0.0)).count();
+        assert_eq!(measured, 4 * 4);
+    }
 }
