@@ -78,16 +78,16 @@ fn the_capture_and_its_truth_read_back() {
                 assert_eq!([size.0 as usize, size.1 as usize], rig.camera.size_px);
             }
         }
-        assert_eq!(lit, 9, "every point is lit once");
+        assert_eq!(lit, 12, "every point is lit once");
 
         let truth: Truth = toml::from_str(&std::fs::read_to_string(path.join("truth.toml")).unwrap()).unwrap();
         assert_eq!(truth.options, options);
         let matrix = MatrixReader::open(&path.join("truth.rd.zarr")).unwrap();
         let header = matrix.header();
-        assert_eq!((header.points, header.window), ([3, 3], [5, 5]));
-        assert_eq!(header.shots.len(), 4);
+        assert_eq!((header.points, header.window), ([4, 3], [7, 5]));
+        assert_eq!(header.shots.len(), 6);
         assert!(header.shot_of.iter().all(Option::is_some));
-        let block = matrix.read(0..9).unwrap();
+        let block = matrix.read(0..12).unwrap();
         assert!(block.response.iter().all(|&r| r > 0.0) && block.valid.iter().all(|&v| v == 1));
         for row in block.response.chunks(header.row_len()) {
             // A part of the albedo: no more leaves than arrives.
