@@ -95,10 +95,10 @@ fn the_capture_and_its_truth_read_back() {
             assert!(albedo > 0.1 && albedo < 1.0, "{albedo}");
         }
         // The lit point is where the projector's map and the shot's drift put it.
-        let shot = header.shot_of[4].unwrap();
+        let shot = header.shot_of[5].unwrap();
         let mapped = truth.slab_from_projector.map(manifest.grid.dot_projector_px([1, 1]));
         for a in 0..2 {
-            assert!((header.lit_mm[4][a] - mapped[a] - truth.shots[shot].drift_mm[a]).abs() < 1e-12);
+            assert!((header.lit_mm[5][a] - mapped[a] - truth.shots[shot].drift_mm[a]).abs() < 1e-12);
         }
     }
 }
