@@ -9,7 +9,7 @@ use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
 Examples:
-  acquire simulate demo                                        16 × 16 points of one medium, in seconds
+  acquire simulate demo                                        18 × 14 points of one medium, in seconds
   acquire simulate demo --material chessboard-4x4 --seed 2     two media, other noise
   acquire simulate big --grid 32 --window 31                   more than 5000 photographs
   acquire simulate phone --sensor phone --format jpeg          8-bit, sRGB
@@ -22,7 +22,7 @@ Examples:
 
 Materials:
   homogeneous[:MEDIUM] or MEDIUM          one medium (marble; `marble` alone is the veined slab)
-  chessboard-NxN[:MEDIUM,MEDIUM]          squares over the lit area (skin2, whole-milk), N up to 256
+  chessboard-NxM[:MEDIUM,MEDIUM]          fields over the lit area (skin2, whole-milk), up to 256 along each axis
   marble[:MEDIUM,MEDIUM]                  stone with veins (marble, vein)
   layered[:MEDIUM=MM,MEDIUM=MM,…]         from the top (skin1, a quarter of the thickness, on whole-milk)
 Media measured by Jensen et al. 2001: apple, chicken1, chicken2, cream, ketchup, marble, potato, skim-milk,
