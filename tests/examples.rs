@@ -180,16 +180,7 @@ fn voxels(path: &Path) {
 }
 
 fn link_folder(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let entry = entry.unwrap();
-        let target = to.join(entry.file_name());
-        if entry.path().is_dir() {
-            link_folder(&entry.path(), &target);
-        } else {
-            std::fs::hard_link(entry.path(), target).unwrap();
-        }
-    }
+    common::lay_folder(from, to, &|file, target| std::fs::hard_link(file, target));
 }
 
 fn run(folder: &Path, words: &[String]) -> Output {

@@ -105,18 +105,23 @@ fn raw(value: &Value) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use exif::{Field, Rational, SRational, experimental::Writer};
 
-    fn read_fields(fields: Vec<(Tag, Value)>) -> (ExifExposure, Vec<Warning>) {
+    /// The bytes of an EXIF block of these fields.
+    pub fn block_of(fields: Vec<(Tag, Value)>) -> Vec<u8> {
         let fields: Vec<Field> =
             fields.into_iter().map(|(tag, value)| Field { tag, ifd_num: In::PRIMARY, value }).collect();
         let mut writer = Writer::new();
         fields.iter().for_each(|f| writer.push_field(f));
         let mut bytes = std::io::Cursor::new(Vec::new());
         writer.write(&mut bytes, false).unwrap();
-        let block = exif::Reader::new().read_raw(bytes.into_inner()).unwrap();
+        bytes.into_inner()
+    }
+
+    fn read_fields(fields: Vec<(Tag, Value)>) -> (ExifExposure, Vec<Warning>) {
+        let block = exif::Reader::new().read_raw(block_of(fields)).unwrap();
         let mut warnings = Vec::new();
         (interpret(&block, "a.jpg", &mut warnings), warnings)
     }

@@ -391,19 +391,14 @@ mod tests {
 
     /// A photograph of 3 × 2 px that tells both times.
     fn photograph(dir: &Path, file: &str, time: [u32; 2], apex: i32) {
-        use ::exif::{Field, In, Rational, SRational, Tag, Value, experimental::Writer};
-        let values = [
+        use ::exif::{Rational, SRational, Tag, Value};
+        let block = super::super::exif::tests::block_of(vec![
             (Tag::ExposureTime, Value::Rational(vec![Rational { num: time[0], denom: time[1] }])),
             (Tag::ShutterSpeedValue, Value::SRational(vec![SRational { num: apex, denom: 10 }])),
-        ];
-        let fields = values.map(|(tag, value)| Field { tag, ifd_num: In::PRIMARY, value });
-        let mut writer = Writer::new();
-        fields.iter().for_each(|f| writer.push_field(f));
-        let mut block = std::io::Cursor::new(Vec::new());
-        writer.write(&mut block, false).unwrap();
+        ]);
         let mut info = png::Info::with_size(3, 2);
         (info.color_type, info.bit_depth) = (png::ColorType::Rgb, png::BitDepth::Eight);
-        info.exif_metadata = Some(block.into_inner().into());
+        info.exif_metadata = Some(block.into());
         let out = std::fs::File::create(dir.join(file)).unwrap();
         let mut encoder = png::Encoder::with_info(out, info).unwrap().write_header().unwrap();
         encoder.write_image_data(&[7; 18]).unwrap();

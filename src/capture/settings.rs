@@ -161,16 +161,10 @@ mod tests {
 
     #[test]
     fn settings_are_those_of_their_own_tags() {
-        use exif::{Field, Rational, SRational, experimental::Writer};
-        let read = |fields: Vec<(Tag, Value)>| {
-            let fields: Vec<Field> =
-                fields.into_iter().map(|(tag, value)| Field { tag, ifd_num: In::PRIMARY, value }).collect();
-            let mut writer = Writer::new();
-            fields.iter().for_each(|f| writer.push_field(f));
-            let mut bytes = std::io::Cursor::new(Vec::new());
-            writer.write(&mut bytes, false).unwrap();
-            CameraSettings::of(&exif::Reader::new().read_raw(bytes.into_inner()).unwrap())
-        };
+        use super::super::exif::tests::block_of;
+        use exif::{Rational, SRational};
+        let read =
+            |fields: Vec<(Tag, Value)>| CameraSettings::of(&exif::Reader::new().read_raw(block_of(fields)).unwrap());
         let rational = |num, denom| Value::Rational(vec![Rational { num, denom }]);
         let signed = |num, denom| Value::SRational(vec![SRational { num, denom }]);
         let text = |t: &str| Value::Ascii(vec![t.as_bytes().to_vec()]);

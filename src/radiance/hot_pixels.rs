@@ -300,7 +300,7 @@ mod tests {
         // f32.
         assert!((light.value[k] - mean).abs() < 1e-3, "{} {mean}", light.value[k]);
         assert!((light.variance[k] / (noise + scatter) - 1.0).abs() < 1e-5);
-        // A neighbour that is hot, or was not measured, is none; those of other channels and outside the picture are not asked.
+        // A neighbour that is hot or was not measured is not used, nor is one of another channel or outside the picture.
         let mut light = small(bowl, spread);
         let gone = light.at(104, 41) + 1;
         light.used[gone] = 0;

@@ -301,7 +301,7 @@ impl Cloud {
 }
 
 /// Matches each mark with the disc nearest to where the view expects it, and fits the view anew, by turns: the number of discs that are some
-/// mark's, and the view. (Of discs, not of marks: a view that squeezes all marks onto a few discs is none.)
+/// mark's, and the view. (Discs are counted, not marks: a wrong view may put all marks on a few discs.)
 fn settle_layout(mut view: Homography, seen: &[Point], frame: &FrameMarks, scale: f64) -> Option<(usize, Homography)> {
     const ROUNDS: usize = 6;
     let mut matched = BTreeSet::new();
@@ -404,7 +404,7 @@ mod tests {
             [prior, moved].map(|v| register_frame(&photograph(&v, &[]), &frame(), Some(&prior), &camera()).unwrap());
         assert_eq!((after.marks.len(), after.fit.view.lens), (12, prior.lens));
         let (px, sd) = marks_moved(&before, &after).unwrap();
-        // The lens bends the middle of the picture by nothing and its rim's movement by a few hundredths.
+        // The lens displaces nothing in the middle of the picture, and changes a movement at its rim by some hundredths of a pixel.
         assert!((px[0] - 1.7).abs() < 0.02 && (px[1] + 0.9).abs() < 0.02, "{px:?}");
         assert!(sd < 0.02, "{sd}");
     }

@@ -15,14 +15,19 @@ pub fn capture(options: &Options) -> (tempfile::TempDir, PathBuf) {
 
 /// Copies a folder with all that is in it.
 pub fn copy_folder(from: &Path, to: &Path) {
+    lay_folder(from, to, &|file, target| std::fs::copy(file, target).map(|_| ()));
+}
+
+/// The same folders, and in them what `put` makes of each file.
+pub fn lay_folder(from: &Path, to: &Path, put: &dyn Fn(&Path, &Path) -> std::io::Result<()>) {
     std::fs::create_dir_all(to).unwrap();
     for entry in std::fs::read_dir(from).unwrap() {
         let entry = entry.unwrap();
         let target = to.join(entry.file_name());
         if entry.path().is_dir() {
-            copy_folder(&entry.path(), &target);
+            lay_folder(&entry.path(), &target, put);
         } else {
-            std::fs::copy(entry.path(), target).unwrap();
+            put(&entry.path(), &target).unwrap();
         }
     }
 }

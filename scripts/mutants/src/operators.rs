@@ -111,7 +111,7 @@ fn has_let(condition: &Expr) -> bool {
     }
 }
 
-/// The index that a literal is taken for: the one before, and the next of the first.
+/// The index that replaces a literal index: the one before it; for 0, the next.
 fn neighbour(index: usize) -> usize {
     if index == 0 { 1 } else { index - 1 }
 }

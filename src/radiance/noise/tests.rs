@@ -262,7 +262,7 @@ fn gain_and_read_noise_are_slope_and_height_of_the_line_with_the_errors_of_least
     assert!(
         (doubted.read_noise_sd / (df * 4.5) - 1.0).abs() < 0.2 && doubted.read_noise_sd > 2.0 * found.read_noise_sd
     );
-    // Floating point has no rounding; a saturation below black is none.
+    // Floating-point samples have no rounding variance; a saturation below the black level is ignored.
     let float = fit(&[grid], (256.0, 0.3), (100.0, false), 0.0).unwrap();
     assert!((float.noise.read_noise_electrons - 30f64.sqrt() / slope).abs() < 1e-8);
     assert_eq!((float.noise.saturation_dn, float.saturation_seen), (257.0, false));

@@ -504,7 +504,7 @@ fn each_channel_of_a_mosaic_is_read_where_it_was_measured() {
         let [x, y] = cell_mm(i, j);
         let expected = ramp(SCALE_PX[0] * x + ORIGIN_PX[0], SCALE_PX[1] * y + ORIGIN_PX[1], c) / FLUX[c];
         assert_close(row.response[k], expected, (i, j, c));
-        // Nine and more pixels share a cell, unevenly; a channel that is taken for another is ten times off.
+        // Nine pixels or more share a cell, unevenly; channels differ tenfold, so a wrong channel shows.
         let share = f64::from(row.variance[k]) * FLUX[c].powi(2) / [3.0, 50.0, 700.0][c];
         assert!((0.06..0.2).contains(&share), "{:?} {share}", (i, j, c));
     }
