@@ -13,7 +13,7 @@ ACQUIRE = $(TARGET)/release/acquire
 demo: build
 	rm -rf $(DEMO)
 	mkdir -p $(DEMO)
-	$(ACQUIRE) simulate $(DEMO)/capture --material chessboard-4x4 --grid 24 --window 23 --lit-pitch-mm 1.5 --seed 1
+	$(ACQUIRE) simulate $(DEMO)/capture --material chessboard-4x4 --grid 26x22 --window 25x21 --lit-pitch-mm 1.5 --seed 1
 	$(ACQUIRE) run $(DEMO)/capture --out $(DEMO)/results
 
 # One profile for program and tests, so that OpenCV's bindings are built once.
