@@ -406,13 +406,18 @@ fn image_margin_px(options: &Options) -> f64 {
     IMAGE_MARGIN_PX + options.camera_reach_px().ceil()
 }
 
-/// A board over slab and frame: squares of at least some 11 camera px (OpenCV finds them down to about 8), one even and one odd number of inner corners.
+/// A board over slab and frame: squares of at least some 11 camera px (OpenCV finds them down to about 8), as many along the longer side as fit, one even and
+/// one odd number of inner corners.
 fn board(size: Point, frame: f64, camera: &Camera, edge_blur_mm: f64) -> Board {
     let extent: Point = size.map(|s| s + 2.0 * frame);
     let px = camera.size_px[0].min(camera.size_px[1]) as f64 - 2.0 * IMAGE_MARGIN_PX;
-    let squares = ((px / 11.0).floor() as usize).clamp(6, 14);
-    let square_mm = extent[0].min(extent[1]) / (squares as f64 + 0.4);
-    let inner_corners = [squares - 1, squares - 2];
+    let fewer = ((px / 11.0).floor() as usize).clamp(6, 14);
+    let square_mm = extent[0].min(extent[1]) / (fewer as f64 + 0.4);
+    let along = usize::from(extent[1] > extent[0]);
+    let fit = (extent[along] / square_mm - 0.4).floor() as usize;
+    let mut squares = [fewer; 2];
+    squares[along] = fit - usize::from((fit + fewer).is_multiple_of(2));
+    let inner_corners = squares.map(|n| n - 1);
     let origin_mm = std::array::from_fn(|a| -frame + 0.5 * (extent[a] - (inner_corners[a] as f64 - 1.0) * square_mm));
     Board { inner_corners, square_mm, origin_mm, edge_blur_mm }
 }
