@@ -10,7 +10,7 @@ here=$(dirname "$0")
 acquire=${ACQUIRE:-${CARGO_TARGET_DIR:-$here/../target}/release/acquire}
 folder=${1:-$(mktemp -d)}
 mkdir -p "$folder"
-bench=(--grid "${GRID:-8}" --window "${WINDOW:-31}" --seed "${SEED:-3}" --transport mc)
+bench=(--grid "${GRID:-9x7}" --window "${WINDOW:-33x29}" --seed "${SEED:-3}" --transport mc)
 photons=${PHOTONS:-200000}
 materials=${MATERIALS:-homogeneous cream skin1 ketchup potato skim-milk layered chessboard-4x4 marble}
 

@@ -10,7 +10,7 @@ here=$(dirname "$0")
 acquire=${ACQUIRE:-${CARGO_TARGET_DIR:-$here/../target}/release/acquire}
 folder=${1:-$(mktemp -d)}
 mkdir -p "$folder"
-bench=(--material "${MATERIAL:-chessboard-4x4}" --grid "${GRID:-8}" --window "${WINDOW:-31}" --seed "${SEED:-3}")
+bench=(--material "${MATERIAL:-chessboard-4x4}" --grid "${GRID:-9x7}" --window "${WINDOW:-33x29}" --seed "${SEED:-3}")
 rows=${ROWS:-all}
 
 # measure "LABEL" SIMULATE_OPTIONS… [-- BUILD_OPTIONS…]
