@@ -27,7 +27,7 @@ const STANDS_FOR: &[(&str, &str, &str)] = &[
     ("--out", "DIR", "out"),
     ("--out", "PLAN", "out"),
     ("--out", "X.rd.zarr", "out.rd.zarr"),
-    // The rig of the checkout's small capture has a projector of 208 px.
+    // The rig of the checkout's small capture has a projector of 256 × 240 px.
     ("--rig", "DIR", "lab/projector"),
     ("--rig", "calibration/", "lab/projector"),
     ("--calibration", "DIR", "calibration"),

@@ -65,7 +65,7 @@ fn small() -> Options {
         window: [23, 19],
         exposures: 2,
         seed: 3,
-        ..Options::default()
+        ..common::bench()
     }
 }
 
@@ -148,7 +148,7 @@ fn the_cameras_lens_is_chosen_by_what_the_views_show_and_the_choice_is_kept() {
 
 #[test]
 fn drift_with_reference_dots_follows_walk_and_jumps() {
-    let mut options = dense();
+    let mut options = Options { material: Material::homogeneous(), ..dense() };
     options.with(&[Cause::Jumps]);
     let (_folder, dir) = common::capture(&options);
     let report = build(&dir);
@@ -213,8 +213,14 @@ fn a_pattern_that_may_be_its_neighbours_is_refused_by_the_shots_name() {
 #[test]
 fn a_camera_that_moves_is_told_and_followed_and_one_that_stands_is_not_suspected() {
     for (moves, limit_px) in [(false, 0.02), (true, 0.1)] {
-        let mut options =
-            Options { grid: [9, 7], lit_pitch_mm: None, step_projector_px: [4, 5], exposures: 5, ..small() };
+        let mut options = Options {
+            material: Material::homogeneous(),
+            grid: [9, 7],
+            lit_pitch_mm: None,
+            step_projector_px: [4, 5],
+            exposures: 5,
+            ..small()
+        };
         if moves {
             options.with(&[Cause::CameraJumps]);
         }
@@ -231,7 +237,7 @@ fn a_camera_that_moves_is_told_and_followed_and_one_that_stands_is_not_suspected
 #[test]
 fn the_glow_of_dots_near_the_rim_is_no_movement_of_the_camera() {
     // A sample of 10 mm, whose rim every dot lights.
-    let (_folder, dir) = common::capture(&Options { grid: [7, 5], window: [17, 13], seed: 3, ..Options::default() });
+    let (_folder, dir) = common::capture(&Options { grid: [7, 5], window: [17, 13], seed: 3, ..common::bench() });
     let report = build(&dir);
     let told = report.warnings.iter().any(|w| matches!(w, Warning::CameraMoved { .. }));
     assert!(!told, "{:?}", report.warnings);

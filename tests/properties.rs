@@ -23,7 +23,7 @@ fn options() -> Options {
         step_projector_px: [12, 15],
         exposures: 3,
         seed: 7,
-        ..Options::default()
+        ..common::bench()
     }
 }
 

@@ -406,15 +406,16 @@ fn image_margin_px(options: &Options) -> f64 {
     IMAGE_MARGIN_PX + options.camera_reach_px().ceil()
 }
 
-/// A board over slab and frame: squares of at least some 11 camera px (OpenCV finds them down to about 8), as many along the longer side as fit, one even and
-/// one odd number of inner corners.
+/// A board over slab and frame: squares of at least some 13 camera px (OpenCV finds them down to about 8; calibration boards lie a third
+/// farther away and tilted), as many along the longer side as fit, one even and one odd number of inner corners.
 fn board(size: Point, frame: f64, camera: &Camera, edge_blur_mm: f64) -> Board {
     let extent: Point = size.map(|s| s + 2.0 * frame);
     let px = camera.size_px[0].min(camera.size_px[1]) as f64 - 2.0 * IMAGE_MARGIN_PX;
-    let fewer = ((px / 11.0).floor() as usize).clamp(6, 14);
+    let fewer = ((px / 13.0).floor() as usize).clamp(6, 14);
     let square_mm = extent[0].min(extent[1]) / (fewer as f64 + 0.4);
     let along = usize::from(extent[1] > extent[0]);
-    let fit = (extent[along] / square_mm - 0.4).floor() as usize;
+    // A whole square of paper stays: OpenCV asks for a rim.
+    let fit = (extent[along] / square_mm - 1.0).floor() as usize;
     let mut squares = [fewer; 2];
     squares[along] = fit - usize::from((fit + fewer).is_multiple_of(2));
     let inner_corners = squares.map(|n| n - 1);
