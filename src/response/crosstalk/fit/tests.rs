@@ -47,10 +47,8 @@ fn samples(shots: &[Vec<LitRow>]) -> Vec<(usize, usize, usize, usize, Vec<Lit>, 
     for (s, shot) in shots.iter().enumerate() {
         for (d, row) in shot.iter().enumerate() {
             for k in 0..21 {
-                let at = [
-                    row.center_mm[0] + 0.5 * ((k % 7) as f64 - 3.0),
-                    row.center_mm[1] + 0.5 * ((k / 7) as f64 - 1.0),
-                ];
+                let at =
+                    [row.center_mm[0] + 0.5 * ((k % 7) as f64 - 3.0), row.center_mm[1] + 0.5 * ((k / 7) as f64 - 1.0)];
                 let [column, line] = at.map(|v| (v.max(0.0) / 0.5) as usize);
                 // Beyond the slab the nearest cell.
                 let cell = line.min(11) * 24 + column.min(23);
