@@ -290,7 +290,8 @@ fn the_noise_of_a_row_is_its_own_with_rounding_and_that_of_its_place_apart() {
         let [x, y] = slope(&|x, y| response(i, x + 5 * y, c), k);
         0.04 * (x * x + y * y)
     };
-    let variance = |i: usize, s: usize| of_place(i, s / 3, s % 3) * [0.5, 1.0, 1.5][s / 3 % 3];
+    let variance =
+        |i: usize, s: usize| if i == 0 { of_place(i, s / 3, s % 3) * [0.5, 1.0, 1.5][s / 3 % 3] } else { 0.0 };
     let matrix = stored(
         [2, 1],
         [5, 3],
@@ -318,7 +319,7 @@ fn the_noise_of_a_row_is_its_own_with_rounding_and_that_of_its_place_apart() {
             let values: Vec<f64> = (0..15).map(|k| response(i, k, c)).collect();
             let noise: Vec<f64> = (0..15)
                 .map(|k| {
-                    // The place of the second row is known exactly: nothing is taken out for it.
+                    // Of the second row everything is known but for rounding.
                     let place = if i == 0 { of_place(i, k, c) } else { 0.0 };
                     let own = f64::from(variance(i, 3 * k + c) as f32);
                     (own - place).max(0.0) + (rounding * values[k]).powi(2) / 3.0
