@@ -27,7 +27,7 @@ fn shots() -> Vec<Vec<LitRow>> {
             (light * (0.8 + 0.4 * odd(k + 71 * d + 37 * s)) * (1.0 + (k % 3) as f64)) as f32
         };
         let variance = (0..63).map(|k| (1e-3 * (1.0 + odd(3 * k + d))) as f32).collect();
-        let valid = (0..63).map(|k| (k + 5 * d + s) % 11 != 0).collect();
+        let valid = (0..63).map(|k| !(k + 5 * d + s).is_multiple_of(11)).collect();
         LitRow { center_mm, flux, row: Row { response: (0..63).map(response).collect(), variance, valid } }
     };
     (0..2).map(|s| (0..DOTS[s].len()).map(|d| row(s, d)).collect()).collect()
@@ -97,28 +97,28 @@ fn a_sample_is_lit_by_the_dots_of_its_own_shot_within_two_windows() {
 
 #[test]
 fn of_too_many_pairs_an_even_share_is_kept_and_all_near_the_dots() {
-    let window = Window { samples: [21, 21], pitch_mm: 0.5 };
-    // 40 dots in a corner, 80 in another, 42 mm and more away from them: further than light is followed, 21 mm.
+    let window = Window { samples: [23, 19], pitch_mm: 0.5 };
+    // 40 dots in a corner, 80 in another, 42 mm and more away from them: further than light is followed, 23 mm.
     let dot = |d: usize| LitRow {
         center_mm: if d < 40 { [5.0 + 0.05 * d as f64, 8.0] } else { [45.0 + 0.05 * d as f64, 30.0] },
         flux: [1.0; 3],
         row: Row { response: vec![], variance: vec![], valid: vec![] },
     };
     let shot: Vec<LitRow> = (0..120).map(dot).collect();
-    assert_eq!(neighbours_within(&shot, 21.0), 80);
-    // 120 dots with 80 neighbours and 441 samples each are 4.2 million: every third sample.
+    assert_eq!(neighbours_within(&shot, 23.0), 80);
+    // 120 dots with 80 neighbours and 437 samples each are 4.2 million: every third sample.
     let layout = lay_out(&[shot], &window, [60.0, 40.0]);
-    let (mut by_dot, mut by_index) = ([0_usize; 120], [0_usize; 441]);
-    let core = |k: usize| (k % 21).abs_diff(10).pow(2) + (k / 21).abs_diff(10).pow(2) < 9;
+    let (mut by_dot, mut by_index) = ([0_usize; 120], [0_usize; 437]);
+    let core = |k: usize| (k % 23).abs_diff(11).pow(2) + (k / 23).abs_diff(9).pow(2) < 9;
     for sample in &layout.samples {
         by_dot[sample.dot] += usize::from(!core(sample.index));
         by_index[sample.index] += 1;
     }
-    let cores = (0..441).filter(|&k| core(k)).count();
+    let cores = (0..437).filter(|&k| core(k)).count();
     assert_eq!(cores, 25);
-    // 416 samples of each row beyond the core: a third of them, to a few for where the stride begins.
-    assert!(by_dot.iter().all(|n| n.abs_diff(416 / 3) < 20), "{by_dot:?}");
-    assert!((0..441).all(|k| if core(k) { by_index[k] == 120 } else { by_index[k].abs_diff(40) < 5 }), "{by_index:?}");
+    // 412 samples of each row beyond the core: a third of them, to a few for where the stride begins.
+    assert!(by_dot.iter().all(|n| n.abs_diff(412 / 3) < 20), "{by_dot:?}");
+    assert!((0..437).all(|k| if core(k) { by_index[k] == 120 } else { by_index[k].abs_diff(40) < 5 }), "{by_index:?}");
 }
 
 /// A state in which no two numbers are alike, before any step.
@@ -130,9 +130,11 @@ fn state<'a>(shots: &[Vec<LitRow>], layout: &'a Layout, channel: usize) -> Fit<'
     fit
 }
 
+/// A sample's cell, what lights it and by which share, which of that is its own, the weight, and measured over modelled light.
+type Modelled = (usize, Vec<(Lit, f64)>, usize, f64, f64);
+
 /// Every measured sample with what each dot brings to it by the model, the weight, and measured over modelled.
-#[allow(clippy::type_complexity)]
-fn modelled(shots: &[Vec<LitRow>], fit: &Fit<'_>) -> Vec<(usize, Vec<(Lit, f64)>, usize, f64, f64)> {
+fn modelled(shots: &[Vec<LitRow>], fit: &Fit<'_>) -> Vec<Modelled> {
     let c = fit.channel;
     let flux: Vec<f64> = shots.iter().flatten().map(|r| r.flux[c]).collect();
     let mut all = Vec::new();
