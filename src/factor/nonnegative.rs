@@ -187,4 +187,44 @@ mod tests {
             assert!(p == 0 || found.right[3] == 0.0, "nothing where the profile is zero");
         }
     }
+
+    #[test]
+    fn a_start_is_the_larger_part_of_one_sign_of_each_triplet_and_a_hundredth_of_chance() {
+        // y v' of two triplets, of which the second is larger on its negative side, and a third of which there is none.
+        let (rows, samples) = (4, 5);
+        let left = [[3.0, 0.5], [1.0, -2.0], [2.0, -1.0], [4.0, 0.25]];
+        let right = [[0.5, 0.2], [0.4, -0.6], [0.3, -0.3], [0.2, 0.5], [0.1, 0.0]];
+        let y = Mat::from_fn(rows, 2, |i, j| left[i][j]);
+        let v = Mat::from_fn(samples, 2, |d, j| right[d][j]);
+        let profile = [0.4, 0.3, 0.0, 0.2, 0.1];
+        let (l, r) = start(&y, &v, &profile, 3);
+        let length = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let parts = [
+            [vec![3.0, 1.0, 2.0, 4.0], vec![0.5, 0.4, 0.3, 0.2, 0.1]],
+            [vec![0.0, 2.0, 1.0, 0.0], vec![0.0, 0.6, 0.3, 0.0, 0.0]],
+        ];
+        let (mut chance, mut count) = (0.0, 0.0);
+        for j in 0..3 {
+            let (a, b) = match parts.get(j) {
+                // Both sides get the same length, and the product stays.
+                Some([a, b]) => {
+                    let both = (length(a) * length(b)).sqrt();
+                    (a.iter().map(|v| v * both / length(a)).collect(), b.iter().map(|v| v * both / length(b)).collect())
+                }
+                None => (vec![0.0; rows], vec![0.0; samples]),
+            };
+            let mean = a.iter().sum::<f64>() / rows as f64;
+            let typical = if mean > 0.0 { mean } else { 1.0 };
+            let mut near = |found: f64, exact: f64, most: f64| {
+                assert!((-1e-12..=most + 1e-12).contains(&(found - exact)), "term {j}: {found} {exact} {most}");
+                chance += (found - exact) / most;
+                count += 1.0;
+            };
+            (0..rows).for_each(|i| near(l[(i, j)], a[i], 0.01 * typical));
+            // The mean of the profile is 0.2.
+            (0..samples).for_each(|d| near(r[(d, j)], b[d], 0.01 * (profile[d] + 0.001 * 0.2)));
+        }
+        // 27 even numbers have the mean 0.5 to 0.056; four of that.
+        assert!((chance / count - 0.5).abs() < 0.22, "{}", chance / count);
+    }
 }

@@ -340,4 +340,22 @@ mod tests {
             assert!(back.iter().zip(&samples).all(|(a, b)| (a - b).abs() < 1e-14), "rounding of f64");
         }
     }
+
+    #[test]
+    fn only_light_that_is_grey_everywhere_makes_one_image_for_three_channels() {
+        let images = |planes: usize, flux: [[f64; 3]; 2]| -> Vec<(usize, usize, Vec<usize>)> {
+            jobs(planes, &[flux.to_vec()]).into_iter().map(|j| (j.plane, j.flux, j.channels)).collect()
+        };
+        let (grey, own) = (vec![(0, 0, vec![0, 1, 2])], |plane: [usize; 3]| -> Vec<(usize, usize, Vec<usize>)> {
+            (0..3).map(|c| (plane[c], c, vec![c])).collect()
+        });
+        assert_eq!(images(1, [[2.0; 3], [5.0; 3]]), grey);
+        // A colour in one lit point, in any of the channels.
+        for colored in [[1.0, 1.0, 3.0], [3.0, 1.0, 1.0], [1.0, 3.0, 1.0]] {
+            assert_eq!(images(1, [[2.0; 3], colored]), own([0; 3]), "{colored:?}");
+            assert_eq!(images(1, [colored, [2.0; 3]]), own([0; 3]), "{colored:?}");
+        }
+        assert_eq!(images(3, [[2.0; 3]; 2]), (0..3).map(|c| (c, 0, vec![c])).collect::<Vec<_>>());
+        assert_eq!(images(3, [[2.0, 2.0, 1.0]; 2]), own([0, 1, 2]));
+    }
 }

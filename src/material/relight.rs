@@ -382,4 +382,21 @@ mod tests {
         assert_eq!([found[0], found[1], found[2], found[3], found[5]], [0, 118, 255, 255, 0]);
         assert!(found[4] == 187 || found[4] == 188, "{}", found[4]);
     }
+
+    #[test]
+    fn a_canvas_may_be_sixty_four_times_what_its_windows_hold() {
+        let refused = |apart_mm: f64| {
+            let lit_mm: Vec<Point> = (0..4).map(|k| [(k % 2) as f64 * apart_mm, (k / 2) as f64 * apart_mm]).collect();
+            let shape = Shape {
+                points: [2, 2],
+                window: [129, 129],
+                pitch_mm: 1.0,
+                lit_pitch_mm: [apart_mm; 2],
+                lit_mm: &lit_mm,
+            };
+            Canvas::covering(&shape, Path::new("m")).is_err()
+        };
+        // Four windows of 129² are 66,564 samples, 64 times that 2064². A canvas is as wide as a window and one more than the points are apart.
+        assert!(!refused(2064.0 - 130.0) && refused(2065.0 - 130.0));
+    }
 }

@@ -305,6 +305,7 @@ mod tests {
         let gone = light.at(104, 41) + 1;
         light.used[gone] = 0;
         let all = [
+            hot(104, 12),
             hot(90, 41),
             hot(104, 42),
             HotPixel { at: [104, 43, 0], excess: None },

@@ -68,7 +68,7 @@ impl StrayLight {
         }
         let (shares, sd) = fit_without_outliers(rows)?;
         let share: f64 = shares.iter().sum();
-        if !(share > SIGNIFICANCE * sd && share > LEAST_SHARE && share < 0.5) {
+        if !is_believed(share, sd) {
             return Some(Self { halos: vec![], share: 0.0, share_sd: sd });
         }
         let halos = RADII_PX.iter().zip(shares).filter(|(_, s)| *s > 0.0);
@@ -111,6 +111,11 @@ impl StrayLight {
             }
         }
     }
+}
+
+/// Whether a share of the light with this standard deviation is taken out: NaN is not.
+fn is_believed(share: f64, sd: f64) -> bool {
+    share > SIGNIFICANCE * sd && share > LEAST_SHARE && share < 0.5
 }
 
 /// A block's light under each halo of share one, and its own light, both times its weight.
@@ -338,6 +343,7 @@ mod tests {
             let found = StrayLight::estimate(std::slice::from_ref(&seen), &dark()).unwrap();
             // Radii between those tried are mixtures: the shape's stated error.
             assert!((found.share / 0.02 - 1.0).abs() < 2.0 * SHAPE_SD, "{radius_px}: {found:?}");
+            assert!(found.share_sd >= 0.1 * found.share, "a tenth of it at the least: {found:?}");
             let mut windows = vec![seen];
             found.remove(&mut windows, SIZE);
             let middle = windows[0].at(70, 80);
@@ -471,5 +477,136 @@ mod tests {
         let (shares, _) = non_negative(&rows).unwrap();
         assert_eq!(shares[5], 0.0);
         assert!((shares[8] - 8e-3).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_painted_is_the_mean_over_blocks_where_pictures_overlap_once() {
+        let rect = |x, y, width, height| Rect { x, y, width, height };
+        let picture = |rect: Rect, of: usize| {
+            let n = 3 * rect.area();
+            let value = (0..n).map(|k| ((k * 31 + 7 * of) % 97) as f32).collect();
+            Radiance { rect, value, variance: vec![1.0; n], used: vec![1; n] }
+        };
+        let (a, b) = (picture(rect(2, 1, 11, 9), 1), picture(rect(8, 4, 13, 12), 2));
+        for pictures in [vec![&a], vec![&a, &b]] {
+            // Radius 12: blocks of 3 px; 23 × 17 px are 8 × 6 of them.
+            let coarse = Coarse::paint(&pictures, [23, 17], 12.0);
+            assert_eq!((coarse.block_px, coarse.size), (3, [8, 6]));
+            let mut expected = vec![[0.0; 3]; 48];
+            for y in 0..17 {
+                for x in 0..23 {
+                    let covers = |p: &&&Radiance| {
+                        let r = p.rect;
+                        (r.x..r.x + r.width).contains(&x) && (r.y..r.y + r.height).contains(&y)
+                    };
+                    if let Some(first) = pictures.iter().find(covers) {
+                        let k = 3 * ((y - first.rect.y) * first.rect.width + x - first.rect.x);
+                        (0..3).for_each(|c| expected[y / 3 * 8 + x / 3][c] += first.value[k + c] / 9.0);
+                    }
+                }
+            }
+            for (found, expected) in coarse.value.iter().zip(&expected) {
+                // Nine numbers up to 97 in f32.
+                assert!((0..3).all(|c| (found[c] - expected[c]).abs() < 1e-4), "{found:?} {expected:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_halo_is_the_sum_over_all_blocks_weighted_by_their_distance_and_nothing_beyond_the_picture() {
+        let size = [9, 5];
+        let value: Vec<[f32; 3]> = (0..45).map(|k| [0, 1, 2].map(|c| ((k * 13 + c * 5) % 17) as f32)).collect();
+        let coarse = Coarse { block_px: 2, size, value: value.clone() };
+        let blurred = coarse.blurred(5.0);
+        assert_eq!((blurred.block_px, blurred.size), (2, size));
+        // In blocks of 2 px; blocks and the interpolation between them are a quarter of a block squared by themselves.
+        let variance = (25.0 - 0.25 * 4.0) / 4.0;
+        let weight = |d: f64| f64::exp(-0.5 * d * d / variance);
+        // Five standard deviations of 2.45 blocks.
+        let all: f64 = (-13..=13).map(|k| weight(f64::from(k))).sum();
+        for y in 0..5 {
+            for x in 0..9 {
+                for c in 0..3 {
+                    let part = |k: usize| {
+                        let d = [(k % 9) as f64 - x as f64, (k / 9) as f64 - y as f64];
+                        weight(d[0]) * weight(d[1]) / (all * all) * f64::from(value[k][c])
+                    };
+                    let expected: f64 = (0..45).map(part).sum();
+                    let found = f64::from(blurred.value[y * 9 + x][c]);
+                    // Sums of 45 numbers in f32.
+                    assert!((found / expected - 1.0).abs() < 1e-5, "{x} {y} {c}: {found} {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn between_the_middles_of_blocks_a_plane_is_a_plane_and_beyond_the_last_it_ends() {
+        let plane = |x: f64, y: f64, c: usize| [3.0 + 2.0 * x - 5.0 * y, 100.0 - x + 0.5 * y, 7.0 * x + 11.0 * y][c];
+        let coarse = |size: [usize; 2]| {
+            let of = |k: usize| [0, 1, 2].map(|c| plane((k % size[0]) as f64, (k / size[0]) as f64, c) as f32);
+            Coarse { block_px: 3, size, value: (0..size[0] * size[1]).map(of).collect() }
+        };
+        for size in [[6, 4], [1, 4], [6, 1], [1, 1]] {
+            let coarse = coarse(size);
+            for at in
+                [[1.0, 1.0], [4.0, 7.0], [5.5, 2.2], [8.3, 9.9], [16.0, 10.0], [0.0, 3.0], [17.0, 11.0], [-4.0, 90.0]]
+            {
+                // The middle of block k is pixel 3 k + 1.
+                let place = |a: usize| ((at[a] - 1.0) / 3.0_f64).clamp(0.0, (size[a] - 1) as f64);
+                for c in 0..3 {
+                    let (found, expected) = (f64::from(coarse.at(at)[c]), plane(place(0), place(1), c));
+                    // f32.
+                    assert!((found - expected).abs() < 1e-4, "{size:?} {at:?} {c}: {found} {expected}");
+                }
+            }
+        }
+    }
+
+    /// Blocks that see 100 of the first halo and a hundredth of it, off by so much; and one for each of the others, where nothing is.
+    fn rows_off(by: impl Iterator<Item = f64>) -> Vec<Weighted> {
+        let alone = |k: usize| std::array::from_fn(|j| if j == k { 100.0 } else { 0.0 });
+        by.map(|off| (alone(0), 1.0 + off)).chain((1..RADII_PX.len()).map(|k| (alone(k), 0.0))).collect()
+    }
+
+    #[test]
+    fn a_block_that_is_off_by_five_times_what_most_are_is_left_out_and_thirty_must_stay() {
+        let fitted = |usual: f64, one: f64| {
+            let even = (0..40).map(|k| if k % 2 == 0 { usual } else { -usual });
+            100.0 * fit_without_outliers(rows_off(even.chain([one]))).unwrap().0[0]
+        };
+        // The mean of the 41 is off by a 41st of the one. What most are off by is less than the noise, 1: 5 · 41/40 is the limit.
+        for (usual, one) in [(0.5, 5.1), (0.5, 5.15), (0.5, -5.1), (0.5, -5.15)] {
+            let kept = (one * 40.0 / 41.0_f64).abs() <= 5.0;
+            let expected = if kept { 1.0 + one / 41.0 } else { 1.0 };
+            assert!((fitted(usual, one) - expected).abs() < 1e-9, "{one}: {}", fitted(usual, one));
+        }
+        // Else the limit is 5 · 1.4826 medians. Of 49 blocks 8 are off by nothing and 20 by 2 less what the mean is off by:
+        // x · 40/41 = 7.413 (2 − x/41), x = 12.82.
+        assert!((fitted(2.0, 12.6) - (1.0 + 12.6 / 41.0)).abs() < 1e-9, "{}", fitted(2.0, 12.6));
+        assert!((fitted(2.0, 13.05) - 1.0).abs() < 1e-9, "{}", fitted(2.0, 13.05));
+        // With the 8 others.
+        assert!(fit_without_outliers(rows_off((0..21).map(|_| 0.0))).is_none());
+        assert!(fit_without_outliers(rows_off((0..22).map(|_| 0.0))).is_some());
+        assert!(fit_without_outliers(rows_off((0..22).map(|k| if k == 7 { 99.0 } else { 0.0 }))).is_none());
+    }
+
+    #[test]
+    fn residuals_beyond_the_noise_make_the_share_less_certain() {
+        // Ten blocks for each of 9 halos, off by ±3 noises: 9 · 90 over 81 degrees of freedom are 10 times the noise's variance.
+        let alone = |k: usize| std::array::from_fn(|j| if j == k { 100.0 } else { 0.0 });
+        let rows: Vec<Weighted> = (0..90).map(|k| (alone(k / 10), if k % 2 == 0 { 4.0 } else { -2.0 })).collect();
+        let (shares, sd) = non_negative(&rows).unwrap();
+        assert!(shares.iter().all(|s| (s - 0.01).abs() < 1e-12), "{shares:?}");
+        // Each share has a variance of 10 / (10 · 100²).
+        assert!((sd - (9.0 * 10.0 / (10.0 * 1e4_f64)).sqrt()).abs() < 1e-12, "{sd}");
+    }
+
+    #[test]
+    fn a_share_is_taken_out_from_four_deviations_and_two_ten_thousandths_of_the_light_on() {
+        assert!(is_believed(0.0401, 0.01) && !is_believed(0.0399, 0.01));
+        // 2e-4, however well it is known.
+        assert!(is_believed(2.01e-4, 1e-9) && !is_believed(1.99e-4, 1e-9));
+        assert!(is_believed(0.499, 1e-3) && !is_believed(0.501, 1e-3) && !is_believed(f64::NAN, 1e-3));
     }
 }

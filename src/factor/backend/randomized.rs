@@ -258,4 +258,43 @@ mod tests {
             }
         }
     }
+
+    fn ritz(values: &[f64], residuals: &[f64]) -> Ritz {
+        let vectors = Mat::from_fn(3, values.len(), |i, j| (10 * i + j) as f64);
+        Ritz { values: values.to_vec(), vectors, residuals: residuals.to_vec() }
+    }
+
+    #[test]
+    fn values_have_converged_when_residuals_promise_the_accuracy_or_are_rounding() {
+        // θ = 16, 1, 0.25: σ = 4, 1, 0.5. |σ − √θ| ≤ r / (2 √θ) is 1e-3 σ_1 for r = 2e-3 · 4 · σ.
+        let limits = [0.032, 0.008, 0.004];
+        let all = |scale: f64| limits.map(|r| r * scale);
+        let converged = |r: [f64; 3], k, accuracy, mixed| ritz(&[16.0, 1.0, 0.25], &r).converged(k, accuracy, mixed);
+        assert!(converged(all(0.999), 3, 1e-3, false));
+        for j in 0..3 {
+            let mut r = all(0.999);
+            r[j] = 1.001 * limits[j];
+            assert!(!converged(r, 3, 1e-3, false), "{j}");
+            assert_eq!(converged(r, 2, 1e-3, false), j == 2, "only the first k count");
+        }
+        // Rounding: 3e-7 of σ_1 σ in products of Ritz vectors, of σ_1² in those of mixed ones.
+        let rounding = [16.0, 4.0, 2.0].map(|s| 3e-7 * s);
+        assert!(converged(rounding.map(|r| 0.999 * r), 3, 0.0, false));
+        assert!(!converged(rounding.map(|r| 1.001 * r), 3, 0.0, false));
+        assert!(converged([0.999 * rounding[0]; 3], 3, 0.0, true));
+        assert!(!converged([0.999 * rounding[0]; 3], 3, 0.0, false));
+    }
+
+    #[test]
+    fn the_stated_error_is_the_largest_of_the_terms_asked_for_over_the_first_value() {
+        let low = ritz(&[16.0, 1.0, 0.25], &[0.08, 0.004, 9.0]).low_rank(2, 7);
+        assert_eq!((low.singular_values.as_slice(), low.passes), ([4.0, 1.0, 0.5].as_slice(), 7));
+        assert_eq!(low.vectors, [0.0, 10.0, 20.0, 1.0, 11.0, 21.0, 2.0, 12.0, 22.0]);
+        // 0.08 / 8 and 0.004 / 2, over 4.
+        assert!((low.residual - 0.01 / 4.0).abs() < 1e-15, "{}", low.residual);
+        // Of a value near zero √r is less: 0.1 of 4.
+        let small = ritz(&[16.0, 1e-6], &[0.0, 0.01]).low_rank(2, 1);
+        assert!((small.residual - 0.1 / 4.0).abs() < 1e-15, "{}", small.residual);
+        assert_eq!(ritz(&[0.0, 0.0], &[0.0, 0.0]).low_rank(2, 1).residual, 0.0);
+    }
 }

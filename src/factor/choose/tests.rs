@@ -270,3 +270,68 @@ fn a_degree_goes_as_far_as_the_polynomial_stands_out_of_the_stated_noise() {
     assert_eq!(degree, 6, "noise that is not stated looks like colour");
     assert!(why.starts_with("the highest allowed"), "{why}");
 }
+
+#[test]
+fn the_noise_of_a_row_is_its_own_with_rounding_and_that_of_its_place_apart() {
+    // Steep rows of which the place is known to a fifth of a sample (0.25 mm); in some samples that is all of the stated variance.
+    let value = |i: usize, k: usize, c: usize| {
+        let (x, y) = ((k % 5) as f64 - 2.2, (k / 5) as f64 - 0.7);
+        (2.0 + i as f64 + c as f64) * (-(0.3 * x * x + 0.5 * y * y + 0.2 * x * y)).exp()
+    };
+    let response = |i: usize, k: usize, c: usize| f64::from(value(i, k, c) as f32);
+    // Central differences, one-sided at the rim.
+    let slope = |v: &dyn Fn(usize, usize) -> f64, k: usize| {
+        let (x, y) = (k % 5, k / 5);
+        let (a, b) = (x.saturating_sub(1), (x + 1).min(4));
+        let (d, e) = (y.saturating_sub(1), (y + 1).min(2));
+        [(v(b, y) - v(a, y)) / (b - a) as f64, (v(x, e) - v(x, d)) / (e - d) as f64]
+    };
+    let of_place = |i: usize, k: usize, c: usize| {
+        let [x, y] = slope(&|x, y| response(i, x + 5 * y, c), k);
+        0.04 * (x * x + y * y)
+    };
+    let variance =
+        |i: usize, s: usize| if i == 0 { of_place(i, s / 3, s % 3) * [0.5, 1.0, 1.5][s / 3 % 3] } else { 0.0 };
+    let matrix = stored(
+        [2, 1],
+        [5, 3],
+        |i| if i == 0 { 0.05 } else { 0.0 },
+        |i| Row {
+            response: (0..45).map(|s| value(i, s / 3, s % 3) as f32).collect(),
+            variance: (0..45).map(|s| variance(i, s) as f32).collect(),
+            valid: vec![true; 45],
+        },
+    );
+    let mut material = made(&matrix.reader, &options(1, 2)).material;
+    (material.header.degree, material.header.intensity_range) = (None, [-1e-3, 1.0]);
+    let block = matrix.reader.read(0..2).unwrap();
+    let found =
+        regression::rows(&material, &block, |k, channels| row_significance(&matrix.reader, channels, &block, k, 2));
+    let rounding = 4.0 * f64::from(f32::EPSILON) / 2.0;
+    for i in 0..2 {
+        let u: Vec<f64> = material
+            .plane_row(0, i)
+            .iter()
+            .map(|v| 2.0 * (v + f64::from(1e-3_f32)) / (1.0 + f64::from(1e-3_f32)) - 1.0)
+            .collect();
+        let basis = PolynomialBasis::new(&u, 2);
+        for c in 0..3 {
+            let values: Vec<f64> = (0..15).map(|k| response(i, k, c)).collect();
+            let noise: Vec<f64> = (0..15)
+                .map(|k| {
+                    // Of the second row everything is known but for rounding.
+                    let place = if i == 0 { of_place(i, k, c) } else { 0.0 };
+                    let own = f64::from(variance(i, 3 * k + c) as f32);
+                    (own - place).max(0.0) + (rounding * values[k]).powi(2) / 3.0
+                })
+                .collect();
+            let errors = position_errors(gradient(&values, &[true; 15], [5, 3]), &[true; 15], [5, 3], 0.2);
+            let expected = basis.significance(&values, &noise, if i == 0 { &errors } else { &[] });
+            assert_eq!(found[i][c].len(), 3);
+            for (found, expected) in found[i][c].iter().zip(expected) {
+                // A difference of f32 variances and of f64 squares of slopes: 1e-7 of them.
+                assert!((found.unwrap() / expected.unwrap() - 1.0).abs() < 1e-4, "{i} {c}: {found:?} {expected:?}");
+            }
+        }
+    }
+}

@@ -197,3 +197,50 @@ fn a_fit_of_a_polynomial_is_that_polynomial() {
     let higher = PolynomialBasis::new(&u, 3).fit(&y, 4);
     assert_eq!((higher.coefficients.len(), higher.coefficients[4]), (5, 0.0), "a basis without that degree");
 }
+
+#[test]
+fn rounding_of_coefficients_adds_the_square_of_the_polynomial_that_it_changes_them_by() {
+    let u: Vec<f64> = (0..50).map(|k| f64::from(k * k) / 1250.0 - 0.97).collect();
+    let basis = PolynomialBasis::new(&u, 3);
+    let (mut exact, rounded) = ([0.0; MOST], [0.5_f32, -1.25, 2.0, 0.75]);
+    exact[..4].copy_from_slice(&[0.4, -1.0, 2.5, 0.5]);
+    let changed = [0.1_f64, -0.25, -0.5, 0.25];
+    let expected: f64 = u.iter().map(|&u| value(&changed, u).powi(2)).sum();
+    // f64 sums, through polynomials whose coefficients are of size one.
+    assert!((basis.rounded(&exact, &rounded) / expected - 1.0).abs() < 1e-10, "{expected}");
+    // A third of the square of half a unit in the last place of 1, for every sample.
+    let half_unit = f64::from(f32::EPSILON) / 2.0;
+    assert!((basis.ridge() / (50.0 * half_unit * half_unit / 3.0) - 1.0).abs() < 1e-14);
+}
+
+/// Arguments of which all are within `width` of −1, where Legendre polynomials hardly differ.
+fn near_the_end(width: f64) -> Vec<f64> {
+    (0..60).map(|k| -1.0 + width * (f64::from(k) + 0.5) / 30.0).collect()
+}
+
+#[test]
+fn degrees_whose_coefficients_rounding_would_spoil_are_damped_and_the_error_says_so() {
+    let u = near_the_end(1e-4);
+    let y: Vec<f64> = (0..60).map(|k| 1.0 + 0.3 * (0.4 * f64::from(k)).sin()).collect();
+    let basis = PolynomialBasis::new(&u, 4);
+    for degree in 0..=4 {
+        let fit = basis.fit(&y, degree);
+        let error: f64 = u.iter().zip(&y).map(|(&u, y)| (value(&wide(&fit.coefficients), u) - y).powi(2)).sum();
+        // Coefficients of up to 1e6 cancel: 1e-10 of the values, and their square is summed.
+        assert!((error / fit.error - 1.0).abs() < 1e-6, "{degree}: {error} {}", fit.error);
+        let exact = fit.energy - basis.project(&y)[..=degree].iter().map(|a| a * a).sum::<f64>();
+        // Degree 1 is 1e4 of a coefficient, which f32 can hold; degree 2 is 1e8.
+        let damped = (fit.error - exact) / exact;
+        assert_eq!(damped > 1e-3, degree >= 2, "{degree}: {damped}");
+    }
+}
+
+#[test]
+fn a_row_makes_use_of_the_degrees_that_rounding_leaves_more_than_half_of() {
+    // q_p has coefficients of about c_p / width^p, c = √3, 3.4, 6.6: half is left where they are 1.7 / 6e-8 at the most, so that degree 1
+    // needs a width of 6e-8, degree 2 one of 3e-4, degree 3 one of 6e-3.
+    for (width, count) in [(1e-4, 2), (1e-3, 3), (2e-2, 4)] {
+        let found = PolynomialBasis::new(&near_the_end(width), 3).significance(&[1.0; 60], &[1.0; 60], &[]);
+        assert_eq!(found.len(), count, "{width}");
+    }
+}

@@ -227,6 +227,10 @@ fn gaps_do_not_count_and_are_filled_from_all_terms() {
         let [error, energy] = misfit(&found.material, |i, e, c| exact(2, i, e, c), valid);
         assert!((found.rel_rmse - (error / energy).sqrt()).abs() < 1e-6, "f32: {} {error} {energy}", found.rel_rmse);
     }
+    // One round more than gaps are filled, each one pass of a full decomposition.
+    let rounds = |fill_rounds: usize| made(&gaps, &Options { terms: Some(2), fill_rounds, ..options(Model::Joint) });
+    assert!(rounds(3).choice.contains("full, 4 passes"), "{}", rounds(3).choice);
+    assert!(rounds(0).choice.contains("full, 1 pass"), "{}", rounds(0).choice);
     // Estimated from both terms again and again, the rows become the two terms that they are, measured or not.
     let found = made(&gaps, &Options { terms: Some(2), fill_rounds: 40, ..options(Model::Joint) });
     let [error, energy] = misfit(&found.material, |i, e, c| exact(2, i, e, c), |_, _| true);

@@ -312,4 +312,31 @@ mod tests {
         basis.inverse(&mut gamma);
         assert!(gamma.iter().zip(beta).all(|(a, b)| (a - b).abs() < 1e-12), "rounding: {gamma:?}");
     }
+
+    #[test]
+    fn eigenvectors_are_a_rotation_whose_rows_the_matrix_only_stretches_the_longest_first() {
+        for m in [
+            [[4.0, -1.0, 0.5], [-1.0, 3.0, 2.0], [0.5, 2.0, 1.0]],
+            [[1.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 3.0]],
+            [[2.0, 0.0, 1.5], [0.0, 7.0, 0.0], [1.5, 0.0, 2.0]],
+            [[3.0, 2.9, 2.8], [2.9, 3.1, 3.0], [2.8, 3.0, 3.3]],
+        ] {
+            let rows = eigenvectors(m);
+            let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+            let values = rows.map(|v| dot(v, m.map(|line| dot(line, v))));
+            for (k, v) in rows.iter().enumerate() {
+                for a in 0..3 {
+                    // Thirty sweeps of Jacobi's rotations end at rounding.
+                    assert!((dot(m[a], *v) - values[k] * v[a]).abs() < 1e-12, "{m:?}: {rows:?}");
+                }
+                for (l, w) in rows.iter().enumerate() {
+                    assert!((dot(*v, *w) - f64::from(u8::from(k == l))).abs() < 1e-12, "{rows:?}");
+                }
+            }
+            assert!(values[0] >= values[1] && values[1] >= values[2], "{values:?}");
+            let [a, b, c] = rows;
+            let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+            assert!((dot(cross, c) - 1.0).abs() < 1e-12, "no reflection: {rows:?}");
+        }
+    }
 }

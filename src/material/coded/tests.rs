@@ -254,3 +254,19 @@ fn shared_maps_are_coded_as_what_they_stand_for_and_the_header_keeps_its_digits(
     assert_eq!(found.header.noise_level, m.header.noise_level);
     assert_eq!(found.header.points, m.header.points);
 }
+
+#[test]
+fn qualities_beyond_what_a_file_can_hold_are_refused() {
+    let refused = |quality, position_error_px| {
+        let options = Options { quality, position_error_px };
+        matches!(check_options(&options), Err(Error::Setting { .. }))
+    };
+    let error = |error: f64| refused(Quality::AddedError(error), None);
+    assert_eq!([0.0, 9e-7, 1e-6, 1.0, 1.001, f64::NAN].map(error), [true, true, false, false, true, true]);
+    let place = |error: f64| refused(Quality::AddedError(0.01), Some(error));
+    assert_eq!([0.0, 9e-7, 1e-6, 1.0, 1.001, f64::NAN].map(place), [true, true, false, false, true, true]);
+    assert_eq!([0, 1, u64::MAX].map(|n| refused(Quality::MaxBytes(n), None)), [true, false, false]);
+    // Before anything is coded.
+    let options = Options { quality: Quality::MaxBytes(0), ..Options::default() };
+    assert!(encode(&example(), &options).is_err());
+}

@@ -1,6 +1,6 @@
 use super::*;
 use crate::capture::Noise;
-use crate::radiance::FileNoise;
+use crate::radiance::{Curve, FileNoise};
 use rand::SeedableRng;
 use rand_distr::{Distribution, Normal, Poisson};
 
@@ -317,4 +317,76 @@ fn bright_pixels_are_all_picked_and_dark_ones_as_many_of_each_level() {
     let there = |level: std::ops::Range<f64>| (0..900).filter(|&n| level.contains(&light(n))).count();
     // 22 and 23 DN are one level of half an octave.
     assert_eq!([count(0.0..30.0), count(200.0..400.0), count(5e3..1e4)], [300, there(200.0..400.0), there(5e3..1e4)]);
+}
+
+/// A power law for each channel.
+fn curved() -> Sensor {
+    let table = |gamma: f64| (0..256).map(|z| 255.0 * (f64::from(z) / 255.0).powf(gamma)).collect::<Vec<_>>();
+    let curve = Curve::new([1.4, 2.0, 2.8].map(table).into(), vec![vec![0.0; 256]; 3]);
+    let noise = Noise { black_dn: 0.0, saturation_dn: 250.0, gain_dn_per_electron: 0.02, read_noise_electrons: 2.0 };
+    Sensor::with_curve(&noise, curve, FileNoise { sixteen_bit: false, compression: [0.3, 1.0, 3.0] })
+}
+
+/// One sample of so much light in each exposure, looked at as a sample of channel `c`.
+fn looked(sensor: &Sensor, light: [f32; 2], secs: [f32; 2], c: usize, loose: bool) -> Option<Here> {
+    let linear = light.map(|v| {
+        let mut block = [0.0; BLOCK];
+        block[c] = v;
+        block
+    });
+    let mut here = Here::new(2);
+    here.look(&linear, c, &secs, sensor, loose).then_some(here)
+}
+
+#[test]
+fn a_sample_counts_by_the_noise_of_its_own_channel() {
+    let sensor = curved();
+    let mut weights = Vec::new();
+    for c in 0..3 {
+        let here = looked(&sensor, [30.0, 120.0], [1.0, 4.0], c, false).unwrap();
+        for (j, mean) in [30.0_f32, 120.0].into_iter().enumerate() {
+            let expected = f64::from(mean * mean / sensor.variance(mean, c));
+            // f32.
+            assert!((here.weight[j] / expected - 1.0).abs() < 1e-5, "{c} {j}: {} {expected}", here.weight[j]);
+            assert!(here.residual[j].abs() < 1e-6 && (here.mean[j] / mean - 1.0).abs() < 1e-6);
+        }
+        weights.push(here.weight[0]);
+    }
+    assert!(weights.windows(2).all(|w| (w[1] / w[0] - 1.0).abs() > 0.05), "compression differs: {weights:?}");
+}
+
+#[test]
+fn a_sample_five_deviations_off_is_no_noise_and_at_first_one_that_is_off_by_three_fifths() {
+    let sensor = sensor();
+    // Two of one time, above and below their mean by as much.
+    let found =
+        |mean: f32, off: f32, loose: bool| looked(&sensor, [mean - off, mean + off], [1.0; 2], 0, loose).is_some();
+    let sd = sensor.variance(2000.0, 0).sqrt();
+    assert!(found(2000.0, 4.9 * sd, false) && !found(2000.0, 5.1 * sd, false));
+    assert!(found(2000.0, 0.59 * 2000.0, true) && !found(2000.0, 0.61 * 2000.0, true));
+}
+
+#[test]
+fn flicker_must_make_the_stacks_twenty_times_as_likely() {
+    let off = [1.0, -1.0, 0.5, -0.7, 1.2, -1.1, 0.3, -0.4];
+    // By how much (natural logarithm) the best flicker is likelier than none; e³ is 20.
+    let mut seen = [0; 2];
+    for k in 0..60 {
+        let scale = 1.0 + 0.03 * f64::from(k);
+        let pairs = off.map(|d| two([0, 1], scale * d * 0.01, 1e4));
+        let fit = fit_exposures(&pairs.iter().map(|(s, x)| (s, x.clone())).collect::<Vec<_>>(), 2);
+        let none = fitted(&pairs, 2, 0.0).0.log_likelihood;
+        let likelier = (0..200)
+            .map(|k| fitted(&pairs, 2, 1e-3 * 1.03f64.powi(k)).0.log_likelihood - none)
+            .fold(f64::NEG_INFINITY, f64::max);
+        // The grid of the fit is coarser: a sixth.
+        if likelier > 3.1 {
+            assert!(fit.flicker_sd.is_some(), "{scale}: {likelier}");
+            seen[1] += usize::from(likelier < 4.3);
+        } else if likelier < 3.0 {
+            assert_eq!(fit.flicker_sd, None, "{scale}: {likelier}");
+            seen[0] += usize::from(likelier > 2.0);
+        }
+    }
+    assert!(seen[0] > 0 && seen[1] > 0, "some on either side: {seen:?}");
 }

@@ -128,19 +128,7 @@ fn fit_channel(
     channel: usize,
 ) -> Option<ChannelModel> {
     let mut outgoing = OutgoingMap::even(size_mm, window.pitch_mm);
-    let seen = layout.samples.iter().map(|s| {
-        let LitRow { flux, row, .. } = &shots[s.shot][s.dot];
-        let (k, flux) = (3 * s.index + channel, flux[channel]);
-        row.valid[k].then(|| (f64::from(row.response[k]) * flux, f64::from(row.variance[k]) * flux * flux))
-    });
-    let mut fit = Fit {
-        layout,
-        channel,
-        seen: seen.collect(),
-        kernel: vec![],
-        incident: vec![1.0; layout.flux.len()],
-        outgoing: outgoing.value.clone(),
-    };
+    let mut fit = Fit::new(shots, layout, outgoing.value.clone(), channel);
     fit.kernel = fit.first_kernel()?;
     for _ in 0..ROUNDS {
         fit.update_kernel();
@@ -176,7 +164,18 @@ impl Step {
     }
 }
 
-impl Fit<'_> {
+impl<'a> Fit<'a> {
+    /// An even slab, its kernel still to be found.
+    fn new(shots: &[Vec<LitRow>], layout: &'a Layout, outgoing: Vec<f64>, channel: usize) -> Self {
+        let seen = layout.samples.iter().map(|s| {
+            let LitRow { flux, row, .. } = &shots[s.shot][s.dot];
+            let (k, flux) = (3 * s.index + channel, flux[channel]);
+            row.valid[k].then(|| (f64::from(row.response[k]) * flux, f64::from(row.variance[k]) * flux * flux))
+        });
+        let (seen, incident) = (seen.collect(), vec![1.0; layout.flux.len()]);
+        Self { layout, channel, seen, kernel: vec![], incident, outgoing }
+    }
+
     /// From the samples whose own dot is the nearest; exponential beyond them. `None` without light.
     fn first_kernel(&self) -> Option<Vec<f64>> {
         let (mut sum, mut weight) = (vec![0.0; self.layout.nodes], vec![0.0; self.layout.nodes]);
@@ -308,3 +307,6 @@ impl Fit<'_> {
             .collect()
     }
 }
+
+#[cfg(test)]
+mod tests;

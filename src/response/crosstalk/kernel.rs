@@ -1,6 +1,6 @@
 //! A function of distance on even nodes.
 
-/// A positive function of distance, linear between its nodes and exponential beyond the last.
+/// A positive function of distance, linear between its nodes and constant beyond the last.
 #[derive(Debug, Clone)]
 pub(super) struct Kernel {
     step_mm: f64,

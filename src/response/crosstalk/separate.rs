@@ -53,7 +53,7 @@ impl TailModel {
         found
     }
 
-    fn reach_mm(&self, channel: usize, window: &Window) -> f64 {
+    pub(super) fn reach_mm(&self, channel: usize, window: &Window) -> f64 {
         let kernel = &self.channels[channel].kernel;
         let half = 0.5 * window.pitch_mm * window.samples[0].max(window.samples[1]) as f64;
         let faint = FAINT * kernel.at_distance(half);

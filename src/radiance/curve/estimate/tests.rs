@@ -147,3 +147,168 @@ fn too_little_in_common_gives_no_curve() {
     let stack = Stack { exposures: vec![lone], settings: vec![0] };
     assert!(estimate_curve(&[stack], &[], 1, &NOISE, &options).is_none());
 }
+
+/// A state that is not the solution: three curves apart, times and lamps off.
+fn state(settings: usize, sums: usize) -> Fit {
+    let start = starting(&Curve::srgb());
+    let coefficients = (0..3 * COEFFICIENTS).map(|k| start[k % COEFFICIENTS] + 0.03 * ((k * 7) % 5) as f64).collect();
+    let wave = |n: usize| (0..n).map(|k| 0.01 * ((k * 3) % 4) as f64 - 0.012).collect();
+    Fit {
+        coefficients,
+        curves: 3,
+        times: wave(settings),
+        lamps: wave(2 * sums),
+        chi2: 0.0,
+        freedom: 0.0,
+        covariance_diagonal: vec![],
+    }
+}
+
+/// Compares the sums of a system with dense rows: (row, residual, weight) of every observation.
+fn assert_sums(found: &System, rows: &[(Vec<f64>, f64, f64)]) {
+    let n = found.size;
+    let (mut matrix, mut right) = (vec![0.0; n * n], vec![0.0; n]);
+    for (row, residual, weight) in rows {
+        for i in (0..n).filter(|&i| row[i] != 0.0) {
+            right[i] += weight * row[i] * residual;
+            (0..n).for_each(|j| matrix[i * n + j] += weight * row[i] * row[j]);
+        }
+    }
+    let near = |found: &[f64], expected: &[f64]| {
+        let size = expected.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        // f64 sums in another order; values of the curve pass through f32.
+        found.iter().zip(expected).enumerate().for_each(|(k, (f, e))| {
+            assert!((f - e).abs() < 1e-6 * size, "{k}: {f} {e}");
+        });
+    };
+    near(&found.matrix, &matrix);
+    near(&found.right, &right);
+}
+
+#[test]
+fn a_stacks_equations_are_those_of_curve_and_times_with_the_light_of_each_pixel_eliminated() {
+    let (stack, _) = scene([1.6, 1.9, 2.3]);
+    let file = FileNoise { sixteen_bit: true, compression: [0.0; 3] };
+    let options = CurveOptions { times_sd: 0.03, file };
+    let stacks = [Stack { settings: vec![1, 0, 2], ..stack }];
+    let problem = Problem { stacks: &stacks, sums: &[], settings: 3, noise: &NOISE, options: &options };
+    let fit = state(3, 0);
+    let sensor = Sensor::with_curve(&NOISE, fit.curve(vec![vec![0.0; CODES]; 3]), file);
+    let size = 3 * COEFFICIENTS + 3;
+    let found = problem.add_stack(&stacks[0], &fit, &sensor, System::new(size), true);
+    let secs: Vec<f32> =
+        [(0.25, 1), (1.0, 0), (3.0, 2)].map(|(t, s)| (t * f64::exp(0.01 * [0.0, 3.0, 2.0][s] - 0.012)) as f32).into();
+    let linear: Vec<Vec<f32>> = stacks[0]
+        .exposures
+        .iter()
+        .map(|e| {
+            let mut all = vec![0.0; 900];
+            sensor.linearize(&e.samples, 0, &mut all);
+            all
+        })
+        .collect();
+    let mut here = Here::new(3);
+    let (mut rows, mut chi2, mut freedom) = (Vec::new(), 0.0, 0.0);
+    for k in 0..900 {
+        let one: Vec<[f32; BLOCK]> = linear
+            .iter()
+            .map(|y| {
+                let mut b = [0.0; BLOCK];
+                b[k % 3] = y[k];
+                b
+            })
+            .collect();
+        if !here.look(&one, k % 3, &secs, &sensor, true) {
+            continue;
+        }
+        let seen: Vec<(Vec<f64>, f64, f64)> = (0..3)
+            .filter(|&j| here.weight[j] > 0.0)
+            .filter_map(|j| {
+                let code = sensor.curve()?.code_at(k % 3, f64::from(here.mean[j]));
+                let (first, values) = basis(code);
+                let mut row = vec![0.0; size];
+                (0..4).for_each(|m| row[k % 3 * COEFFICIENTS + first + m] = -values[m]);
+                row[3 * COEFFICIENTS + [1, 0, 2][j]] = 1.0;
+                (code >= 4.0).then_some((row, here.residual[j], here.weight[j]))
+            })
+            .collect();
+        // The light is what leaves the weighted mean of the residuals at nothing: every row less the mean of the rows.
+        let total: f64 = seen.iter().map(|s| s.2).sum();
+        let mean = |i: usize| seen.iter().map(|s| s.2 * s.0[i]).sum::<f64>() / total;
+        let middle: Vec<f64> = (0..size).map(mean).collect();
+        let off = seen.iter().map(|s| s.2 * s.1).sum::<f64>() / total;
+        for (row, residual, weight) in &seen {
+            let row = row.iter().zip(&middle).map(|(a, b)| a - b).collect();
+            chi2 += weight * (residual - off).powi(2);
+            rows.push((row, residual - off, *weight));
+        }
+        freedom += seen.len() as f64 - f64::from(u8::from(!seen.is_empty()));
+    }
+    assert!(rows.len() > 1500, "{}", rows.len());
+    assert_sums(&found, &rows);
+    assert!((found.chi2 / chi2 - 1.0).abs() < 1e-6, "{} {chi2}", found.chi2);
+    assert_eq!(found.freedom, freedom);
+}
+
+#[test]
+fn a_light_sums_equations_are_the_parts_less_the_whole_at_the_values_that_fit() {
+    let (_, mut sum) = scene([1.6, 1.9, 2.3]);
+    sum.black = (0..600).map(|k| 0.3 + 0.1 * (k % 7) as f32).collect();
+    // In a fifth of the samples one part is nearly all: the curve cancels and the lamp is seen.
+    let whole = |k: usize| 60.0 + 180.0 * ((k * 37) % 600) as f64 / 600.0;
+    let share = |k: usize| if k.is_multiple_of(5) { 0.05 } else { 0.12 + 0.76 * ((k * 101) % 600) as f64 / 600.0 };
+    sum.parts = [false, true].map(|other| {
+        codes((0..600).map(|k| whole(k) * if other { 1.0 - share(k) } else { share(k) }), [1.6, 1.9, 2.3])
+    });
+    let file = FileNoise { sixteen_bit: true, compression: [0.0; 3] };
+    let options = CurveOptions { times_sd: 0.03, file };
+    let sums = [sum.clone(), sum];
+    let problem = Problem { stacks: &[], sums: &sums, settings: 2, noise: &NOISE, options: &options };
+    let fit = state(2, 2);
+    let sensor = Sensor::with_curve(&NOISE, fit.curve(vec![vec![0.0; CODES]; 3]), file);
+    let size = 3 * COEFFICIENTS + 2 + 4;
+    let found = problem.add_sum(1, &sums[1], &fit, &sensor, System::new(size), true);
+    let light = |s: &Samples| {
+        let mut all = vec![0.0; 600];
+        sensor.linearize(s, 0, &mut all);
+        all
+    };
+    let [first, second, white] = [&sums[1].parts[0], &sums[1].parts[1], &sums[1].whole].map(light);
+    let (mut rows, mut chi2, mut shares) = (Vec::new(), 0.0, [0; 2]);
+    for k in 0..600 {
+        let lamps = [fit.lamps[2], fit.lamps[3]].map(|l| (-l).exp());
+        let seen = [f64::from(first[k]) * lamps[0], f64::from(second[k]) * lamps[1], f64::from(white[k])];
+        let expected = seen[2] + f64::from(sums[1].black[k]);
+        if !(seen[0] + seen[1] + seen[2]).is_finite() {
+            continue;
+        }
+        let variance = seen.map(|v| f64::from(sensor.variance(v as f32, k % 3)));
+        let total = variance[0] + variance[1] + variance[2];
+        let (weight, excess) = (expected * expected / total, expected - seen[0] - seen[1]);
+        if weight < 100.0 || (excess / expected).abs() > 0.5 {
+            continue;
+        }
+        // What each would be if the excess were shared by variance.
+        let fitted = [0, 1, 2].map(|p| seen[p] + [1.0, 1.0, -1.0][p] * excess * variance[p] / total);
+        let mut row = vec![0.0; size];
+        let both = fitted[0].min(fitted[1]) > 0.1 * (fitted[0] + fitted[1]);
+        shares[usize::from(both)] += 1;
+        for p in 0..3 {
+            let code = sensor.curve().unwrap().code_at(k % 3, fitted[p]);
+            let (first, values) = basis(code);
+            if both && code >= 4.0 {
+                let sign = [1.0, 1.0, -1.0][p];
+                (0..4).for_each(|m| row[k % 3 * COEFFICIENTS + first + m] += sign * fitted[p] / expected * values[m]);
+            }
+        }
+        // Lamps come after the two settings' times, two for each sum.
+        row[3 * COEFFICIENTS + 2 + 2] = -fitted[0] / expected;
+        row[3 * COEFFICIENTS + 2 + 3] = -fitted[1] / expected;
+        chi2 += weight * (excess / expected).powi(2);
+        rows.push((row, excess / expected, weight));
+    }
+    assert!(shares[0] > 50 && shares[1] > 300, "both kinds: {shares:?}");
+    assert_sums(&found, &rows);
+    assert!((found.chi2 / chi2 - 1.0).abs() < 1e-6, "{} {chi2}", found.chi2);
+    assert_eq!(found.freedom, rows.len() as f64);
+}
