@@ -9,7 +9,7 @@ use common::acquire;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The capture of the checkout: 250 JPEG photographs.
+/// The capture of the checkout: 247 JPEG photographs.
 const CAPTURE: &str = "captures";
 
 /// A camera's folder with the capture's photographs as IMG_0001.JPG, IMG_0002.JPG, …, and the plan by which they were shot.
@@ -130,7 +130,7 @@ fn hidden_files_sidecars_and_other_spellings_do_not_disturb() {
     }
     let (status, _, stderr) = bench.import(&[]);
     assert_eq!(status, 0, "{stderr}");
-    assert!(stderr.contains("250 photographs (.jpg, 5 other files ignored)"), "{stderr}");
+    assert!(stderr.contains("247 photographs (.jpg, 5 other files ignored)"), "{stderr}");
 }
 
 #[test]
@@ -144,7 +144,7 @@ fn of_raw_and_jpeg_pairs_one_kind_is_taken_and_said() {
     bench.refused(&["--take", "cr3"], &["IMG_0001.CR3", "no exposure time"]);
     let (status, _, stderr) = bench.import(&[]);
     assert_eq!(status, 0, "{stderr}");
-    assert!(stderr.contains("(.jpg, 250 of other kinds left)"), "{stderr}");
+    assert!(stderr.contains("(.jpg, 247 of other kinds left)"), "{stderr}");
 }
 
 #[test]
@@ -199,25 +199,25 @@ fn photographs_that_end_early_or_go_on_are_named() {
     let last = bench.photograph(bench.photographs);
     let kept = std::fs::read(&last).unwrap();
     std::fs::remove_file(&last).unwrap();
-    bench.refused(&[], &["IMG_0249.JPG", "lattice-0063", "exposure 3 of 3", "the last photograph, 249 of 250"]);
-    for number in [250, 251] {
+    bench.refused(&[], &["IMG_0246.JPG", "lattice-0062", "exposure 3 of 3", "the last photograph, 246 of 247"]);
+    for number in [247, 248] {
         std::fs::write(bench.photograph(number), &kept).unwrap();
     }
-    bench.refused(&[], &["IMG_0251.JPG", "no more than the plan's 250", "251 photographs"]);
+    bench.refused(&[], &["IMG_0248.JPG", "no more than the plan's 247", "248 photographs"]);
 }
 
 #[test]
 fn an_exposure_that_is_not_the_plan_s_is_named_with_both() {
     let bench = Bench::new();
-    let (a, b) = (bench.photograph(249), bench.photograph(250));
+    let (a, b) = (bench.photograph(246), bench.photograph(247));
     // The bracket's last two exposures exchanged in place: times and numbers stay.
     let swap = bench.path("camera/x");
     std::fs::rename(&a, &swap).unwrap();
     std::fs::rename(&b, &a).unwrap();
     std::fs::rename(&swap, &b).unwrap();
-    bench.set_clock(249, |_| "2026:01:01 23:00:00".into());
-    bench.set_clock(250, |_| "2026:01:01 23:00:01".into());
-    bench.refused(&[], &["IMG_0249.JPG", "lattice-0063", "exposure 2 of 3, 1/64 s", "1/16 s"]);
+    bench.set_clock(246, |_| "2026:01:01 23:00:00".into());
+    bench.set_clock(247, |_| "2026:01:01 23:00:01".into());
+    bench.refused(&[], &["IMG_0246.JPG", "lattice-0062", "exposure 2 of 3, 1/64 s", "1/16 s"]);
 }
 
 #[test]

@@ -23,7 +23,7 @@ fn simulated() -> (tempfile::TempDir, PathBuf, Truth) {
         spacing: Some([3, 3]),
         exposures: 2,
         drift_px: 0.0,
-        ..common::bench()
+        ..Options::default()
     };
     let (folder, dir) = common::capture(&options);
     let truth = toml::from_str(&std::fs::read_to_string(dir.join("truth.toml")).unwrap()).unwrap();
@@ -201,7 +201,7 @@ fn settings_that_make_no_patterns_are_refused_by_name() {
     for (arguments, words) in [
         ("--projector-px-per-mm 8", "--slab-mm"),
         ("--slab-mm 12", "--projector-px-per-mm"),
-        ("--slab-mm 12 --projector-px-per-mm 80", "208 × 208 px"),
+        ("--slab-mm 12 --projector-px-per-mm 80", "256 × 240 px"),
         ("--slab-mm 12 --projector-px-per-mm 8 --grid 200", "--grid"),
         ("--slab-mm 12 --projector-px-per-mm 8 --window 30", "--window"),
         ("--slab-mm 12 --projector-px-per-mm 8 --margin-mm 7", "--margin-mm"),
@@ -227,7 +227,7 @@ fn probe() -> (tempfile::TempDir, Probe, Rig) {
         step_projector_px: [32, 28],
         spacing: Some([2, 3]),
         window: [27, 23],
-        ..common::bench()
+        ..Options::default()
     };
     let (folder, dir) = common::capture(&options);
     let probe = Probe::read(&dir, &BuildOptions::default(), &Progress::silent()).unwrap();
@@ -274,7 +274,7 @@ fn what_the_probe_says_of_cross_talk_is_what_a_capture_with_that_spacing_has() {
             spacing: Some([spacing; 2]),
             noise_free: true,
             drift_px: 0.0,
-            ..common::bench()
+            ..Options::default()
         };
         let (folder, dir) = common::capture(&options);
         let out = folder.path().join("m.rd.zarr");
