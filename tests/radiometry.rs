@@ -84,7 +84,7 @@ fn times_that_exif_gives_wrong_by_an_eighth_of_a_stop_are_measured_to_half_a_per
     // The project promises half a per cent; photons leave 0.05 %.
     assert!(errors.iter().all(|e| e.abs() < 0.002), "{errors:?}");
     let found = compare(&matrix, &dir.join("truth.rd.zarr"));
-    // As with times that are right: 1.1 %, the reconstruction of the dots' edges.
+    // As with times that are right: 0.8 %, the reconstruction of the dots' edges.
     assert!(found.rel_rmse < 0.0125, "{found:?}");
 }
 

@@ -14,7 +14,7 @@ fn bench() -> Options {
         window: [13, 9],
         exposures: 3,
         seed: 4,
-        ..common::bench()
+        ..Options::default()
     }
 }
 
@@ -25,8 +25,7 @@ fn gives_its_matrix(name: &str, options: &Options) {
     let found = compare(&out, &dir.join("truth.rd.zarr"));
     // The reconstruction's 0.4 to 1.1 % at three pixels a sample; an axis, a sign or a mirror that is wrong somewhere costs tens of per cent.
     assert!(found.rel_rmse < 0.0125 && found.valid == 1.0, "{name}: {found:?}");
-    // 0.877 to 0.95: in windows this small the dot's edges, whose reconstruction errs alike in all rows, are a tenth of the samples.
-    assert!(found.coverage > 0.85, "{name}: {found:?}");
+    assert!(found.coverage > 0.88, "{name}: {found:?}");
     assert!(found.drift_rms_px < 0.03, "{name}: {found:?}");
     let projector_px = report.registration.projector_rms_px;
     assert!(projector_px < 0.05, "{name}: {projector_px} projector px");

@@ -190,7 +190,7 @@ mod tests {
 
     #[test]
     fn a_start_is_the_larger_part_of_one_sign_of_each_triplet_and_a_hundredth_of_chance() {
-        // y v' of two triplets, of which the second is larger on its negative side, and a third of which there is none.
+        // Three terms from two singular triplets y_j v_j': the second's negative parts are the larger, the third term has no triplet.
         let (rows, samples) = (4, 5);
         let left = [[3.0, 0.5], [1.0, -2.0], [2.0, -1.0], [4.0, 0.25]];
         let right = [[0.5, 0.2], [0.4, -0.6], [0.3, -0.3], [0.2, 0.5], [0.1, 0.0]];

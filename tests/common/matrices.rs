@@ -10,6 +10,24 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use std::path::Path;
 
+/// The header of a matrix with samples of half a millimetre, lit points `lit_pitch_mm` apart at known places, and nothing else known.
+pub fn header(points: [usize; 2], window: [usize; 2], lit_pitch_mm: [f64; 2]) -> MatrixHeader {
+    let rows = points[0] * points[1];
+    let place = |i: usize| [(i % points[0]) as f64 * lit_pitch_mm[0], (i / points[0]) as f64 * lit_pitch_mm[1]];
+    MatrixHeader {
+        points,
+        window,
+        pitch_mm: 0.5,
+        lit_pitch_mm,
+        lit_mm: (0..rows).map(place).collect(),
+        position_sd_mm: vec![0.0; rows],
+        shot_of: vec![None; rows],
+        shots: Vec::new(),
+        warnings: Vec::new(),
+        provenance: serde_json::json!({}),
+    }
+}
+
 /// A matrix of `points` rows: `response(index, [dx, dy] in samples from the lit point, channel)`.
 pub fn write(
     path: &Path,
@@ -20,18 +38,7 @@ pub fn write(
     response: impl Fn(usize, [f64; 2], usize) -> f32,
 ) -> Result<MatrixReader> {
     let rows = points[0] * points[1];
-    let header = MatrixHeader {
-        points,
-        window,
-        pitch_mm: 0.5,
-        lit_pitch_mm: [0.5, 0.5],
-        lit_mm: (0..rows).map(|i| [(i % points[0]) as f64 * 0.5, (i / points[0]) as f64 * 0.5]).collect(),
-        position_sd_mm: vec![position_sd_mm; rows],
-        shot_of: vec![None; rows],
-        shots: Vec::new(),
-        warnings: Vec::new(),
-        provenance: serde_json::json!({}),
-    };
+    let header = MatrixHeader { position_sd_mm: vec![position_sd_mm; rows], ..header(points, window, [0.5; 2]) };
     let writer = MatrixWriter::create(path, header.clone())?;
     for index in 0..rows {
         let offset = |k: usize| header.offset_px([k / 3 % window[0], k / 3 / window[0]]).map(|o| o as f64);
