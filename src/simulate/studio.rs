@@ -13,7 +13,9 @@ use super::{
     light::field::Field,
     mix_seed, plan,
     scene::FRAME_ALBEDO,
-    scene::render::{Brightness, FieldMean, GAUSS_1, GAUSS_6, GrayCode, Picture, PixelGrid, board_albedo, board_rule},
+    scene::render::{
+        Brightness, FieldMean, GAUSS_1, GAUSS_6, GrayCode, Picture, Pixel, PixelGrid, Rule, board_albedo, board_rule,
+    },
 };
 use crate::{
     Result,
@@ -132,7 +134,9 @@ impl Studio {
                 let keep = |dot, row| truth.put(self.bench.scene.grid.row_index(dot), &row);
                 self.lattice(options, dots, moved, keep, room.picture)?
             }
-            Pattern::Frame => self.lit_sample(options, &self.pixels_at(options, plan, shot)?, |_| 1.0, |_| 1.0),
+            Pattern::Frame => {
+                self.lit_sample(options, &self.pixels_at(options, plan, shot)?, |_| GAUSS_1, |_| 1.0, |_| 1.0)
+            }
             Pattern::CalibrationBoard => {
                 let earlier = plan.manifest.shots[..shot].iter().filter(|s| s.pattern == Pattern::CalibrationBoard);
                 self.board(
@@ -185,33 +189,41 @@ impl Studio {
             let reflectance = scene.white_reflectance(p);
             std::array::from_fn(|c| light[c] * reflectance[c])
         };
+        let projector_px = |p: Point| scene.slab_from_projector.projector_from_slab(p);
         match *pattern {
             Pattern::Board | Pattern::CalibrationBoard => self.board(options, &self.pixels),
             Pattern::ReferenceWhite => self.pixels.picture(|_| GAUSS_1, |p| white(p, 1.0)),
             Pattern::ReferenceBlack => self.pixels.picture(|_| GAUSS_1, |p| white(p, 0.0)),
             Pattern::GrayCode { axis, bit, inverse, on: Surface::Frame } => {
                 let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
-                self.lit_sample(options, &self.pixels, |p| code.brightness(p), |p| code.blurred(p, options))
+                let pixel_px = self.pixel_projector_px(options);
+                let rule = |pixel: &Pixel| match code.around(projector_px(pixel.first_corner_mm()), pixel_px) {
+                    Brightness::Even(_) => GAUSS_1,
+                    Brightness::Edge(rule) => rule,
+                };
+                self.lit_sample(options, &self.pixels, rule, |p| code.brightness(p), |p| code.blurred(p, options))
             }
             Pattern::GrayCode { axis, bit, inverse, on: Surface::WhiteReference } => {
                 let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
-                let [x, y] = options.projector_px_mm();
-                let (sin, cos) = options.projector_turn_deg.to_radians().sin_cos();
-                // The projector's keystone adds little to a pixel's extent in projector px, its turn up to the diagonal.
-                let pixel_px = 1.2 * (sin.abs() + cos.abs()) * self.pixels.pixel_mm() / x.min(y);
+                let pixel_px = self.pixel_projector_px(options);
                 self.pixels.picture_of(|pixel| {
-                    let q = scene.slab_from_projector.projector_from_slab(pixel.first_corner_mm());
-                    let light = match code.around(q, pixel_px) {
+                    let light = match code.around(projector_px(pixel.first_corner_mm()), pixel_px) {
                         Brightness::Even(lit) => pixel.mean(GAUSS_1, |p| white(p, lit)),
-                        Brightness::Edge(rule) => pixel.mean(rule, |p| {
-                            white(p, code.brightness(scene.slab_from_projector.projector_from_slab(p)))
-                        }),
+                        Brightness::Edge(rule) => pixel.mean(rule, |p| white(p, code.brightness(projector_px(p)))),
                     };
                     light.map(|v| v as f32)
                 })
             }
             Pattern::SampleBlack | Pattern::Frame | Pattern::Lattice { .. } => self.dark_sample.clone(),
         }
+    }
+
+    /// An upper bound of a camera pixel's extent, projector px.
+    fn pixel_projector_px(&self, options: &Options) -> f64 {
+        let [x, y] = options.projector_px_mm();
+        let (sin, cos) = options.projector_turn_deg.to_radians().sin_cos();
+        // The projector's keystone adds little to a pixel's extent in projector px, its turn up to the diagonal.
+        1.2 * (sin.abs() + cos.abs()) * self.pixels.pixel_mm() / x.min(y)
     }
 
     /// The board under white light; in another pose it is lit as in the slab's plane, which moves no corner.
@@ -227,32 +239,46 @@ impl Studio {
         PixelGrid::new(&self.bench.scene, last.map_or([0.0; 2], |l| l.camera_drift_px), psf::parts(options.psf_px))
     }
 
-    /// Sample and frame under a pattern: `sharp` is its brightness (0 to 1) at projector px on the frame, `blurred` on the sample.
+    /// Sample and frame under a pattern: `sharp` is its brightness (0 to 1) at projector px on the frame and `rule` how a
+    /// pixel averages it, `blurred` its brightness on the sample.
     ///
-    /// An approximation on the sample: what it sends back under even light, times the blurred pattern.
+    /// An approximation on the sample: what it sends back under even light, times the blurred pattern in each pixel's
+    /// middle: blurred over two samples it changes little within a pixel.
     fn lit_sample(
         &self,
         options: &Options,
         pixels: &PixelGrid,
+        rule: impl Fn(&Pixel) -> Rule + Sync,
         sharp: impl Fn(Point) -> f64 + Sync,
         blurred: impl Fn(Point) -> f64 + Sync,
     ) -> Picture {
-        let (scene, black) = (&self.bench.scene, options.projector_black);
+        let (scene, black, pixel_mm) = (&self.bench.scene, options.projector_black, pixels.pixel_mm());
         let dark = black + options.ambient;
-        let light = |p: Point| {
-            let q = scene.slab_from_projector.projector_from_slab(p);
-            let level = |lit: f64| black + (1.0 - black) * lit;
-            let arriving = |lit: f64| scene.white_irradiance(p).map(|e| e * level(lit) + options.ambient);
-            match (&self.dark_field, scene.on_sample(p), scene.on_frame_or_sample(p)) {
-                (Some(field), true, _) => {
-                    field.at(p).map(|v| f64::from(v) * (level(blurred(q)) + options.ambient) / dark)
-                }
-                (None, true, _) => arriving(blurred(q)).map(|e| 0.5 * e),
-                (_, _, true) => arriving(sharp(q)).map(|e| e * scene.frame_albedo(p)),
-                _ => [0.0; 3],
-            }
+        let projector_px = |p: Point| scene.slab_from_projector.projector_from_slab(p);
+        let level = |lit: f64| black + (1.0 - black) * lit;
+        let arriving = |p: Point, lit: f64| scene.white_irradiance(p).map(|e| e * level(lit) + options.ambient);
+        let share = |p: Point| (level(blurred(projector_px(p))) + options.ambient) / dark;
+        let light = |p: Point| match (&self.dark_field, scene.on_sample(p), scene.on_frame_or_sample(p)) {
+            (Some(field), true, _) => field.at(p).map(|v| f64::from(v) * share(p)),
+            (None, true, _) => arriving(p, blurred(projector_px(p))).map(|e| 0.5 * e),
+            (_, _, true) => arriving(p, sharp(projector_px(p))).map(|e| e * scene.frame_albedo(p)),
+            _ => [0.0; 3],
         };
-        pixels.picture(|_| GAUSS_6, light)
+        let mean = self.dark_field.as_ref().map(|field| FieldMean::new(pixel_mm, field));
+        pixels.picture_of(|pixel| {
+            let p = pixel.first_corner_mm();
+            match &mean {
+                _ if scene.near_rim(p, pixel_mm) || scene.near_mark(p, 2.0 * pixel_mm) => {
+                    pixel.mean(GAUSS_6, light).map(|v| v as f32)
+                }
+                Some(mean) if scene.on_sample(p) => {
+                    let share = share(pixel.centre_mm()) as f32;
+                    mean.on_sample(scene, pixel).map(|v| v * share)
+                }
+                None if scene.on_sample(p) => pixel.mean(GAUSS_1, light).map(|v| v as f32),
+                _ => pixel.mean(rule(pixel), light).map(|v| v as f32),
+            }
+        })
     }
 
     /// A shot of dots, in the memory of `picture`; `keep` receives the truth of each.

@@ -46,6 +46,11 @@ impl Pixel {
         self.corners_mm[0]
     }
 
+    /// The mean of the corners.
+    pub fn centre_mm(&self) -> Point {
+        [0, 1].map(|a| 0.25 * self.corners_mm.iter().map(|p| p[a]).sum::<f64>())
+    }
+
     /// The mean of `f` over the pixel's area.
     #[inline(always)]
     pub fn mean<const C: usize>(&self, rule: &[(f64, f64)], f: impl Fn(Point) -> [f64; C]) -> [f64; C] {
