@@ -340,6 +340,7 @@ fn the_examples_of_every_subcommand_s_help_run() {
 }
 
 #[test]
+#[ignore = "slow: 35 s"]
 fn the_examples_of_the_documentation_run() {
     let mut pages: Vec<PathBuf> = std::fs::read_dir("docs").unwrap().map(|e| e.unwrap().path()).collect();
     pages.push("README.md".into());

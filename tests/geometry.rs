@@ -134,6 +134,7 @@ fn a_projectors_lens_is_modelled_where_the_stripes_ask_for_it_and_only_there() {
 }
 
 #[test]
+#[ignore = "slow: 3 s"]
 fn the_cameras_lens_is_chosen_by_what_the_views_show_and_the_choice_is_kept() {
     for (distortion, terms) in [(0.0, 0..=0), (-0.15, 1..=2)] {
         let (_folder, dir) = common::capture(&Options { calibration_boards: 3, distortion, ..small() });
@@ -176,6 +177,7 @@ fn drift_without_reference_dots(causes: &[Cause]) {
 }
 
 #[test]
+#[ignore = "slow: 5 s"]
 fn drift_without_reference_dots_is_not_pulled_by_edges_or_by_depth() {
     drift_without_reference_dots(&[]);
 }

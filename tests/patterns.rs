@@ -258,6 +258,7 @@ fn a_probe_asks_for_few_photographs_and_for_exposures_that_fit() {
 }
 
 #[test]
+#[ignore = "slow: 5 s"]
 fn what_the_probe_says_of_cross_talk_is_what_a_capture_with_that_spacing_has() {
     let (_folder, probe, _) = probe();
     let options = SpacingOptions { window: 7, lit_pitch_mm: 0.5, most_cross_talk: 0.03 };

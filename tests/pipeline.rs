@@ -88,6 +88,7 @@ fn a_noisy_capture_gives_the_matrix_to_three_percent_and_its_variance_is_right()
 
 /// Photon noise makes the slab's light rough between the samples, which the reconstruction cannot follow: 3 %, not 1 % (20,000 photons).
 #[test]
+#[ignore = "slow: 6 s"]
 fn a_capture_by_monte_carlo_gives_its_matrix() {
     let mc = Options { transport: acquire::simulate::Transport::Mc, photons: 20_000, ..common::bench() };
     for material in ["homogeneous", "chessboard-4x4", "layered:skin1=0.4,ketchup=1"] {
@@ -153,6 +154,7 @@ fn a_lattice_of_many_dots_gives_the_matrix_to_one_percent() {
 }
 
 #[test]
+#[ignore = "slow: 5 s"]
 fn dots_nearer_than_their_windows_are_told_apart_and_warned_of() {
     let material = Material::chessboard([4, 3]);
     let options =

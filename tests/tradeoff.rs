@@ -15,6 +15,7 @@ fn response(i: usize, d: [f64; 2], c: usize) -> f32 {
 }
 
 #[test]
+#[ignore = "slow: 10 s"]
 fn every_point_is_measured_and_the_front_is_never_beaten() {
     let folder = tempfile::tempdir().unwrap();
     let reader = write(&folder.path().join("m.rd.zarr"), [30, 26], [9, 9], |_, _| 0.0, 0.0, response).unwrap();

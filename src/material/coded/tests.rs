@@ -55,6 +55,7 @@ fn shapes() -> [([usize; 2], [usize; 2], usize); 6] {
 }
 
 #[test]
+#[ignore = "slow: 5 s"]
 fn every_model_of_every_shape_keeps_to_the_error_that_was_allowed_and_loads_as_it_was_decoded() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.acq");

@@ -118,7 +118,8 @@ impl<'a> Flights<'a> {
             let column = ray.column[1] * self.domain.voxels[0] + ray.column[0];
             let (scattering, absorption) = self.coefficients.layer(ray.layer)[column];
             let extinction = scattering + absorption;
-            let mut collided = ray.weight * -(-extinction * length).exp_m1();
+            // Rounding of a short way does not matter: what has not collided flies on.
+            let mut collided = ray.weight * (1.0 - (-extinction * length).exp());
             if ray.weight - collided < least {
                 collided = ray.weight;
             }

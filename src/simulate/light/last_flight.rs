@@ -39,52 +39,78 @@ impl Lit<'_> {
             corner.map(|c| c + 0.5 * self.domain.voxel_mm)
         };
         let sights: Vec<Sight> = (0..plane).map(|i| Sight::new(middle(i), eye_mm, refractive_index)).collect();
-        let mut above = vec![0.0; plane];
+        // Above each column's layer: the optical depth, and the share that is left of what flies through it to the eye.
+        let (mut above, mut seen) = (vec![0.0; plane], vec![1.0; plane]);
+        let mut faded = vec![0.0; plane];
         let mut light = vec![0.0; plane];
         let mut sum = vec![0.0; plane];
         let mut depth = 0.0;
         for (k, dz) in self.layers_mm.iter().enumerate() {
             for i in 0..plane {
-                light[i] = self.of_layer(k, i, sights[i].cosine, above[i]);
+                let flight = Flight::new(self.layers_mm[k], self.coefficients.layer(k)[i], sights[i].cosine);
+                light[i] = self.of_layer(k, i, &flight, above[i]);
+                faded[i] = flight.left;
             }
             let shift_px = (depth + 0.5 * dz) / self.domain.voxel_mm;
             for i in 0..plane {
-                let Sight { cosine, slope, .. } = sights[i];
-                let shift = slope.map(|s| -s * shift_px);
-                sum[i] += sampled(&light, self.domain.voxels, i, shift) * (-above[i] / cosine).exp();
+                let shift = sights[i].slope.map(|s| -s * shift_px);
+                sum[i] += sampled(&light, self.domain.voxels, i, shift) * seen[i];
                 let (s, a) = self.coefficients.layer(k)[i];
                 above[i] += (s + a) * dz;
+                seen[i] *= faded[i] * faded[i];
             }
             depth += dz;
         }
         // Interpolation may swing below zero beside a sharp dot; light does not.
-        let seen = |(sum, sight): (&f64, &Sight)| {
+        let emitted = |(sum, sight): (&f64, &Sight)| {
             let value = (1.0 - sight.reflectance) / (4.0 * refractive_index * refractive_index);
             (value * sum).max(0.0) as f32
         };
-        sum.iter().zip(&sights).map(seen).collect()
+        sum.iter().zip(&sights).map(emitted).collect()
     }
 
     /// 4 times the radiance at the top of layer `k` that starts in it, under an optical depth of `above`.
-    fn of_layer(&self, k: usize, i: usize, cosine: f64, above: f64) -> f64 {
-        let (scattering, absorption) = self.coefficients.layer(k)[i];
-        let extinction = scattering + absorption;
-        let albedo = scattering / extinction;
-        let depth = extinction * self.layers_mm[k];
+    fn of_layer(&self, k: usize, i: usize, flight: &Flight, above: f64) -> f64 {
+        let Flight { albedo, depth, cosine, even, rising, left } = *flight;
         let (top, here, bottom) = ((self.at_face)(k, i), (self.middle)(k, i), (self.at_face)(k + 1, i));
-        let half = 0.5 * depth / cosine;
-        let (even, rising) = fading(half);
         let upper = top * (even - rising) + here * rising;
         let lower = here * (even - rising) + bottom * rising;
-        let diffuse = albedo * (upper + (-half).exp() * lower);
+        let diffuse = albedo * (upper + left * lower);
         let again = match (self.scattered)(k, i) {
             0.0 => 0.0,
-            scattered => scattered / depth * fading(2.0 * half).0,
+            scattered => scattered / depth * even * (1.0 + left),
         };
         // The beam fades on its way down, and what it scatters on its way up.
-        let both = (1.0 + cosine) / cosine;
-        let first = (self.enters)(i) * albedo / (1.0 + cosine) * (-above).exp() * -(-depth * both).exp_m1();
+        let first = match (self.enters)(i) {
+            0.0 => 0.0,
+            enters => {
+                let both = (1.0 + cosine) / cosine;
+                enters * albedo / (1.0 + cosine) * (-above).exp() * -(-depth * both).exp_m1()
+            }
+        };
         diffuse + again + first
+    }
+}
+
+/// A voxel on the way to the eye.
+struct Flight {
+    albedo: f64,
+    /// Optical depth from its top to its bottom.
+    depth: f64,
+    cosine: f64,
+    /// [`fading`] over its upper half, along the way to the eye.
+    even: f64,
+    rising: f64,
+    /// What that half lets through.
+    left: f64,
+}
+
+impl Flight {
+    fn new(layer_mm: f64, (scattering, absorption): (f64, f64), cosine: f64) -> Self {
+        let extinction = scattering + absorption;
+        let depth = extinction * layer_mm;
+        let (even, rising) = fading(0.5 * depth / cosine);
+        Self { albedo: scattering / extinction, depth, cosine, even, rising, left: 1.0 - even }
     }
 }
 
@@ -95,7 +121,7 @@ fn fading(x: f64) -> (f64, f64) {
         return (x * (1.0 - 0.5 * x), x * (0.5 - x / 3.0));
     }
     let even = -(-x).exp_m1();
-    (even, (even - x * (-x).exp()) / x)
+    (even, (even - x * (1.0 - even)) / x)
 }
 
 /// A map beside cell `i`, by cubic convolution (Keys 1981, a = −1/2): exact for parabolas, so that it does not blur; beyond the map its border.
