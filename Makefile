@@ -18,18 +18,18 @@ demo: build
 
 # One profile for program and tests, so that OpenCV's bindings are built once.
 test: setup
-	$(CARGO) test --release --locked $(if $(filter true,$(CI))$(SLOW),-- --include-ignored)
+	$(CARGO) test --release --locked --workspace $(if $(filter true,$(CI))$(SLOW),-- --include-ignored)
 	$(if $(filter true,$(CI)),$(MAKE) check)
 
 check: setup
 	$(CARGO) fmt --check
-	$(CARGO) clippy --release --locked --all-targets -- -D warnings
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --locked --no-deps
+	$(CARGO) clippy --release --locked --workspace --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --locked --workspace --no-deps
 
 build: setup
 	$(CARGO) build --release --locked
 
-MUTANTS ?= $(addprefix src/,evaluate factor material transport response radiance registration)
+MUTANTS ?= $(addprefix src/,evaluate factor transport response radiance registration) crates/acquire-material/src
 STEP    ?= 1
 
 mutants: setup

@@ -4,7 +4,7 @@
 //! `tucker` with P = 7, `joint`, and `joint` with 25 different shifts. Queries and draws on one core, at random lit points and offsets (memory
 //! is the limit) and at one lit point (the processor is); relighting on all cores, lit points beside the samples of the canvas.
 
-use acquire::material::{Evaluator, Light, Material, MaterialHeader, Model, Source, relight};
+use acquire::material::{Evaluator, Light, Material, MaterialHeader, Model, Responses, Source, relight};
 use acquire::progress::Progress;
 use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
@@ -75,8 +75,7 @@ fn synthetic([points, window, terms]: [usize; 3], model: Model, reach: usize) ->
             .collect(),
         weights: (0..terms).map(|j| points as f32 / 2.0 * 0.7_f32.powi(j as i32)).collect(),
         incident_factors: (0..rows * terms).map(incident).collect(),
-        offset_factors: (0..planes * terms * extended * extended).map(offset).collect(),
-        shared: None,
+        offset_factors: (0..planes * terms * extended * extended).map(offset).collect::<Vec<_>>().into(),
         profile: Vec::new(),
         color_coefficients: (0..rows * 3 * powers).map(|k| 0.5_f32.powi((k % powers.max(1)) as i32)).collect(),
         shift: (0..rows).map(|i| [i % side, i / side % side].map(|s| s as i16 - reach as i16)).collect(),
@@ -108,9 +107,6 @@ fn queries(material: &Material) -> acquire::Result<()> {
             println!("  {name:<9} {:8.1} ns {place}", 1e9 * best / queries.len() as f64);
         };
         time("response", &|i, d, _| _ = black_box(evaluator.response(i, d)));
-        if place == "anywhere" {
-            time("(slow one)", &|i, d, _| _ = black_box(material.response(i, d)));
-        }
         let points = |i: usize, d: [isize; 2], u: f64| {
             let x_i = material.lit_mm[i].map(|v| v + 0.2 * u);
             (x_i, [0, 1].map(|a| x_i[a] + 0.5 * (d[a] as f64 + u - 0.5)))
@@ -132,7 +128,8 @@ fn queries(material: &Material) -> acquire::Result<()> {
 fn relighting(material: Material) -> acquire::Result<()> {
     let rows = material.header.rows();
     let start = Instant::now();
-    let sum: f32 = (0..rows).into_par_iter().map(|i| material.evaluate_row(i)[0]).sum();
+    let responses = Responses::new(&material);
+    let sum: f32 = (0..rows).into_par_iter().map(|i| responses.row(i)[0]).sum();
     black_box(sum);
     println!("  all rows, one by one {:6.2} s", start.elapsed().as_secs_f64());
     let source = Source::Material(Box::new(material), "bench".into());

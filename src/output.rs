@@ -4,6 +4,7 @@ use crate::{Error, Result};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use std::collections::BTreeSet;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -88,6 +89,23 @@ impl NewFolder {
         }
         std::fs::rename(self.path(), &self.target).map_err(Error::io("rename", &self.target))
     }
+}
+
+/// Writes `bytes` under a temporary name in the folder of `path` and renames the file when it is complete.
+///
+/// # Errors
+/// [`Error::Io`].
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    // Made by `File::create_new` for its permissions: temporary files are otherwise for their owner only.
+    let mut file = tempfile::Builder::new()
+        .prefix(".acquire-")
+        .make_in(folder, |name| std::fs::File::create_new(name))
+        .map_err(Error::io("create", path))?;
+    let _unfinished = Unfinished::new(file.path());
+    file.write_all(bytes).map_err(Error::io("write", path))?;
+    file.persist(path).map_err(|e| Error::io("rename", path)(e.error))?;
+    Ok(())
 }
 
 /// A path that a signal removes, until this is dropped.

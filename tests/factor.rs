@@ -6,7 +6,7 @@ mod matrices;
 
 use acquire::evaluate::evaluate;
 use acquire::factor::{Backend, Factored, Goal, Options, factor};
-use acquire::material::{Model, Source};
+use acquire::material::{self, Evaluator, Model, OffsetFactors, Precision, Source};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate;
@@ -96,7 +96,7 @@ fn shifted_peaks_come_back_where_they_were_measured() {
     assert_eq!(f.material.header.extended, [15, 15]);
     for i in 0..36 {
         assert_eq!(f.material.shift[i].map(f64::from), centre(i));
-        assert_eq!(f.material.response(i, centre(i).map(|v| v as isize)).unwrap()[0], {
+        assert_eq!(Evaluator::new(&f.material).unwrap().response(i, centre(i).map(|v| v as isize)).unwrap()[0], {
             let row = f.material.evaluate_row(i);
             row.iter().step_by(3).copied().fold(0.0, f32::max)
         });
@@ -166,7 +166,7 @@ fn a_drifted_capture_factors_as_well_as_an_undrifted_one_to_within_one_decibel()
         };
         let (folder, reader, factored) = simulated(&slab, &fixed(15, 7));
         let path = folder.path().join("m.safetensors");
-        factored.material.save(&path).unwrap();
+        material::save(&factored.material, Precision::F32, &path).unwrap();
         evaluate(&Source::open(&path).unwrap(), &reader, &Progress::silent()).unwrap().psnr_db.unwrap()
     };
     let (still, drifted) = (psnr_db(0.0), psnr_db(1.0));
@@ -280,7 +280,9 @@ fn shared_offset_maps_cost_what_they_are_said_to() {
     let f =
         run(&Options { model: Some(Model::Joint), terms: Some(10), ..Options::default() }, [12, 12], [11, 11], uneven)
             .unwrap();
-    let shared = f.material.shared.as_ref().expect("thirty maps of three like channels");
+    let OffsetFactors::Shared(shared) = &f.material.offset_factors else {
+        panic!("thirty maps of three like channels")
+    };
     assert_eq!(f.material.header.shared_maps, Some(shared.maps));
     let numbers = 10 + 144 * 10 + shared.maps * 121 + 30 * shared.maps;
     assert_eq!(f.material.bytes_f32(), 4 * numbers as u64);

@@ -1,6 +1,6 @@
 use super::Context;
 use crate::Result;
-use crate::material::{Material, export_exr, export_npz};
+use crate::material::{self, export_exr, export_npz};
 use std::path::PathBuf;
 
 /// Write a material's factors as OpenEXR layers or as a NumPy archive.
@@ -36,7 +36,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         })
     });
     super::check_output(&out, &[&args.material])?;
-    let material = Material::load(&args.material)?;
+    let material = material::load(&args.material)?;
     match args.to {
         Format::Exr => export_exr(&material, &out)?,
         Format::Npz => export_npz(&material, &out)?,

@@ -1,7 +1,8 @@
 use super::Context;
-use crate::factor::{Backend, Factored, Goal, Options, factor};
-use crate::material::coded::{self, Quality, encode};
-use crate::material::{Material, Model, Precision};
+use super::values::{model, precision};
+use crate::factor::{Backend, Goal, Options, ROOM_DB, Storage, Stored, factor_and_store};
+use crate::material::{Model, Precision};
+use crate::output::write_whole;
 use crate::transport::MatrixReader;
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -21,7 +22,7 @@ pub struct Args {
     /// The matrix, a folder *.rd.zarr.
     matrix: PathBuf,
     /// What the material is [default: tucker when --degree is given, else joint; with a target whichever serves it better].
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = model())]
     model: Option<Model>,
     /// Number of terms [default: as many as exceed the measured noise].
     #[arg(long, value_name = "T")]
@@ -39,7 +40,7 @@ pub struct Args {
     #[arg(long)]
     color_regression: bool,
     /// How numbers are stored: f32 or f16 in a .safetensors, or coded in a .acq [default: f32, coded when --out ends in .acq].
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = precision())]
     precision: Option<Precision>,
     /// With --precision coded: the error that coding may add, relative to the material [default: 0.003; a target decides it].
     #[arg(long, value_name = "SHARE", allow_negative_numbers = true, conflicts_with_all = ["target_psnr", "max_bytes"])]
@@ -62,22 +63,6 @@ pub struct Args {
     /// The material to write [default: the matrix's name with .safetensors, in the working directory].
     #[arg(long, short, value_name = "FILE")]
     out: Option<PathBuf>,
-}
-
-/// How much better than a target the factors are before they are coded, dB: a fifth of the squared error is then theirs, the rest the
-/// coder's, which is about the best split (docs/materials.md).
-const ROOM_DB: f64 = 7.0;
-/// Bytes of f32 for each byte of a coded budget: what is tried, from more to fewer terms.
-const CODED_RATIOS: [u64; 3] = [60, 15, 4];
-/// The error that coding adds when nothing else is asked.
-const ADDED_ERROR: f64 = 3e-3;
-
-/// The error that coding may add, relative to the material, so that the target is met.
-fn room(factored: &Factored, target_psnr: Option<f64>) -> f64 {
-    let (Some(target), Some(reached)) = (target_psnr, factored.psnr_db) else { return ADDED_ERROR };
-    let allowed = factored.rel_rmse * 10.0_f64.powf((reached - target) / 20.0);
-    // A little less: what is added is not quite orthogonal to what was left.
-    0.98 * (allowed * allowed - factored.rel_rmse * factored.rel_rmse).max(0.0).sqrt()
 }
 
 /// Refuses options that contradict each other.
@@ -106,47 +91,10 @@ fn check(args: &Args, out: &Path, precision: Precision) -> Result<()> {
     Ok(())
 }
 
-/// An error of the coder, named after the option that it comes from.
-fn named(error: Error, target: bool) -> Error {
-    match error {
-        Error::Setting { setting: "bytes of a coded material", expected, found } => {
-            Error::Setting { setting: "--max-bytes", expected, found }
-        }
-        Error::Setting { setting: "added error of coding", expected, found } => match target {
-            true => Error::Setting {
-                setting: "--target-psnr",
-                expected: "a target that coding can keep to (a plain file reaches more)".into(),
-                found: format!("one that lets coding add {found}"),
-            },
-            false => Error::Setting { setting: "--added-error", expected, found },
-        },
-        other => other,
-    }
-}
-
-/// Rows looked at to tell what rounding costs.
-const ROUNDED_ROWS: usize = 512;
-
-/// ‖R̂_stored − R̂‖ / ‖R̂‖ over rows spread evenly.
-fn changed(exact: &Material, stored: &Material) -> f64 {
-    let rows = exact.header.rows();
-    let (mut error, mut energy) = (0.0, 0.0);
-    for i in (0..rows).step_by(rows.div_ceil(ROUNDED_ROWS).max(1)) {
-        let (wanted, found) = (exact.evaluate_row(i), stored.evaluate_row(i));
-        for (&a, &b) in wanted.iter().zip(&found) {
-            error += (f64::from(a) - f64::from(b)).powi(2);
-            energy += f64::from(a).powi(2);
-        }
-    }
-    if energy > 0.0 { (error / energy).sqrt() } else { 0.0 }
-}
-
 /// What storing adds and what is then off in all, in words.
-fn in_all(factored: &Factored, added: f64) -> String {
-    let total = factored.rel_rmse.hypot(added);
-    let psnr = factored.psnr_db.filter(|_| factored.rel_rmse > 0.0);
-    let psnr = psnr.map(|db| format!(", psnr_db {:.2}", db - 20.0 * (total / factored.rel_rmse).log10()));
-    format!("which adds {added:.5} (about {total:.5}{} in all)", psnr.unwrap_or_default())
+fn in_all(stored: &Stored) -> String {
+    let psnr = stored.psnr_db().map(|db| format!(", psnr_db {db:.2}"));
+    format!("which adds {:.5} (about {:.5}{} in all)", stored.added_error, stored.rel_rmse(), psnr.unwrap_or_default())
 }
 
 pub fn run(args: Args, context: &Context) -> Result<()> {
@@ -164,15 +112,10 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         model: args.model,
         terms: args.terms,
         degree: args.degree,
-        goal: match (args.target_psnr, args.max_bytes, precision) {
-            // Coding needs room of its own.
-            (Some(db), _, Precision::Coded) => Goal::Psnr(db + ROOM_DB),
-            (Some(db), ..) => Goal::Psnr(db),
-            // The coder decides what each of more terms than it can keep is worth.
-            (None, Some(bytes), Precision::Coded) => Goal::Bytes(bytes.saturating_mul(CODED_RATIOS[0])),
-            (None, None, _) => Goal::Noise,
-            (None, Some(bytes), Precision::F16) => Goal::Bytes(bytes.saturating_mul(2)),
-            (None, Some(bytes), Precision::F32) => Goal::Bytes(bytes),
+        goal: match (args.target_psnr, args.max_bytes) {
+            (Some(db), _) => Goal::Psnr(db),
+            (None, Some(bytes)) => Goal::Bytes(bytes),
+            (None, None) => Goal::Noise,
         },
         color_regression: args.color_regression,
         backend: args.backend,
@@ -182,39 +125,15 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         max_shift: args.max_shift,
         ..Options::default()
     };
-    let before = reader.header().warnings.len();
-    let mut factored = factor(&reader, &options, &context.progress)?;
-    factored.material.header.warnings.iter().skip(before).for_each(|w| context.warn(w));
-    let stored = match precision {
-        Precision::F32 => factored.material.save(&out).map(|()| String::new())?,
-        Precision::F16 => {
-            factored.material.save_half(&out)?;
-            let added = changed(&factored.material, &Material::load(&out)?);
-            let bytes = factored.material.bytes_f32() / 2;
-            format!(", stored as f16 in {bytes} bytes, {}", in_all(&factored, added))
-        }
-        Precision::Coded => {
-            let code = |factored: &Factored| {
-                let quality = match (args.max_bytes, args.target_psnr) {
-                    (Some(bytes), _) => Quality::MaxBytes(bytes),
-                    (None, target) => Quality::AddedError(args.added_error.unwrap_or_else(|| room(factored, target))),
-                };
-                encode(&factored.material, &coded::Options { quality, ..coded::Options::default() })
-                    .map_err(|e| named(e, args.target_psnr.is_some()))
-            };
-            let mut coded = code(&factored);
-            // Even the maps that are nothing take some bits.
-            for ratio in CODED_RATIOS.into_iter().skip(1) {
-                if let (Err(Error::Setting { .. }), Some(bytes), None) = (&coded, args.max_bytes, args.terms) {
-                    let goal = Goal::Bytes(bytes.saturating_mul(ratio));
-                    factored = factor(&reader, &Options { goal, ..options.clone() }, &context.progress)?;
-                    coded = code(&factored);
-                }
-            }
-            let coded = coded?;
-            coded.save(&out)?;
-            format!(", coded in {} bytes, {}", coded.bytes.len(), in_all(&factored, coded.added_error))
-        }
+    let storage = Storage { precision, added_error: args.added_error };
+    let stored = factor_and_store(&reader, &options, &storage, &context.progress)?;
+    write_whole(&out, &stored.file)?;
+    let factored = &stored.factored;
+    factored.warnings.iter().for_each(|w| context.warn(w));
+    let how = match precision {
+        Precision::F32 => String::new(),
+        Precision::F16 => format!(", stored as f16 in {} bytes, {}", stored.bytes, in_all(&stored)),
+        Precision::Coded => format!(", coded in {} bytes, {}", stored.bytes, in_all(&stored)),
     };
     let matrix_bytes = 4 * (reader.header().rows() * reader.header().row_len()) as u64;
     let bytes = factored.material.bytes_f32();
@@ -226,7 +145,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         _ => context.done(&factored.choice),
     }
     context.done(format_args!(
-        "{}: {} bytes of f32, 1/{:.0} of the matrix, rel_rmse {:.5}{}{stored}",
+        "{}: {} bytes of f32, 1/{:.0} of the matrix, rel_rmse {:.5}{}{how}",
         out.display(),
         bytes,
         matrix_bytes as f64 / bytes as f64,

@@ -11,6 +11,7 @@ mod relight;
 mod run;
 mod simulate;
 mod tradeoff;
+mod values;
 
 use crate::{Error, Result, progress::Progress};
 use clap::{Parser, Subcommand};

@@ -1,5 +1,5 @@
 use super::Context;
-use crate::material::{Exitance, Light, Source, relight, write_exitance};
+use crate::material::{Exitance, Source, parse_light, relight, write_exitance};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -34,7 +34,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let inputs = [args.source.as_path(), Path::new(&args.light)];
     super::check_output(&args.out, &inputs)?;
     super::check_output(&png, &inputs)?;
-    let light = Light::parse(&args.light)?;
+    let light = parse_light(&args.light)?;
     let source = Source::open(&args.source)?;
     let flux = light.flux(&source.shape())?;
     let images = relight(&source, &[flux], &context.progress)?;

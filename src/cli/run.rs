@@ -2,7 +2,7 @@ use super::Context;
 use crate::capture::Manifest;
 use crate::evaluate::evaluate;
 use crate::factor::{Factored, Options, factor};
-use crate::material::{Source, export_exr, export_npz};
+use crate::material::{self, Precision, Responses, Source, export_exr, export_npz};
 use crate::output::ScratchFolder;
 use crate::pipeline::{BuildOptions, BuildReport, build_matrix};
 use crate::report::{self, Comparison, MaterialSummary, ReportInput, Survey};
@@ -58,7 +58,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
 
     let matrix = MatrixReader::open(&at(MATRIX))?;
     let factored = factor(&matrix, &factoring, &context.progress)?;
-    factored.material.save(&at(MATERIAL))?;
+    material::save(&factored.material, Precision::F32, &at(MATERIAL))?;
     context.done(&factored.choice);
     export_exr(&factored.material, &at("material.exr"))?;
     export_npz(&factored.material, &at("material.npz"))?;
@@ -84,18 +84,17 @@ fn write_report(
     context: &Context,
 ) -> Result<()> {
     let material = &factored.material;
+    let responses = Responses::new(material);
     let survey = {
         let stage = context.progress.stage("survey", matrix.header().rows());
         Survey::take(matrix, |i| {
             stage.advance(1);
-            Ok(material.evaluate_row(i))
+            Ok(responses.row(i))
         })?
     };
     let file = folder.join(MATERIAL);
     let bytes_file = std::fs::metadata(&file).map_err(Error::io("read", &file))?.len();
     let summary = MaterialSummary::new(&material.header, bytes_file, Some(factored.choice.clone()));
-    // A material carries the matrix's warnings before its own.
-    let own = material.header.warnings.get(matrix.header().warnings.len()..).unwrap_or_default();
     let input = ReportInput {
         title,
         matrix: matrix.header(),
@@ -104,7 +103,7 @@ fn write_report(
         survey: &survey,
         comparisons,
         timings: &context.progress.timings(),
-        warnings: own,
+        warnings: &factored.warnings,
     };
     report::write(&folder.join("report"), &input)
 }

@@ -3,7 +3,7 @@
 mod reciprocity;
 
 use crate::geometry::Point;
-use crate::material::{Canvas, Exitance, FIXED_SET, Source, splat};
+use crate::material::{Exitance, FIXED_SET, Source, canvas, splat};
 use crate::progress::Progress;
 use crate::transport::{MatrixHeader, MatrixReader, RowBlock};
 use crate::{Error, Result};
@@ -78,8 +78,8 @@ pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progres
     let shape = candidate.shape();
     check(candidate, reference)?;
     let header = reference.header();
-    let fluxes = FIXED_SET.iter().map(|light| light.flux(&shape)).collect::<Result<Vec<_>>>()?;
-    let canvas = Canvas::covering(&shape, candidate.path())?;
+    let fluxes = FIXED_SET.iter().map(|light| Ok(light.flux(&shape)?)).collect::<Result<Vec<_>>>()?;
+    let canvas = canvas(&shape, candidate.path())?;
     let black = || vec![Exitance::new(canvas); fluxes.len()];
     let (mut lit, mut lit_reference) = (black(), black());
     let mut reciprocity = Reciprocity::new(&shape);

@@ -5,7 +5,7 @@ use super::noise::F32_ROUNDING;
 use super::regression::{self, Channel, with_bases};
 use super::survey::{GreyTest, Survey};
 use super::{Factored, Options};
-use crate::material::{Material, MaterialHeader};
+use crate::material::{Material, MaterialHeader, Responses};
 use crate::transport::rows::{RowView, gradient};
 use crate::transport::{MatrixReader, RowBlock};
 use crate::{Result, Warning};
@@ -28,9 +28,10 @@ const STORED_ROUNDINGS: f64 = 4.0;
 /// Those of the reader.
 pub fn regression_conditions(reader: &MatrixReader, material: &Material, most: usize) -> Result<Vec<[f64; 2]>> {
     let mut found: Vec<Vec<f64>> = vec![Vec::new(); most + 1];
+    let responses = Responses::new(material);
     for range in spread(reader, GREY_ROWS) {
         let block = reader.read_responses(range)?;
-        let rows = regression::rows(material, &block, |_, channels| {
+        let rows = regression::rows(&responses, &block, |_, channels| {
             PolynomialBasis::new(&channels[0].arguments, most).conditions(most)
         });
         rows.into_iter().for_each(|row| row.into_iter().zip(&mut found).for_each(|(c, all)| all.push(c)));
@@ -115,10 +116,11 @@ pub(super) fn degree_by_noise(reader: &MatrixReader, material: &Material, most: 
     let mut material = material.clone();
     let mut choice = DegreeChoice::new(most);
     material.header.intensity_range = [-1e-3, 1.0];
+    let responses = Responses::new(&material);
     for range in spread(reader, DEGREE_ROWS) {
         let block = reader.read(range)?;
         let found =
-            regression::rows(&material, &block, |k, channels| row_significance(reader, channels, &block, k, most));
+            regression::rows(&responses, &block, |k, channels| row_significance(reader, channels, &block, k, most));
         found.iter().flatten().for_each(|z2| choice.add(z2));
     }
     let (degree, mean) = (choice.degree(), choice.mean());
@@ -251,8 +253,9 @@ fn sampled_errors(reader: &MatrixReader, material: &Material, degree: usize) -> 
         // The range of the fit itself, as far as these rows tell: nothing is clamped.
         let ranges = blocks.iter().map(|b| b.first..b.first + b.rows);
         fewer.header.intensity_range = regression::intensity_range(&fewer, ranges);
+        let responses = Responses::new(&fewer);
         for block in &blocks {
-            let rows = regression::rows(&fewer, block, |_, channels| {
+            let rows = regression::rows(&responses, block, |_, channels| {
                 let mut errors = vec![0.0; degree + 1];
                 with_bases(channels, degree, |_, _, values, basis| {
                     let of = basis.errors_by_degree(values, degree);

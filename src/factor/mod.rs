@@ -12,6 +12,7 @@ mod nonnegative;
 mod regression;
 mod rows;
 mod shared_basis;
+mod storing;
 mod survey;
 mod terms;
 #[cfg(test)]
@@ -20,12 +21,13 @@ mod vector;
 
 pub use backend::Backend;
 pub use choose::{Goal, regression_conditions};
+pub use storing::{ROOM_DB, Storage, Stored, factor_and_store};
 
 use crate::material::legendre::MOST_DEGREE;
 use crate::material::{Material, Model};
 use crate::progress::Progress;
 use crate::transport::MatrixReader;
-use crate::{Error, Result};
+use crate::{Error, Result, Warning};
 use rows::{Content, PreparedRows};
 
 /// How to factor.
@@ -84,8 +86,10 @@ impl Default for Options {
 /// A material and what the factorization says about itself.
 #[derive(Debug, Clone)]
 pub struct Factored {
-    /// The material.
+    /// The material; its header has the warnings of the matrix, then those below.
     pub material: Material,
+    /// Findings of the factorization.
+    pub warnings: Vec<Warning>,
     /// ‖R̂−R‖ / ‖R‖ over the valid entries of the matrix it was made from.
     pub rel_rmse: f64,
     /// `psnr_db` of `docs/metrics.md` on the same entries; `None` when nothing is left or nothing was there.
@@ -180,9 +184,12 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &Options, progress: &
     let (rel_rmse, psnr_db) = (fit.misfit.rel_rmse(), fit.misfit.psnr_db());
     let mut material = fit.material;
     check_finite(reader, &material)?;
+    let mut warnings = rows.survey.warnings.clone();
     if options.terms.is_none() {
-        material.header.warnings.extend(options.goal.missed(&material, psnr_db));
+        warnings.extend(options.goal.missed(&material, psnr_db));
     }
+    let all = reader.header().warnings.iter().chain(&warnings);
+    material.header.warnings = all.map(serde_json::to_value).collect::<Result<_, _>>().map_err(Error::internal)?;
     material.header.provenance = serde_json::json!({
         "version": env!("CARGO_PKG_VERSION"),
         "options": options,
@@ -191,7 +198,7 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &Options, progress: &
         "rel_rmse": rel_rmse,
         "matrix": reader.header().provenance,
     });
-    Ok(Factored { material, rel_rmse, psnr_db, choice, backend: fit.backend })
+    Ok(Factored { material, warnings, rel_rmse, psnr_db, choice, backend: fit.backend })
 }
 
 /// Half of the machine's memory; 4 GiB where the system does not tell.
@@ -204,7 +211,7 @@ fn half_of_memory() -> u64 {
 
 /// Refuses a material that holds what no file may.
 fn check_finite(reader: &MatrixReader, material: &Material) -> Result<()> {
-    for ((field, _), values) in material.header.shapes().into_iter().zip(material.stored()) {
+    for (field, _, values) in material.tensors() {
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
             let (found, at) = (f64::from(values[at]), format!("number {at}"));
             return Err(Error::NotFinite { path: reader.path().to_path_buf(), field, found, at });

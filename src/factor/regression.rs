@@ -2,7 +2,7 @@
 
 use super::color::PolynomialBasis;
 use crate::Result;
-use crate::material::{Material, legendre};
+use crate::material::{Material, Responses, legendre};
 use crate::progress::Progress;
 use crate::transport::rows::RowView;
 use crate::transport::{MatrixReader, RowBlock};
@@ -83,9 +83,10 @@ pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usiz
     material.header.intensity_range = intensity_range(material, std::iter::once(0..material.header.rows()));
     let mut error = 0.0;
     let mut coefficients = Vec::with_capacity(reader.header().rows() * 3 * (degree + 1));
+    let responses = Responses::new(material);
     for range in reader.blocks() {
         let block = reader.read_responses(range.clone())?;
-        let fits = rows(material, &block, |_, channels| {
+        let fits = rows(&responses, &block, |_, channels| {
             let mut fits = Vec::with_capacity(3);
             with_bases(channels, degree, |_, _, values, basis| fits.push(basis.fit(values, degree)));
             fits
@@ -102,12 +103,14 @@ pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usiz
 
 /// What `each(k, channels)` makes of every row of a block.
 pub(super) fn rows<T: Send>(
-    material: &Material,
+    responses: &Responses<'_>,
     block: &RowBlock,
     each: impl Fn(usize, &[Channel; 3]) -> T + Sync,
 ) -> Vec<T> {
+    let material = responses.material();
     let samples = material.header.layout().len();
-    let intensity = material.plane_block(0, block.first..block.first + block.rows);
+    let indices: Vec<usize> = (block.first..block.first + block.rows).collect();
+    let intensity = responses.plane(0, &indices);
     (0..block.rows)
         .into_par_iter()
         .map(|k| {
@@ -122,10 +125,11 @@ pub(super) fn intensity_range(material: &Material, rows: impl IntoIterator<Item 
     let samples = material.header.layout().len();
     let step = ((4 << 20) / samples.max(1)).max(1);
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    let responses = Responses::new(material);
     let pieces =
         |rows: Range<usize>| rows.clone().step_by(step).map(move |first| (first, (first + step).min(rows.end)));
     for (first, end) in rows.into_iter().flat_map(pieces) {
-        let block = material.plane_block(0, first..end);
+        let block = responses.plane(0, &(first..end).collect::<Vec<_>>());
         let ranges: Vec<[f64; 2]> = (first..end)
             .into_par_iter()
             .filter(|&i| material.incident(0, i).iter().any(|&f| f != 0.0))
@@ -209,8 +213,7 @@ mod tests {
             lit_mm: vec![[0.0; 2]; 6],
             weights: vec![2.0, 0.5],
             incident_factors: (0..12).map(|k| 0.25 + ((k * 5) % 7) as f32 * 0.125).collect(),
-            offset_factors: (0..2 * samples).map(|k| ((k * k) % 23) as f32 / 23.0 - 0.2).collect(),
-            shared: None,
+            offset_factors: (0..2 * samples).map(|k| ((k * k) % 23) as f32 / 23.0 - 0.2).collect::<Vec<_>>().into(),
             profile: Vec::new(),
             color_coefficients: Vec::new(),
             shift: SHIFTS.to_vec(),
@@ -223,7 +226,9 @@ mod tests {
         let y = (k / 7) as isize - 2 - isize::from(SHIFTS[i][1]) + 3;
         let e = (x + 9 * y) as usize;
         let term = |j: usize| {
-            f64::from(m.weights[j]) * f64::from(m.incident_factors[2 * i + j]) * f64::from(m.offset_factors[63 * j + e])
+            f64::from(m.weights[j])
+                * f64::from(m.incident_factors[2 * i + j])
+                * f64::from(m.offset_factors.all()[63 * j + e])
         };
         term(0) + term(1)
     }
@@ -270,7 +275,7 @@ mod tests {
     fn channels_measured_alike_share_a_basis_and_others_have_their_own() {
         let (stored, material) = (matrix(), material());
         let block = stored.reader.read_responses(0..6).unwrap();
-        let found = rows(&material, &block, |_, channels| {
+        let found = rows(&Responses::new(&material), &block, |_, channels| {
             let mut seen = Vec::new();
             with_bases(channels, 1, |c, at, values, basis| {
                 assert_eq!((at.len(), values.len()), (values.len(), channels[c].values.len()));
@@ -293,7 +298,7 @@ mod tests {
     #[test]
     fn rows_of_zeros_do_not_count_in_the_range_and_constants_have_a_plain_one() {
         let mut m = material();
-        m.offset_factors.fill(0.5);
+        m.offset_factors = vec![0.5; m.offset_factors.all().len()].into();
         m.incident_factors = (0..12).map(|k| if k / 2 == 4 { 0.0 } else { 1.0 + (k / 2) as f32 }).collect();
         // Row i is 2.5 · (1 + i) · 0.5 everywhere; row 4 is no row.
         let [low, high] = intensity_range(&m, [0..2, 2..6]);

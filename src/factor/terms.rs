@@ -8,7 +8,7 @@ use super::nonnegative::factorize;
 use super::rows::{Content, PreparedRows, Rows};
 use super::shared_basis::Sharing;
 use super::{Misfit, Options};
-use crate::material::{Material, MaterialHeader, Model};
+use crate::material::{Material, MaterialHeader, Model, OffsetFactors, Responses};
 use crate::transport::MatrixReader;
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -244,7 +244,7 @@ impl Asked<'_, '_> {
             intensity_range: [0.0, 1.0],
             singular_values: all.weights.iter().map(|g| g * unit).collect(),
             noise_level: survey.noise.threshold(&all.weights) * unit,
-            warnings: header.warnings.iter().chain(&survey.warnings).cloned().collect(),
+            warnings: Vec::new(),
             provenance: serde_json::Value::Null,
         }
     }
@@ -268,8 +268,7 @@ impl Asked<'_, '_> {
             lit_mm: reader.header().lit_mm.clone(),
             weights,
             incident_factors: left,
-            offset_factors: right,
-            shared: None,
+            offset_factors: right.into(),
             profile: Vec::new(),
             color_coefficients: Vec::new(),
             shift: self.rows.survey.placements.iter().map(|p| p.shift).collect(),
@@ -287,8 +286,7 @@ impl Asked<'_, '_> {
             };
             if let Some(shared) = sharing.basis(terms, maps)? {
                 material.header.shared_maps = Some(shared.maps);
-                material.offset_factors = shared.offset_factors();
-                material.shared = Some(shared);
+                material.offset_factors = OffsetFactors::Shared(shared);
             }
         }
         Ok(material)
@@ -304,15 +302,17 @@ impl Asked<'_, '_> {
         (h.terms, h.incident_planes, h.offset_planes, h.profile) = (terms, planes, planes, true);
         h.singular_values.clear();
         material.weights = vec![1.0; terms];
-        (material.incident_factors, material.offset_factors) = (Vec::new(), Vec::new());
+        material.incident_factors = Vec::new();
+        let mut offset_factors = Vec::new();
         for p in 0..planes {
             let profile: Vec<f64> =
                 self.rows.survey.mean[p * samples..(p + 1) * samples].iter().map(|&m| m.max(0.0)).collect();
             let found = factorize(all, columns, p * samples, &profile, terms);
             material.incident_factors.extend(found.left.iter().map(|&v| v as f32));
-            material.offset_factors.extend(found.right.iter().map(|&v| v as f32));
+            offset_factors.extend(found.right.iter().map(|&v| v as f32));
             material.profile.extend(profile.iter().map(|&m| (m * unit) as f32));
         }
+        material.offset_factors = offset_factors.into();
         material
     }
 
@@ -342,10 +342,10 @@ impl Asked<'_, '_> {
         let (planes, columns) = (self.rows.content.planes(), self.rows.shape().1);
         let samples = columns / planes;
         let unit = self.rows.unit();
-        let mut error = 0.0;
+        let (mut error, responses) = (0.0, Responses::new(material));
         self.rows.for_each_chunk("measure", &mut |first, values, missing| {
-            let fits: Vec<Vec<f64>> =
-                (0..planes).map(|p| material.plane_block(p, first..first + missing.len())).collect();
+            let indices: Vec<usize> = (first..first + missing.len()).collect();
+            let fits: Vec<Vec<f64>> = (0..planes).map(|p| responses.plane(p, &indices)).collect();
             let errors: Vec<f64> = missing
                 .par_iter()
                 .enumerate()
@@ -375,13 +375,13 @@ impl Asked<'_, '_> {
 
 /// The same for any material, by evaluating it: one pass over the store.
 fn residual_of_rows(reader: &MatrixReader, material: &Material) -> Result<f64> {
-    let mut error = 0.0;
+    let (mut error, responses) = (0.0, Responses::new(material));
     for range in reader.blocks() {
         let block = reader.read_responses(range)?;
         let errors: Vec<f64> = (0..block.rows)
             .into_par_iter()
             .map(|k| {
-                let (fit, row) = (material.evaluate_row(block.first + k), block.view(k));
+                let (fit, row) = (responses.row(block.first + k), block.view(k));
                 let entries = fit.iter().zip(row.response).zip(row.valid).filter(|(_, v)| **v != 0);
                 entries.map(|((&a, &b), _)| (f64::from(a) - f64::from(b)).powi(2)).sum()
             })

@@ -1,7 +1,7 @@
 //! OpenEXR: every map of a material as a layer that any viewer shows, and single images.
 
-use super::file::write_whole;
 use super::{Exitance, Material, legendre};
+use crate::output::write_whole;
 use crate::{Error, Result};
 use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, ImageAttributes, IntegerBounds, Layer, LayerAttributes,
@@ -32,8 +32,9 @@ pub fn export_exr(material: &Material, path: &Path) -> Result<()> {
         };
         layers.push(layer(&format!("f_{j:02}"), h.points, planes(h.incident_planes, &map)));
     }
+    let offsets = material.offset_factors.all();
     for j in 0..terms {
-        let map = |k: usize| material.offsets(k)[j * samples..(j + 1) * samples].to_vec();
+        let map = |k: usize| offsets[(k * terms + j) * samples..][..samples].to_vec();
         layers.push(layer(&format!("h_{j:02}"), h.extended, planes(h.offset_planes, &map)));
     }
     if h.profile {
@@ -158,7 +159,7 @@ mod tests {
                 }
                 for (k, name) in names(h.offset_planes).into_iter().enumerate() {
                     let map = get(&format!("h_{j:02}"), name, naive::EXTENDED);
-                    assert_eq!(map, m.offset_factors[(k * 3 + j) * 63..][..63], "h_{j} {name}");
+                    assert_eq!(map, m.offset_factors.all()[(k * 3 + j) * 63..][..63], "h_{j} {name}");
                 }
             }
             if h.profile {

@@ -1,7 +1,7 @@
 //! NPZ: a material as NumPy arrays.
 
-use super::file::write_whole;
 use super::{CHANNELS, Material, exr_layers::monomial_coefficients};
+use crate::output::write_whole;
 use crate::{Error, Result};
 use npyz::WriterBuilder;
 use std::io::{Cursor, Write};
@@ -26,12 +26,12 @@ fn archive(material: &Material) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     let lit: Vec<f64> = material.lit_mm.as_flattened().to_vec();
     let range: Vec<f64> = h.intensity_range.iter().map(|&v| f64::from(v)).collect();
 
-    for ((name, shape), values) in h.shapes().into_iter().zip(material.stored()).filter(|((_, s), _)| *s != [0]) {
+    for (name, shape, values) in material.tensors() {
         add(&mut zip, name, &shape.iter().map(|&n| n as u64).collect::<Vec<_>>(), values)?;
     }
     if h.shared_maps.is_some() {
         let shape = [h.offset_planes, h.terms, h.extended[1], h.extended[0]].map(|n| n as u64);
-        add(&mut zip, "offset_factors", &shape, &material.offset_factors)?;
+        add(&mut zip, "offset_factors", &shape, &material.offset_factors.all())?;
     }
     if let Some(degree) = h.degree {
         add(&mut zip, "color_monomials", &[n, CHANNELS as u64, degree as u64 + 1], &monomial_coefficients(material))?;
@@ -73,7 +73,7 @@ fn add<T: npyz::Serialize + npyz::AutoSerialize + Copy>(
 
 #[cfg(test)]
 mod tests {
-    use super::super::naive;
+    use super::super::{OffsetFactors, SharedBasis, naive};
     use super::*;
     use std::io::Read;
 
@@ -95,7 +95,7 @@ mod tests {
             let (a, b) = (h.incident_planes as u64, h.offset_planes as u64);
             assert_eq!(array::<f32>(&path, "weights"), (vec![3], m.weights.clone()));
             assert_eq!(array::<f32>(&path, "incident_factors"), (vec![a, 15, 3], m.incident_factors.clone()));
-            assert_eq!(array::<f32>(&path, "offset_factors"), (vec![b, 3, 7, 9], m.offset_factors.clone()));
+            assert_eq!(array::<f32>(&path, "offset_factors"), (vec![b, 3, 7, 9], m.offset_factors.all().into_owned()));
             assert_eq!(array::<i16>(&path, "shift"), (vec![15, 2], m.shift.concat()));
             assert_eq!(array::<f64>(&path, "lit_mm"), (vec![15, 2], m.lit_mm.concat()));
             assert_eq!(array::<f64>(&path, "points"), (vec![2], vec![5.0, 3.0]));
@@ -132,9 +132,8 @@ mod tests {
         let path = folder.path().join("m.npz");
         let mut m = naive::materials().remove(0);
         let wave = |n: usize, f: f32| (0..n).map(|k| (f * (k as f32 + 1.0)).sin()).collect::<Vec<f32>>();
-        let shared = super::super::SharedBasis { maps: 2, vectors: wave(2 * 63, 0.41), core: wave(3 * 3 * 2, 1.3) };
-        (m.header.shared_maps, m.offset_factors) = (Some(2), shared.offset_factors());
-        m.shared = Some(shared.clone());
+        let shared = SharedBasis { maps: 2, vectors: wave(2 * 63, 0.41), core: wave(3 * 3 * 2, 1.3) };
+        (m.header.shared_maps, m.offset_factors) = (Some(2), OffsetFactors::Shared(shared.clone()));
         export_npz(&m, &path).unwrap();
         assert_eq!(array::<f32>(&path, "offset_maps"), (vec![2, 7, 9], shared.vectors.clone()));
         assert_eq!(array::<f32>(&path, "offset_core"), (vec![3, 3, 2], shared.core.clone()));

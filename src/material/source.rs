@@ -1,8 +1,6 @@
 //! A matrix or a material, told apart by what is on disk, and read the same way.
 
-use super::rows::Rows;
-use super::{Material, MaterialHeader};
-use crate::geometry::Point;
+use super::{Material, Responses, Shape};
 use crate::transport::{MatrixReader, RowBlock};
 use crate::{Error, Result};
 use std::ops::Range;
@@ -20,28 +18,6 @@ pub enum Source {
     Material(Box<Material>, PathBuf),
 }
 
-/// What both kinds know of their rows.
-#[derive(Debug, Clone, Copy)]
-pub struct Shape<'a> {
-    /// Lit points along x and y.
-    pub points: [usize; 2],
-    /// Outgoing samples of a window along x and y.
-    pub window: [usize; 2],
-    /// Side of an outgoing cell, mm.
-    pub pitch_mm: f64,
-    /// Mean distance of lit points along x and y, mm.
-    pub lit_pitch_mm: Point,
-    /// Where each lit point is, mm.
-    pub lit_mm: &'a [Point],
-}
-
-impl Shape<'_> {
-    /// Number of lit points.
-    pub fn rows(&self) -> usize {
-        self.points[0] * self.points[1]
-    }
-}
-
 impl Source {
     /// Opens either: a folder is a matrix, a file a material.
     ///
@@ -51,7 +27,7 @@ impl Source {
         let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
         match kind.is_dir() {
             true => Ok(Self::Matrix(Box::new(MatrixReader::open(path)?))),
-            false => Ok(Self::Material(Box::new(Material::load(path)?), path.to_path_buf())),
+            false => Ok(Self::Material(Box::new(super::load(path)?), path.to_path_buf())),
         }
     }
 
@@ -76,10 +52,7 @@ impl Source {
                     lit_mm: &h.lit_mm,
                 }
             }
-            Self::Material(material, _) => {
-                let MaterialHeader { points, window, pitch_mm, lit_pitch_mm, .. } = material.header;
-                Shape { points, window, pitch_mm, lit_pitch_mm, lit_mm: &material.lit_mm }
-            }
+            Self::Material(material, _) => material.shape(),
         }
     }
 
@@ -94,7 +67,7 @@ impl Source {
                 let indices: Vec<usize> = rows.clone().collect();
                 let n = indices.len() * material.header.row_len();
                 let mut response = vec![0.0; n];
-                Rows::new(material).interleaved(&indices, &mut response);
+                Responses::new(material).interleaved(&indices, &mut response);
                 let (variance, valid) = (vec![0.0; n], vec![1; n]);
                 Ok(RowBlock { first: rows.start, rows: rows.len(), response, variance, valid })
             }

@@ -6,7 +6,7 @@ mod page;
 
 use crate::evaluate::evaluate;
 use crate::factor::{Backend, Factored, Options as FactorOptions, factor, regression_conditions};
-use crate::material::{Material, Model, Precision, Source, coded, legendre};
+use crate::material::{self, Material, Model, Precision, Source, coded, legendre};
 use crate::output::ScratchFolder;
 use crate::progress::Progress;
 use crate::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row};
@@ -218,14 +218,14 @@ impl Run<'_> {
         let mut all = vec![];
         let path = |name: String| self.folder.join(name);
         let f32_path = path("f32.safetensors".into());
-        material.save(&f32_path)?;
+        material::save(material, Precision::F32, &f32_path)?;
         all.push(Stored { path: f32_path, precision: Precision::F32, secs: 0.0 });
         if !self.setting.stored {
             return Ok(all);
         }
         if material.header.degree.is_none() {
             let path = path("f16.safetensors".into());
-            material.save_half(&path)?;
+            material::save(material, Precision::F16, &path)?;
             all.push(Stored { path, precision: Precision::F16, secs: 0.0 });
         }
         let errors = if self.options.quick { &CODED_ERRORS[1..4] } else { &CODED_ERRORS[..] };
@@ -234,7 +234,7 @@ impl Run<'_> {
             let quality = coded::Quality::AddedError(error);
             let coded = coded::encode(material, &coded::Options { quality, ..coded::Options::default() })?;
             let file = path(format!("coded-{k}.acq"));
-            coded.save(&file)?;
+            crate::output::write_whole(&file, &coded.bytes)?;
             all.push(Stored { path: file, precision: Precision::Coded, secs: start.elapsed().as_secs_f64() });
         }
         Ok(all)

@@ -3,7 +3,7 @@
 
 use acquire::Result;
 use acquire::factor::{Factored, Options, factor};
-use acquire::material::{Material, Model};
+use acquire::material::{self, Material, Model, Precision};
 use acquire::progress::Progress;
 use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row};
 use rand::SeedableRng;
@@ -65,7 +65,7 @@ pub fn run(
     let factored = factor(&reader, options, &Progress::silent())?;
     // Whatever comes out can be stored and comes back.
     let path = folder.path().join("m.safetensors");
-    factored.material.save(&path)?;
+    material::save(&factored.material, Precision::F32, &path)?;
     assert_eq!(Material::load(&path)?.weights, factored.material.weights);
     Ok(factored)
 }

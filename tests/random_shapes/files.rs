@@ -76,30 +76,28 @@ fn a_material_comes_back_from_its_file_to_the_last_bit() {
     holds(32, (cases(), 0..KINDS), |(case, kind)| {
         let mut draw = Draw::new(case.seed ^ 6);
         let mut m = material(case, kind);
-        let of_shared = m.shared.is_some();
-        let offsets = if of_shared { &mut Vec::new() } else { &mut m.offset_factors };
-        let numbers = [&mut m.weights, &mut m.incident_factors, offsets, &mut m.profile, &mut m.color_coefficients];
+        let of_shared = m.header.shared_maps.is_some();
+        let mut none = Vec::new();
+        let [offsets, core] = match &mut m.offset_factors {
+            OffsetFactors::Own(own) => [own, &mut none],
+            OffsetFactors::Shared(shared) => [&mut shared.vectors, &mut shared.core],
+        };
+        let (colors, profile) = (&mut m.color_coefficients, &mut m.profile);
+        let numbers = [&mut m.weights, &mut m.incident_factors, offsets, core, profile, colors];
         // Files hold no number above 1e36.
         for v in numbers.into_iter().flatten() {
             if draw.chance(0.5) {
-                *v = Some(draw.bits()).filter(|v| v.abs() <= 1e36).unwrap_or(-0.0);
+                // Sums of products of those of shared maps stay below it, too.
+                *v = Some(draw.bits()).filter(|v| v.abs() <= if of_shared { 1e17 } else { 1e36 }).unwrap_or(-0.0);
             }
         }
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.safetensors");
-        m.save(&path).unwrap();
+        save(&m, Precision::F32, &path).unwrap();
         let once = Material::load(&path).unwrap();
-        if of_shared {
-            // Sums of at most 15 maps of size one in f64, rounded to f32: two orders of summing may round to neighbours.
-            let pairs = m.offset_factors.iter().zip(&once.offset_factors);
-            assert!(
-                pairs.into_iter().all(|(a, b)| f64::from(a - b).abs() <= 2.0 * F32 * f64::from(a.abs()) + 15.0 * F64)
-            );
-            m.offset_factors = once.offset_factors.clone();
-        }
         assert_eq!(once, m);
         assert_eq!(bits(&once), bits(&m));
-        once.save(&path).unwrap();
+        save(&once, Precision::F32, &path).unwrap();
         let twice = Material::load(&path).unwrap();
         assert_eq!((bits(&twice), &twice), (bits(&once), &once));
     });
@@ -114,7 +112,7 @@ fn a_coded_material_comes_back_as_the_encoder_said() {
         let coded = coded::encode(&m, &options).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.acq");
-        coded.save(&path).unwrap();
+        std::fs::write(&path, &coded.bytes).unwrap();
         let once = Material::load(&path).unwrap();
         assert_eq!((bits(&once), &once), (bits(&coded.material), &coded.material));
         let (a, b) = (rows_of(&m), rows_of(&once));
@@ -126,7 +124,7 @@ fn a_coded_material_comes_back_as_the_encoder_said() {
         // Rows are rounded to f32 here.
         assert!((off - coded.added_error * size).abs() <= 2.0 * F32 * size, "{off} of {size}, {}", coded.added_error);
         let plain = folder.path().join("m.safetensors");
-        once.save(&plain).unwrap();
+        save(&once, Precision::F32, &plain).unwrap();
         let twice = Material::load(&plain).unwrap();
         assert_eq!((bits(&twice), &twice.header, &twice.shift), (bits(&once), &once.header, &once.shift));
         let places = twice.lit_mm.as_flattened().iter().zip(once.lit_mm.as_flattened());

@@ -7,7 +7,9 @@ use acquire::Warning;
 use acquire::evaluate::{Measures, evaluate};
 use acquire::factor::{Backend, Factored, Goal, Options, factor};
 use acquire::material::coded::{self, Quality};
-use acquire::material::{Evaluator, Exitance, Material, MaterialHeader, Model, SharedBasis, Source};
+use acquire::material::{
+    Evaluator, Exitance, Material, MaterialHeader, Model, OffsetFactors, Precision, SharedBasis, Source, save,
+};
 use acquire::material::{export_npz, relight};
 use acquire::progress::Progress;
 use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row, ShotRecord};

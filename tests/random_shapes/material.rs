@@ -27,14 +27,9 @@ pub fn material(case: Case, kind: usize) -> Material {
         vectors: draw.f32s(maps * samples),
         core: draw.f32s(b * terms * maps),
     });
-    let offset_factors = match &shared {
-        Some(s) => (0..b * terms * samples)
-            .map(|k| {
-                let amount = |l: usize| f64::from(s.core[k / samples * s.maps + l]);
-                (0..s.maps).map(|l| amount(l) * f64::from(s.vectors[l * samples + k % samples])).sum::<f64>() as f32
-            })
-            .collect(),
-        None => draw.f32s(b * terms * samples),
+    let offset_factors = match shared {
+        Some(shared) => OffsetFactors::Shared(shared),
+        None => OffsetFactors::Own(draw.f32s(b * terms * samples)),
     };
     Material {
         header: MaterialHeader {
@@ -53,7 +48,7 @@ pub fn material(case: Case, kind: usize) -> Material {
             intensity_range: [-0.5 - draw.unit() as f32, 0.5 + draw.unit() as f32],
             singular_values: (0..terms).map(|_| draw.unit()).collect(),
             noise_level: draw.unit(),
-            warnings: vec![Warning::EmptyRows { rows: draw.below(9) }],
+            warnings: vec![serde_json::json!({"kind": "empty_rows", "rows": draw.below(9)})],
             provenance: serde_json::json!({"seed": case.seed, "nested": {"number": draw.signed(), "none": null}}),
         },
         lit_mm: (0..n)
@@ -62,7 +57,6 @@ pub fn material(case: Case, kind: usize) -> Material {
         weights: draw.f32s(terms),
         incident_factors: draw.f32s(a * n * terms),
         offset_factors,
-        shared,
         profile: draw.f32s(if profile { b * samples } else { 0 }),
         color_coefficients: draw.f32s(degree.map_or(0, |p| n * 3 * (p + 1))),
         shift: (0..n).map(|_| window.map(|w| draw.below(w) as i16 - (w / 2) as i16)).collect(),
@@ -76,6 +70,7 @@ pub const KINDS: usize = 8;
 pub fn formula(m: &Material, i: usize) -> (Vec<[f64; 3]>, f64) {
     let h = &m.header;
     let samples = h.extended[0] * h.extended[1];
+    let factors = factors(m, samples);
     let [low, high] = h.intensity_range.map(f64::from);
     let (mut row, mut size) = (Vec::new(), 0.0_f64);
     for k in 0..h.window[0] * h.window[1] {
@@ -95,10 +90,7 @@ pub fn formula(m: &Material, i: usize) -> (Vec<[f64; 3]>, f64) {
             let profile = if h.profile { f64::from(m.profile[b * samples + e]) } else { 1.0 };
             let product = |j: usize| {
                 let f = m.incident_factors[(a * h.rows() + i) * h.terms + j];
-                f64::from(m.weights[j])
-                    * f64::from(f)
-                    * f64::from(m.offset_factors[(b * h.terms + j) * samples + e])
-                    * profile
+                f64::from(m.weights[j]) * f64::from(f) * f64::from(factors[(b * h.terms + j) * samples + e]) * profile
             };
             (0..h.terms).fold((0.0, 0.0), |(v, s), j| (v + product(j), s + product(j).abs()))
         });
@@ -124,15 +116,24 @@ pub fn formula(m: &Material, i: usize) -> (Vec<[f64; 3]>, f64) {
     (row, size)
 }
 
+/// All offset factors.
+fn factors(m: &Material, samples: usize) -> Vec<f32> {
+    match &m.offset_factors {
+        OffsetFactors::Own(own) => own.clone(),
+        OffsetFactors::Shared(s) => (0..s.core.len() / s.maps * samples)
+            .map(|k| {
+                let amount = |l: usize| f64::from(s.core[k / samples * s.maps + l]);
+                (0..s.maps).map(|l| amount(l) * f64::from(s.vectors[l * samples + k % samples])).sum::<f64>() as f32
+            })
+            .collect(),
+    }
+}
+
 pub fn source(material: &Material) -> Source {
     Source::Material(Box::new(material.clone()), "m".into())
 }
 
 /// All numbers of a material, as bits: zeros have signs.
 pub fn bits(m: &Material) -> Vec<Vec<u32>> {
-    let shared = m.shared.as_ref();
-    let (vectors, core) = shared.map_or((&[][..], &[][..]), |s| (&s.vectors[..], &s.core[..]));
-    let all: [&[f32]; 7] =
-        [&m.weights, &m.incident_factors, &m.offset_factors, &m.profile, &m.color_coefficients, vectors, core];
-    all.into_iter().map(|values| values.iter().map(|v| v.to_bits()).collect()).collect()
+    m.tensors().map(|(_, _, values)| values.iter().map(|v| v.to_bits()).collect()).collect()
 }

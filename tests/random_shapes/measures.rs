@@ -36,7 +36,7 @@ fn a_matrix_and_a_material_are_no_different_from_themselves() {
         rows.rows.iter_mut().zip(rows_of(&material)).for_each(|(row, values)| row.response = values);
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.safetensors");
-        material.save(&path).unwrap();
+        crate::save(&material, crate::Precision::F32, &path).unwrap();
         let m = evaluate(&Source::open(&path).unwrap(), &rows.stored().reader, &Progress::silent()).unwrap();
         let sizes = (0..material.header.rows()).map(|i| formula(&material, i).1.powi(2)).sum::<f64>();
         let all = rows.energy();

@@ -28,7 +28,6 @@ fn points_of_a_material_are_its_rows_however_they_are_asked_for() {
                 let all = [
                     [row[3 * k], row[3 * k + 1], row[3 * k + 2]],
                     [0, 1, 2].map(|c| block.view(i).response[3 * k + c]),
-                    m.response(i, d).unwrap(),
                     evaluator.response(i, d).unwrap(),
                     evaluator.nearest(x_i, x_o),
                 ];
@@ -106,12 +105,14 @@ fn exported_arrays_make_the_same_rows() {
             lit_mm: array::<f64>(&path, "lit_mm").as_chunks::<2>().0.to_vec(),
             weights: array(&path, "weights"),
             incident_factors: array(&path, "incident_factors"),
-            offset_factors: array(&path, "offset_factors"),
-            shared: header.shared_maps.map(|maps| SharedBasis {
-                maps,
-                vectors: array(&path, "offset_maps"),
-                core: array(&path, "offset_core"),
-            }),
+            offset_factors: match header.shared_maps {
+                Some(maps) => OffsetFactors::Shared(SharedBasis {
+                    maps,
+                    vectors: array(&path, "offset_maps"),
+                    core: array(&path, "offset_core"),
+                }),
+                None => OffsetFactors::Own(array(&path, "offset_factors")),
+            },
             profile: array(&path, "profile"),
             color_coefficients: array(&path, "color_coefficients"),
             shift: array::<i16>(&path, "shift").as_chunks::<2>().0.to_vec(),

@@ -218,7 +218,8 @@ fn conditions_are_the_median_and_the_largest_over_rows() {
     let mut expected: Vec<f64> = (0..5)
         .map(|i| {
             let [low, high] = material.header.intensity_range.map(f64::from);
-            let u: Vec<f64> = material.plane_row(0, i).iter().map(|v| 2.0 * (v - low) / (high - low) - 1.0).collect();
+            let u: Vec<f64> =
+                Responses::new(&material).plane(0, &[i]).iter().map(|v| 2.0 * (v - low) / (high - low) - 1.0).collect();
             let mean = u.iter().sum::<f64>() / 15.0;
             let spread = u.iter().map(|u| (u - mean).powi(2)).sum::<f64>().sqrt();
             15.0_f64.sqrt() / spread
@@ -305,12 +306,13 @@ fn the_noise_of_a_row_is_its_own_with_rounding_and_that_of_its_place_apart() {
     let mut material = made(&matrix.reader, &options(1, 2)).material;
     (material.header.degree, material.header.intensity_range) = (None, [-1e-3, 1.0]);
     let block = matrix.reader.read(0..2).unwrap();
-    let found =
-        regression::rows(&material, &block, |k, channels| row_significance(&matrix.reader, channels, &block, k, 2));
+    let found = regression::rows(&Responses::new(&material), &block, |k, channels| {
+        row_significance(&matrix.reader, channels, &block, k, 2)
+    });
     let rounding = 4.0 * f64::from(f32::EPSILON) / 2.0;
     for i in 0..2 {
-        let u: Vec<f64> = material
-            .plane_row(0, i)
+        let u: Vec<f64> = Responses::new(&material)
+            .plane(0, &[i])
             .iter()
             .map(|v| 2.0 * (v + f64::from(1e-3_f32)) / (1.0 + f64::from(1e-3_f32)) - 1.0)
             .collect();

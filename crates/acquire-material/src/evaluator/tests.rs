@@ -1,7 +1,7 @@
-use super::super::naive;
-use super::super::rows::tests::every_kind;
 use super::*;
 use crate::Error;
+use crate::naive;
+use crate::response::tests::every_kind;
 use rand::{RngExt, SeedableRng};
 
 /// All offsets of a window and one beyond it on every side.
@@ -120,7 +120,7 @@ fn draws_are_distributed_as_their_probabilities() {
 #[test]
 fn a_response_without_negative_parts_is_drawn_in_proportion() {
     let mut m = every_kind().into_iter().find(|m| m.header.degree.is_none()).unwrap();
-    let positive = [&mut m.weights, &mut m.incident_factors, &mut m.offset_factors, &mut m.profile];
+    let positive = [&mut m.weights, &mut m.incident_factors, m.offset_factors.own(), &mut m.profile];
     positive.into_iter().flatten().for_each(|v| *v = v.abs());
     m.header.extended = [7, 3];
     m.shift[0] = [0, 0];
@@ -141,7 +141,7 @@ fn rows_of_zeros_and_numbers_at_the_ends_of_the_range_are_drawn_too() {
     for m in every_kind() {
         for ends in [[0.0; 4], [1e-30, 1e30, -1e-30, -1e30], [1e-30; 4], [1e30; 4], [1e-45; 4]] {
             let mut m = m.clone();
-            let each = [&mut m.weights, &mut m.incident_factors, &mut m.offset_factors, &mut m.profile];
+            let each = [&mut m.weights, &mut m.incident_factors, m.offset_factors.own(), &mut m.profile];
             each.into_iter().flatten().enumerate().for_each(|(k, v)| *v = ends[k * 7 % 4]);
             let evaluator = Evaluator::new(&m).unwrap();
             let sum: f64 = offsets(m.header.window).iter().map(|&o| evaluator.probability(0, o)).sum();
@@ -159,8 +159,8 @@ fn rows_of_zeros_and_numbers_at_the_ends_of_the_range_are_drawn_too() {
 #[test]
 fn a_material_that_is_not_whole_is_refused() {
     let mut m = every_kind().remove(0);
-    m.offset_factors.pop();
-    assert!(matches!(Evaluator::new(&m), Err(Error::Internal { .. })));
+    m.offset_factors.own().pop();
+    assert!(matches!(Evaluator::new(&m), Err(Error::Inconsistent { .. })));
 }
 
 /// Points all over the slab and beyond it, in lattice coordinates, none half way between two lattice points or samples.

@@ -1,32 +1,16 @@
 //! Rows added to images where they leave the slab.
 
-use super::relight::{Canvas, Exitance};
-use super::source::Shape;
-use crate::transport::RowBlock;
-use rayon::prelude::*;
+use crate::parallel::*;
+use crate::relight::{Canvas, Exitance, Shape};
 
 /// Bands of lines into which an image is divided, for as many threads.
 const BANDS: usize = 8;
-
-/// Adds a block of rows to every image; entries that were not measured add nothing.
-pub(crate) fn splat(images: &mut [Exitance], block: &RowBlock, shape: &Shape<'_>, fluxes: &[Vec<[f64; 3]>]) {
-    let indices: Vec<usize> = (block.first..block.first + block.rows).collect();
-    let width = shape.window[0];
-    splat_lines(images, &indices, shape, fluxes, &|k, channel, dy, line| {
-        let row = block.view(k);
-        let entries = 3 * width * dy..3 * width * (dy + 1);
-        let measured = row.response[entries.clone()].chunks_exact(3).zip(row.valid[entries].chunks_exact(3));
-        for (out, (value, valid)) in line.iter_mut().zip(measured) {
-            *out = if valid[channel] == 0 { 0.0 } else { f64::from(value[channel]) };
-        }
-    });
-}
 
 /// Adds the rows `indices` to every image; `line(k, channel, dy, out)` writes line `dy` of the k-th of them.
 ///
 /// Each sample is spread over the four nearest samples of the canvas by bilinear weights, which sum to one: the flux that leaves is
 /// conserved. Each band of an image is filled by one thread, in the order of rows: the sums do not depend on the number of threads.
-pub(super) fn splat_lines(
+pub fn splat(
     images: &mut [Exitance],
     indices: &[usize],
     shape: &Shape<'_>,
@@ -57,14 +41,14 @@ pub(super) fn splat_lines(
 
 /// Where a window's first sample falls: a sample of the canvas, and how far beyond it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Corner {
-    pub(super) at: [usize; 2],
-    pub(super) beyond: [f64; 2],
+pub(crate) struct Corner {
+    pub(crate) at: [usize; 2],
+    pub(crate) beyond: [f64; 2],
 }
 
 impl Canvas {
     /// Of the window around a lit point.
-    pub(super) fn corner(&self, point: [f64; 2], window: [usize; 2]) -> Corner {
+    pub(crate) fn corner(&self, point: [f64; 2], window: [usize; 2]) -> Corner {
         let corner: [f64; 2] =
             std::array::from_fn(|a| ((point[a] - self.origin_mm[a]) / self.pitch_mm - (window[a] / 2) as f64).max(0.0));
         let base = corner.map(f64::floor);
@@ -148,8 +132,8 @@ impl pulp::NullaryFnOnce for AddLine<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::naive::tent;
     use super::*;
+    use crate::naive::tent;
 
     /// Two images of 9 × 6 samples, rows 2 and 3 of four with windows of 3 × 2, on the canvas and between its samples.
     #[test]
@@ -160,18 +144,16 @@ mod tests {
         let shape = Shape { points: [4, 1], window: [3, 3], pitch_mm: 0.5, lit_pitch_mm: [1.0; 2], lit_mm: &lit_mm };
         let value = |k: usize, s: usize| ((7 * s + 5 * k) % 23) as f32 - 4.0;
         let valid = |k: usize, s: usize| u8::from(!(s + k).is_multiple_of(5));
-        let block = RowBlock {
-            first: 2,
-            rows: 2,
-            response: (0..54).map(|s| value(s / 27, s % 27)).collect(),
-            variance: Vec::new(),
-            valid: (0..54).map(|s| valid(s / 27, s % 27)).collect(),
-        };
         let flux = |light: usize, i: usize, c: usize| (1 + light) as f64 + 0.25 * i as f64 - 0.5 * c as f64;
         let fluxes: Vec<Vec<[f64; 3]>> =
             (0..2).map(|l| (0..4).map(|i| [0, 1, 2].map(|c| flux(l, i, c))).collect()).collect();
         let mut images = vec![Exitance::new(canvas), Exitance::new(canvas)];
-        splat(&mut images, &block, &shape, &fluxes);
+        splat(&mut images, &[2, 3], &shape, &fluxes, &|k, c, dy, line| {
+            for (dx, to) in line.iter_mut().enumerate() {
+                let s = 3 * (3 * dy + dx) + c;
+                *to = if valid(k, s) == 0 { 0.0 } else { f64::from(value(k, s)) };
+            }
+        });
         for (light, image) in images.iter().enumerate() {
             for c in 0..3 {
                 for (at, found) in image.planes[c].iter().enumerate() {

@@ -1,14 +1,11 @@
 //! Point queries for a renderer: R̂_d at one pair of points, without allocation.
 
-use super::legendre::MOST_DEGREE;
-use super::sampling::{Sampled, Tree};
-use super::{CHANNELS, Material};
-use crate::Result;
-use crate::geometry::Point;
-use crate::transport::normalize::Layout;
+use crate::color::{Colors, Interval, colors};
+use crate::sampling::{Sampled, Tree};
+use crate::{CHANNELS, Layout, Material, Point, Result, offset_plane};
 
 /// Terms that are multiplied together.
-pub(super) const LANES: usize = 4;
+pub(crate) const LANES: usize = 4;
 
 /// A material rearranged so that a query touches a few contiguous pieces of memory.
 ///
@@ -32,10 +29,10 @@ pub struct Evaluator {
     offset: Vec<f32>,
     /// m_k(e), \[samples, B\]; empty without a profile.
     profile: Vec<f32>,
-    /// P + 1 numbers for each row and channel, \[N, P+1, 3\]; empty without a polynomial.
-    color: Vec<f32>,
+    /// Coefficients of powers of the basis's argument, \[N, P+1, 3\]; empty without a polynomial.
+    color: Vec<[f64; CHANNELS]>,
     powers: usize,
-    range: [f64; 2],
+    interval: Interval,
     lattice: Lattice,
     tree: Tree,
 }
@@ -90,7 +87,7 @@ impl Evaluator {
     /// Rearranges `material`.
     ///
     /// # Errors
-    /// [`crate::Error::Internal`] when its arrays do not have the lengths that its header says.
+    /// [`crate::Error::Inconsistent`] when its arrays do not have the lengths that its header says.
     pub fn new(material: &Material) -> Result<Self> {
         material.check_lengths()?;
         let (h, layout) = (&material.header, material.header.layout());
@@ -104,9 +101,10 @@ impl Evaluator {
             record[..f.len()].copy_from_slice(f);
         }
         let mut offset = vec![0.0; samples * planes[1] * terms];
+        let all = material.offset_factors.all();
         let mut profile = vec![0.0; if h.profile { samples * planes[1] } else { 0 }];
         for plane in 0..planes[1] {
-            for (j, map) in material.offsets(plane).chunks_exact(samples).enumerate() {
+            for (j, map) in offset_plane(&all, h, plane).chunks_exact(samples).enumerate() {
                 for (e, &v) in map.iter().enumerate() {
                     offset[(e * planes[1] + plane) * terms + j] = v;
                 }
@@ -115,12 +113,10 @@ impl Evaluator {
                 profile[e * planes[1] + plane] = m;
             }
         }
-        let powers = h.degree.map_or(0, |p| p + 1);
-        let mut color = vec![0.0; material.color_coefficients.len()];
-        for (at, &b) in material.color_coefficients.iter().enumerate() {
-            let (row, channel, p) = (at / (CHANNELS * powers), at / powers % CHANNELS, at % powers);
-            color[(row * powers + p) * CHANNELS + channel] = b;
-        }
+        let color = h.degree.map_or(Vec::new(), |degree| {
+            let colors = Colors::new(degree);
+            (0..rows).flat_map(|i| colors.of_row(material, i)).collect()
+        });
         Ok(Self {
             layout,
             points: h.points,
@@ -133,8 +129,8 @@ impl Evaluator {
             offset,
             profile,
             color,
-            powers,
-            range: h.intensity_range.map(f64::from),
+            powers: h.degree.map_or(0, |p| p + 1),
+            interval: Interval::of(h.intensity_range),
             lattice: Lattice::of(h.points, &material.lit_mm, h.lit_pitch_mm),
             tree: Tree::new(material),
         })
@@ -142,7 +138,7 @@ impl Evaluator {
 
     /// R̂_d at one offset (samples along x and y), mm⁻²; `None` outside the window or for a row that is not there.
     ///
-    /// The result of [`Material::response`] to rounding (sums are f64 in another order).
+    /// The entry of [`Material::evaluate_row`] to rounding (sums are f64 in another order).
     pub fn response(&self, index: usize, offset: [isize; 2]) -> Option<[f32; 3]> {
         let shift = *self.shift.get(index)?;
         let sample = |a: usize| {
@@ -299,34 +295,14 @@ impl Evaluator {
         if self.powers == 0 {
             return planes;
         }
-        let coefficients = &self.color[index * self.powers * CHANNELS..][..self.powers * CHANNELS];
-        let u = super::legendre::argument(planes[0], self.range[0], self.range[1]);
-        let mut sums = [0.0; CHANNELS];
-        let (mut last, mut this) = (0.0, 1.0);
-        for (p, beta) in coefficients.as_chunks::<CHANNELS>().0.iter().enumerate() {
-            (0..CHANNELS).for_each(|c| sums[c] += f64::from(beta[c]) * this);
-            let [a, b] = BONNET[p.min(MOST_DEGREE)];
-            (last, this) = (this, a * u * this - b * last);
-        }
-        sums
+        let coefficients = &self.color[index * self.powers..][..self.powers];
+        colors(coefficients, self.interval.arguments([planes[0]])).map(|c| c[0])
     }
 }
 
-/// L_{p+1} = a u L_p − b L_{p−1}.
-const BONNET: [Point; MOST_DEGREE + 1] = {
-    let mut all = [[0.0; 2]; MOST_DEGREE + 1];
-    let mut p = 0;
-    while p <= MOST_DEGREE {
-        let k = (p + 1) as f64;
-        all[p] = [(2.0 * k - 1.0) / k, (k - 1.0) / k];
-        p += 1;
-    }
-    all
-};
-
 /// Σ_j g_j f_j h_j.
 #[inline(always)]
-pub(super) fn product(g: &[f64], f: &[f32], h: &[f32]) -> f64 {
+pub(crate) fn product(g: &[f64], f: &[f32], h: &[f32]) -> f64 {
     let mut sums = [0.0; LANES];
     let terms = g.as_chunks::<LANES>().0.iter().zip(f.as_chunks::<LANES>().0.iter().zip(h.as_chunks::<LANES>().0));
     for (g, (f, h)) in terms {

@@ -17,14 +17,11 @@ mod symbols;
 mod text;
 mod transform;
 
-use super::file::write_whole;
-use super::{Material, MaterialHeader};
-use crate::{Error, Result};
+use crate::{Error, Material, MaterialHeader, OffsetFactors, Result};
 use maps::Price;
-use std::path::Path;
 
 /// The first bytes of every coded material.
-pub(super) const MAGIC: [u8; 4] = *b"\x89ACQ";
+const MAGIC: [u8; 4] = *b"\x89ACQ";
 /// Version of the format. Anything that changes a decoder's result needs a new one.
 const VERSION: u16 = 1;
 /// Magic, version, bytes of the header's stream, checksum.
@@ -80,16 +77,16 @@ const CLOSE: f64 = 0.97;
 /// Codes a material. The same bytes for any number of threads.
 ///
 /// # Errors
-/// [`Error::Setting`] for a quality that is out of range or that cannot be reached; [`Error::Internal`] when the material's
+/// [`Error::Option`] for a quality that is out of range or that cannot be reached; [`Error::Inconsistent`] when the material's
 /// arrays do not have the lengths that its header says, or hold numbers that no file may hold.
 pub fn encode(material: &Material, options: &Options) -> Result<Coded> {
     material.check_lengths()?;
-    material.check_values().map_err(Error::internal)?;
+    material.check_values().map_err(Error::inconsistent)?;
     check_options(options)?;
     // Maps that channels share are coded as what they stand for: the transform finds what they have in common.
-    let own = material.shared.is_some().then(|| Material {
+    let own = material.header.shared_maps.is_some().then(|| Material {
         header: MaterialHeader { shared_maps: None, ..material.header.clone() },
-        shared: None,
+        offset_factors: OffsetFactors::Own(material.offset_factors.all().into_owned()),
         ..material.clone()
     });
     let material = own.as_ref().unwrap_or(material);
@@ -119,16 +116,6 @@ pub fn encode(material: &Material, options: &Options) -> Result<Coded> {
         }
     }
     best.ok_or_else(|| unreachable_quality(options.quality))
-}
-
-impl Coded {
-    /// Writes the file beside its name and renames it when complete.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
-    pub fn save(&self, path: &Path) -> Result<()> {
-        write_whole(path, &self.bytes)
-    }
 }
 
 /// A search for the step, on a logarithmic scale.
@@ -165,16 +152,14 @@ impl Search {
 }
 
 fn check_options(options: &Options) -> Result<()> {
-    let refuse = |setting, expected: &str, found: f64| {
-        Err(Error::Setting { setting, expected: expected.into(), found: crate::error::number(found) })
+    let refuse = |option, expected: &str, found: f64| {
+        Err(Error::Option { option, expected: expected.into(), found: found.to_string() })
     };
     match options.quality {
-        Quality::AddedError(error) if !(1e-6..=1.0).contains(&error) => {
-            refuse("added error of coding", "1e-6 to 1", error)
-        }
-        Quality::MaxBytes(0) => refuse("bytes of a coded material", "at least 1", 0.0),
+        Quality::AddedError(error) if !(1e-6..=1.0).contains(&error) => refuse("added_error", "1e-6 to 1", error),
+        Quality::MaxBytes(0) => refuse("max_bytes", "at least 1", 0.0),
         _ => match options.position_error_px {
-            Some(error) if !(1e-6..=1.0).contains(&error) => refuse("position error of coding", "1e-6 to 1 px", error),
+            Some(error) if !(1e-6..=1.0).contains(&error) => refuse("position_error_px", "1e-6 to 1 px", error),
             _ => Ok(()),
         },
     }
@@ -182,13 +167,13 @@ fn check_options(options: &Options) -> Result<()> {
 
 fn unreachable_quality(quality: Quality) -> Error {
     match quality {
-        Quality::AddedError(error) => Error::Setting {
-            setting: "added error of coding",
+        Quality::AddedError(error) => Error::Option {
+            option: "added_error",
             expected: "an error that coding can keep to with this material".into(),
-            found: crate::error::number(error),
+            found: error.to_string(),
         },
-        Quality::MaxBytes(bytes) => Error::Setting {
-            setting: "bytes of a coded material",
+        Quality::MaxBytes(bytes) => Error::Option {
+            option: "max_bytes",
             expected: "room for the header, the positions and some of the maps".into(),
             found: bytes.to_string(),
         },
@@ -245,7 +230,7 @@ fn checksum(body: &[u8]) -> [u8; 8] {
 }
 
 /// Reads a coded material.
-pub(super) fn decode(bytes: &[u8]) -> Result<Material, String> {
+pub(crate) fn decode(bytes: &[u8]) -> Result<Material, String> {
     let (Some(preamble), Some(streams)) = (bytes.get(..PREAMBLE), bytes.get(PREAMBLE..)) else {
         return Err(format!("expected at least {PREAMBLE} bytes, found {}", bytes.len()));
     };
@@ -270,7 +255,10 @@ fn decode_streams(length: &[u8], streams: &[u8]) -> Result<Material, String> {
     };
     let text = stream::read_header(header)?;
     let header: MaterialHeader = serde_json::from_str(&text).map_err(|e| format!("header: {e}"))?;
-    super::file::check_header(&header)?;
+    crate::file::check_header(&header)?;
+    if let Some(maps) = header.shared_maps {
+        return Err(format!("shared_maps: expected none in a coded file, found {maps}"));
+    }
     stream::read_maps(maps, header)
 }
 

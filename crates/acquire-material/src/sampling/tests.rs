@@ -1,6 +1,6 @@
 use super::super::Evaluator;
-use super::super::naive;
 use super::*;
+use crate::naive;
 
 /// The probability of an offset, from sums of the formula over squares of the common window.
 fn expected(m: &Material, i: usize, d: [isize; 2]) -> f64 {

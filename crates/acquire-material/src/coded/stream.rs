@@ -6,8 +6,8 @@ use super::maps::{Group, Price, step_index};
 use super::measure::{energy, refit_weights, slope, stride};
 use super::planes::{ColorBasis, Rotation, moments};
 use super::text::code_text;
-use crate::material::{CHANNELS, Material, MaterialHeader};
-use rayon::prelude::*;
+use crate::parallel::*;
+use crate::{CHANNELS, Material, MaterialHeader, Responses, offset_plane};
 
 /// No stored number is larger.
 const LARGEST: f64 = 1e30;
@@ -88,7 +88,7 @@ pub fn write_maps(material: &Material, price: Price, position_error_px: f64) -> 
     let no_negative = |values: &[f32]| values.iter().all(|v| *v >= 0.0);
     let non_negative = NonNegative {
         incident: no_negative(&material.incident_factors),
-        offset: no_negative(&material.offset_factors),
+        offset: no_negative(&material.offset_factors.all()),
         profile: no_negative(&material.profile),
     };
     non_negative.code(&mut w)?;
@@ -105,8 +105,7 @@ pub fn write_maps(material: &Material, price: Price, position_error_px: f64) -> 
             header: h.clone(),
             weights: material.weights.clone(),
             incident_factors: incident_tensor(h, &material.weights, &incident, non_negative.incident)?,
-            offset_factors: offset_tensor(&scales, &seen)?,
-            shared: None,
+            offset_factors: offset_tensor(&scales, &seen)?.into(),
             profile: to_f32("profile", &profile.concat())?,
             lit_mm: Vec::new(),
             shift: Vec::new(),
@@ -127,8 +126,9 @@ fn write_colors(
 ) -> Result<(), String> {
     let (n, rows) = (degree + 1, material.header.rows());
     let basis = ColorBasis::code(w, Some(&ColorBasis::of(decoded, degree, stride(material))), degree)?;
+    let (original, decoded) = (Responses::new(material), Responses::new(decoded));
     let plain: Vec<[Vec<f64>; CHANNELS]> =
-        (0..rows).into_par_iter().map(|index| basis.fit(material, decoded, degree, index, price)).collect();
+        (0..rows).into_par_iter().map(|index| basis.fit(&original, &decoded, degree, index, price)).collect();
     let mut sets = vec![vec![vec![0.0; rows]; CHANNELS]; n];
     for (index, channels) in plain.iter().enumerate() {
         for (c, gamma) in channels.iter().enumerate() {
@@ -157,6 +157,7 @@ fn write_profile(
     let h = &material.header;
     let mut group = Group::new(h.extended, h.offset_planes, first);
     let mut decoded = Vec::new();
+    let responses = Responses::new(material);
     for plane in 0..h.offset_planes {
         let Some(profile) = material.profile_plane(plane) else { break };
         let map = to_f64(profile);
@@ -164,7 +165,7 @@ fn write_profile(
         let terms: f64 = (0..h.rows())
             .step_by(stride(material))
             .map(|i| {
-                let row = material.plane_row(plane, i);
+                let row = responses.plane(plane, &[i]);
                 row.iter().zip(&map).filter(|(_, m)| **m != 0.0).map(|(v, m)| (v / m).powi(2)).sum::<f64>()
             })
             .sum();
@@ -189,10 +190,11 @@ fn write_offsets(
 ) -> Result<(Vec<Vec<Vec<f64>>>, Vec<Vec<Vec<f64>>>), String> {
     let h = &material.header;
     let samples = h.layout().len();
+    let all = material.offset_factors.all();
     let scaled: Vec<Vec<Vec<f64>>> = (0..h.terms)
         .map(|j| {
             let plane = |k: usize| {
-                let map = &material.offsets(k)[j * samples..][..samples];
+                let map = &offset_plane(&all, h, k)[j * samples..][..samples];
                 let profile = material.profile_plane(k);
                 let g = f64::from(material.weights[j]);
                 let one = |(e, &v): (usize, &f32)| g * f64::from(v) * profile.map_or(1.0, |m| f64::from(m[e]));
@@ -322,8 +324,7 @@ pub fn read_maps(bytes: &[u8], header: MaterialHeader) -> Result<Material, Strin
         lit_mm,
         weights,
         incident_factors,
-        offset_factors,
-        shared: None,
+        offset_factors: offset_factors.into(),
         profile,
         color_coefficients,
         shift,

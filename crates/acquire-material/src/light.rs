@@ -5,10 +5,7 @@
 //!   1; row 0 of an image is at the top, v = 0.
 //! - Irradiance is linear, in any unit per mm²; the exitance that comes out is in the same unit.
 
-use super::source::Shape;
-use crate::capture::{check_exr_size, check_jpeg_end};
-use crate::{Error, Result};
-use std::path::Path;
+use crate::{Error, Result, Shape};
 
 /// Irradiance over the lit area.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,40 +37,18 @@ pub struct LightImage {
 pub const FIXED_SET: [Light; 4] = [Light::Spot, Light::Stripes, Light::Gradient, Light::Uniform];
 
 impl Light {
-    /// A built-in light by its name, or else an image file (EXR linear; PNG and JPEG decoded from sRGB).
-    ///
-    /// # Errors
-    /// [`Error::Setting`] for a point that cannot be read, [`Error::Io`], [`Error::BrokenImage`].
-    pub fn parse(text: &str) -> Result<Self> {
-        match text {
-            "spot" => Ok(Self::Spot),
-            "stripes" => Ok(Self::Stripes),
-            "gradient" => Ok(Self::Gradient),
-            "uniform" => Ok(Self::Uniform),
-            _ => match text.strip_prefix("point:") {
-                Some(at) => {
-                    let parts: Option<Vec<usize>> = at.split(',').map(|p| p.trim().parse().ok()).collect();
-                    match parts.as_deref() {
-                        Some(&[x, y]) => Ok(Self::Point([x, y])),
-                        _ => Err(setting("point:I,J with two grid indices", text)),
-                    }
-                }
-                None => Ok(Self::Image(LightImage::read(Path::new(text))?)),
-            },
-        }
-    }
-
     /// Radiant flux that each lit point receives: the mean irradiance over its cell times the cell's area.
     ///
     /// # Errors
-    /// [`Error::Setting`] for a point outside the grid.
+    /// [`Error::Option`] for a point outside the grid.
     pub fn flux(&self, shape: &Shape<'_>) -> Result<Vec<[f64; 3]>> {
         let [nx, ny] = shape.points;
         let area = shape.lit_pitch_mm[0] * shape.lit_pitch_mm[1];
         if let Self::Point([x, y]) = *self
             && (x >= nx || y >= ny)
         {
-            return Err(setting(&format!("a point below {nx},{ny}"), &format!("point:{x},{y}")));
+            let (expected, found) = (format!("a point below {nx},{ny}"), format!("point:{x},{y}"));
+            return Err(Error::Option { option: "light", expected, found });
         }
         let flux = |index: usize| {
             let (i, j) = (index % nx, index / nx);
@@ -92,27 +67,7 @@ impl Light {
     }
 }
 
-fn setting(expected: &str, found: &str) -> Error {
-    Error::Setting { setting: "--light", expected: expected.into(), found: found.into() }
-}
-
 impl LightImage {
-    /// Reads an image: EXR as linear irradiance, PNG and JPEG decoded from sRGB.
-    ///
-    /// # Errors
-    /// [`Error::Io`], [`Error::BrokenImage`].
-    pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
-        let broken = |reason: String| Error::BrokenImage { path: path.to_path_buf(), reason };
-        let exr_magic = [0x76, 0x2f, 0x31, 0x01];
-        let image = if bytes.starts_with(&exr_magic) { read_exr(&bytes) } else { read_encoded(&bytes) };
-        let image = image.map_err(broken)?;
-        match image.rgb.iter().flatten().find(|v| !v.is_finite()) {
-            Some(v) => Err(broken(format!("expected finite irradiance, found {v}"))),
-            None => Ok(image),
-        }
-    }
-
     /// Mean over one cell of a grid stretched over the image, pixels counted by the share that lies in it.
     fn cell_mean(&self, cell: [usize; 2], cells: [usize; 2]) -> [f64; 3] {
         let overlaps = |a: usize| {
@@ -135,33 +90,6 @@ impl LightImage {
         }
         sum
     }
-}
-
-fn read_exr(bytes: &[u8]) -> Result<LightImage, String> {
-    use exr::prelude::*;
-    check_exr_size(bytes)?;
-    let image = read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .rgb_channels(
-            |size, _| LightImage { size: [size.width(), size.height()], rgb: vec![[0.0; 3]; size.area()] },
-            |image: &mut LightImage, at, (r, g, b): (f32, f32, f32)| {
-                image.rgb[at.x() + at.y() * image.size[0]] = [r, g, b];
-            },
-        )
-        .first_valid_layer()
-        .all_attributes()
-        .from_buffered(std::io::Cursor::new(bytes))
-        .map_err(|e| e.to_string())?;
-    Ok(image.layer_data.channel_data.pixels)
-}
-
-fn read_encoded(bytes: &[u8]) -> Result<LightImage, String> {
-    check_jpeg_end(bytes)?;
-    let image = image::load_from_memory(bytes).map_err(|e| e.to_string())?.into_rgb32f();
-    let size = [image.width() as usize, image.height() as usize];
-    let rgb = image.pixels().map(|p| p.0.map(linear_from_srgb)).collect();
-    Ok(LightImage { size, rgb })
 }
 
 /// Linear value of an sRGB-encoded one, both 0 to 1 (`IEC61966`).
@@ -199,11 +127,10 @@ mod tests {
 
     #[test]
     fn a_point_gets_unit_flux_and_must_be_on_the_grid() {
-        let flux = Light::parse("point:2,1").unwrap().flux(&shape([4, 3])).unwrap();
+        let flux = Light::Point([2, 1]).flux(&shape([4, 3])).unwrap();
         assert_eq!(flux.iter().position(|f| f[0] > 0.0), Some(6));
         assert_eq!(flux[6], [1.0; 3]);
-        assert!(Light::parse("point:4,1").unwrap().flux(&shape([4, 3])).is_err());
-        assert!(Light::parse("point:4").is_err());
+        assert!(Light::Point([4, 1]).flux(&shape([4, 3])).is_err());
     }
 
     #[test]
@@ -242,24 +169,6 @@ mod tests {
     }
 
     #[test]
-    fn names_of_lights_are_read() {
-        let names = ["spot", "stripes", "gradient", "uniform", "point: 4, 2"];
-        let lights = [Light::Spot, Light::Stripes, Light::Gradient, Light::Uniform, Light::Point([4, 2])];
-        for (name, light) in names.into_iter().zip(lights) {
-            assert_eq!(Light::parse(name).unwrap(), light);
-        }
-        for wrong in ["point:", "point:1", "point:1,2,3", "point:1,-2", "point:a,2"] {
-            assert!(matches!(Light::parse(wrong), Err(Error::Setting { setting: "--light", .. })), "{wrong}");
-        }
-        assert!(matches!(Light::parse("/no/such/light.png"), Err(Error::Io { .. })));
-        // The first beyond the grid along each axis.
-        assert!(Light::Point([4, 2]).flux(&shape([5, 3])).is_ok());
-        for beyond in [[5, 0], [0, 3]] {
-            assert!(Light::Point(beyond).flux(&shape([5, 3])).is_err(), "{beyond:?}");
-        }
-    }
-
-    #[test]
     fn the_mean_of_a_cell_counts_pixels_by_the_part_in_it() {
         let image = LightImage {
             size: [4, 2],
@@ -289,35 +198,5 @@ mod tests {
         }
         assert_eq!(srgb_from_linear(-3.0), 0.0);
         assert_eq!(srgb_from_linear(7.0), srgb_from_linear(1.0), "clamped");
-    }
-
-    #[test]
-    fn pictures_are_read_with_their_lines_columns_and_channels() {
-        let folder = tempfile::tempdir().unwrap();
-        let encoded = |x: u32, y: u32, c: usize| (20 + 30 * x + 90 * y + 7 * c as u32) as u8;
-        let png = folder.path().join("light.png");
-        image::RgbImage::from_fn(3, 2, |x, y| image::Rgb([0, 1, 2].map(|c| encoded(x, y, c)))).save(&png).unwrap();
-        let read = LightImage::read(&png).unwrap();
-        assert_eq!(read.size, [3, 2]);
-        for (k, rgb) in read.rgb.iter().enumerate() {
-            for c in 0..3 {
-                let v = f64::from(encoded(k as u32 % 3, k as u32 / 3, c)) / 255.0;
-                let linear = if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
-                assert!((f64::from(rgb[c]) - linear).abs() < 1e-6, "f32 powers: pixel {k} channel {c}");
-            }
-        }
-        let exr = folder.path().join("light.exr");
-        let canvas = crate::material::Canvas { origin_mm: [0.0; 2], size: [3, 2], pitch_mm: 1.0 };
-        let mut exitance = crate::material::Exitance::new(canvas);
-        for c in 0..3 {
-            exitance.planes[c] = (0..6).map(|k| (10 * k) as f64 + c as f64 + 0.25).collect();
-        }
-        crate::material::write_exitance(&exitance, &exr).unwrap();
-        let read = LightImage::read(&exr).unwrap();
-        assert_eq!(read.size, [3, 2]);
-        assert_eq!(read.rgb, (0..6).map(|k| [0, 1, 2].map(|c| (10 * k + c) as f32 + 0.25)).collect::<Vec<_>>());
-        exitance.planes[1][4] = 1e38;
-        crate::material::write_exitance(&exitance, &exr).unwrap();
-        assert_eq!(LightImage::read(&exr).unwrap().rgb[4][1], 1e38);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::entropy::Bits;
 use super::symbols::Numbers;
-use crate::geometry::Point;
+use crate::Point;
 
 /// Codes `count` bits as they are.
 ///

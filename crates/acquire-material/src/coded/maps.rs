@@ -3,7 +3,7 @@
 use super::entropy::{Bits, Reader, Writer};
 use super::symbols::{Earlier, Numbers, try_map};
 use super::transform::{ALL, Plans, Transform, forward, inverse};
-use rayon::prelude::*;
+use crate::parallel::*;
 
 /// Steps are powers of 2^(1/STEPS_PER_OCTAVE).
 const STEPS_PER_OCTAVE: i32 = 4;

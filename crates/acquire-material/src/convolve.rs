@@ -3,12 +3,10 @@
 //! Without a colour polynomial the exitance is Σ_j (Σ_i Φ_i g_j f_j(i) δ(x_i)) ∗ h_j. Impulses are spread over the four nearest samples
 //! as rows are; offset factors are cut to the window that rows of one shift have measured. All terms are summed before the one transform back.
 
-use super::relight::{Canvas, Exitance};
-use super::rows::Rows;
-use super::source::Shape;
-use super::{CHANNELS, Material};
-use crate::{Error, Result};
-use rayon::prelude::*;
+use crate::parallel::*;
+use crate::relight::{Canvas, Exitance, Shape};
+use crate::response::Responses;
+use crate::{CHANNELS, Error, Material, Result};
 use realfft::num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
@@ -77,7 +75,7 @@ impl Job {
 /// [`Error::Internal`].
 pub(super) fn convolve(
     images: &mut [Exitance],
-    rows: &Rows<'_>,
+    rows: &Responses<'_>,
     shift: [i16; 2],
     indices: &[usize],
     shape: &Shape<'_>,
@@ -126,7 +124,7 @@ fn add_term(
     sums: &mut [Spectrum],
     jobs: &[Job],
     transform: &Transform,
-    rows: &Rows<'_>,
+    rows: &Responses<'_>,
     term: usize,
     shift: [i16; 2],
     indices: &[usize],
@@ -277,9 +275,9 @@ fn transposed(values: &[Complex<f64>], width: usize, height: usize) -> Spectrum 
 
 #[cfg(test)]
 mod tests {
-    use super::super::rows::tests::every_kind;
-    use super::super::splat::splat_lines;
     use super::*;
+    use crate::response::tests::every_kind;
+    use crate::splat::splat;
 
     /// Lights of every colour; the first is grey.
     fn lights(rows: usize) -> Vec<Vec<[f64; 3]>> {
@@ -293,23 +291,17 @@ mod tests {
         for mut material in every_kind().into_iter().filter(|m| m.header.degree.is_none()) {
             material.lit_mm.iter_mut().enumerate().for_each(|(k, p)| p[0] += 0.013 * k as f64);
             let h = &material.header;
-            let shape = Shape {
-                points: h.points,
-                window: h.window,
-                pitch_mm: h.pitch_mm,
-                lit_pitch_mm: h.lit_pitch_mm,
-                lit_mm: &material.lit_mm,
-            };
-            let canvas = Canvas::covering(&shape, std::path::Path::new("m")).unwrap();
-            let rows = Rows::new(&material);
+            let shape = material.shape();
+            let canvas = Canvas::covering(&shape).unwrap();
+            let rows = Responses::new(&material);
             let (indices, fluxes) = ([1, 4], lights(6));
             let black = vec![Exitance::new(canvas), Exitance::new(canvas)];
             let (mut a, mut b) = (black.clone(), black);
             convolve(&mut a, &rows, [1, 0], &indices, &shape, &fluxes).unwrap();
             let len = rows.window_len();
             let mut values = vec![0.0; indices.len() * 3 * len];
-            rows.planes(&indices, &mut values);
-            splat_lines(&mut b, &indices, &shape, &fluxes, &|k, c, dy, line| {
+            rows.by_channel(&indices, &mut values);
+            splat(&mut b, &indices, &shape, &fluxes, &|k, c, dy, line| {
                 let at = (3 * k + c) * len + dy * shape.window[0];
                 line.copy_from_slice(&values[at..at + shape.window[0]]);
             });

@@ -59,8 +59,7 @@ fn material(model: Model, [a, b]: [usize; 2], profile: bool, degree: Option<usiz
         lit_mm: (0..ROWS).map(|k| [lit(k, 0), lit(k, 1)]).collect(),
         weights: vec![1.0, 0.625, -0.25],
         incident_factors: wave(a * ROWS * terms, 0.7, 0.3),
-        offset_factors: wave(b * terms * samples, 0.37, 0.2),
-        shared: None,
+        offset_factors: wave(b * terms * samples, 0.37, 0.2).into(),
         profile: if profile { wave(b * samples, 0.23, 1.0) } else { Vec::new() },
         color_coefficients: degree.map_or(Vec::new(), |p| wave(ROWS * 3 * (p + 1), 1.1, 0.1)),
         // Points 6 and 7 and those below them are shifted alike, others not.
@@ -78,7 +77,7 @@ pub fn plane(m: &Material, k: usize, i: usize, [ex, ey]: [usize; 2]) -> f64 {
     let mut sum = 0.0;
     for j in 0..h.terms {
         let f = m.incident_factors[(a * ROWS + i) * h.terms + j];
-        let map = m.offset_factors[((b * h.terms + j) * EXTENDED[1] + ey) * EXTENDED[0] + ex];
+        let map = m.offset_factors.all()[((b * h.terms + j) * EXTENDED[1] + ey) * EXTENDED[0] + ex];
         sum += f64::from(m.weights[j]) * f64::from(f) * f64::from(map);
     }
     if h.profile { sum * f64::from(m.profile[(b * EXTENDED[1] + ey) * EXTENDED[0] + ex]) } else { sum }
@@ -122,84 +121,4 @@ pub fn offsets() -> impl Iterator<Item = [isize; 2]> {
 /// How much a sample at `at` adds to one at whole number `k`, both in steps: linear between neighbours.
 pub fn tent(at: f64, k: f64) -> f64 {
     (1.0 - (at - k).abs()).max(0.0)
-}
-
-#[test]
-fn rows_and_points_of_a_material_are_its_formula() {
-    for m in materials() {
-        for i in 0..ROWS {
-            let row = m.evaluate_row(i);
-            for (k, d) in offsets().enumerate() {
-                let expected = response(&m, i, d).unwrap();
-                let point = m.response(i, d).unwrap();
-                for c in 0..3 {
-                    // Values of size one in f32.
-                    assert!((f64::from(row[3 * k + c]) - expected[c]).abs() < 1e-6, "{} row {i} {d:?}", m.header.model);
-                    assert!((f64::from(point[c]) - expected[c]).abs() < 1e-6, "{} row {i} {d:?}", m.header.model);
-                }
-            }
-            for beyond in [[4, 0], [-4, 0], [0, 3], [0, -3]] {
-                assert_eq!(m.response(i, beyond), None);
-            }
-        }
-    }
-}
-
-#[test]
-fn planes_of_rows_are_their_sums_over_terms_times_the_profile() {
-    for m in materials() {
-        for k in 0..m.header.planes() {
-            let block = m.plane_block(k, 4..9);
-            for i in 4..9 {
-                let row = m.plane_row(k, i);
-                for e in 0..63 {
-                    let expected = plane(&m, k, i, [e % 9, e / 9]);
-                    // f64 sums.
-                    assert!((row[e] - expected).abs() < 1e-14 && (block[63 * (i - 4) + e] - expected).abs() < 1e-14);
-                }
-            }
-        }
-        assert!(m.plane_row(0, ROWS).is_empty());
-    }
-}
-
-#[test]
-fn shared_maps_are_summed_for_every_channel_and_term() {
-    let (maps, samples, factors) = (2, 12, 6);
-    let shared = super::SharedBasis {
-        maps,
-        vectors: (0..maps * samples).map(|k| (k as f32 * 0.7).sin()).collect(),
-        core: (0..factors * maps).map(|k| (k as f32 * 1.3).cos()).collect(),
-    };
-    let found = shared.offset_factors();
-    assert_eq!(found.len(), factors * samples);
-    for (at, found) in found.iter().enumerate() {
-        let (factor, e) = (at / samples, at % samples);
-        let sum: f64 = (0..maps)
-            .map(|l| f64::from(shared.core[factor * maps + l]) * f64::from(shared.vectors[l * samples + e]))
-            .sum();
-        assert!((f64::from(*found) - sum).abs() < 1e-7, "rounded to f32: {found} {sum}");
-    }
-}
-
-#[test]
-fn every_stored_number_counts_four_bytes() {
-    // 3 weights; 15 points and 63 samples for 3 terms of each plane; a profile; coefficients and the range; 30 shifts.
-    let numbers = [
-        3 + 45 + 3 * 189 + 30,
-        3 + 135 + 3 * 189 + 3 * 63 + 30,
-        3 + 135 + 189 + 30,
-        3 + 45 + 189 + 63 + 30,
-        3 + 45 + 189 + 180 + 2 + 30,
-        3 + 45 + 189 + 63 + 135 + 2 + 30,
-    ];
-    for (mut m, n) in materials().into_iter().zip(numbers) {
-        assert_eq!(m.bytes_f32(), 4 * n, "{:?}", m.header);
-        m.shift.fill([0, 0]);
-        assert_eq!(m.bytes_f32(), 4 * (n - 30), "no shifts");
-    }
-    let mut joint = materials().remove(0).header;
-    joint.shared_maps = Some(4);
-    // Four maps and a core of 3 · 3 · 4 in the place of the offset factors.
-    assert_eq!(joint.bytes_f32(false), 4 * (3 + 45 + 4 * 63 + 36));
 }

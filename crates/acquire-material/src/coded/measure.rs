@@ -1,7 +1,7 @@
 //! What coding does to R̂_d: measured on rows, and predicted to first order.
 
-use crate::material::{Material, legendre};
-use rayon::prelude::*;
+use crate::parallel::*;
+use crate::{Material, Responses, legendre};
 
 /// Multiplications that measuring once may take; beyond it rows are skipped evenly.
 const WORK: usize = 1 << 29;
@@ -26,7 +26,8 @@ impl Sample {
     pub fn of(material: &Material) -> Self {
         let stride = stride(material);
         let rows: Vec<usize> = (0..material.header.rows()).step_by(stride).collect();
-        Self { stride, rows: rows.into_par_iter().map(|i| material.evaluate_row(i)).collect() }
+        let responses = Responses::new(material);
+        Self { stride, rows: rows.into_par_iter().map(|i| responses.row(i)).collect() }
     }
 
     /// ‖R̂‖_F, mm⁻², of the whole material as far as the rows tell.
@@ -36,12 +37,13 @@ impl Sample {
 
     /// ‖R̂_other − R̂‖_F / ‖R̂‖_F on the rows; 0 when nothing differs.
     pub fn relative_error(&self, other: &Material) -> f64 {
+        let other = Responses::new(other);
         let differences: Vec<f64> = self
             .rows
             .par_iter()
             .enumerate()
             .map(|(k, row)| {
-                let coded = other.evaluate_row(k * self.stride);
+                let coded = other.row(k * self.stride);
                 row.iter().zip(&coded).map(|(&a, &b)| (f64::from(a) - f64::from(b)).powi(2)).sum()
             })
             .collect();
@@ -69,9 +71,10 @@ pub fn slope(material: &Material) -> f64 {
     };
     let [low, high] = h.intensity_range.map(f64::from);
     let (mut response, mut intensity, mut basis) = (0.0, 0.0, vec![0.0; degree + 1]);
+    let responses = Responses::new(material);
     for index in (0..h.rows()).step_by(h.rows().div_ceil(LEAST_ROWS)) {
         let coefficients = material.coefficients(index, degree);
-        for v in material.plane_row(0, index) {
+        for v in responses.plane(0, &[index]) {
             legendre::evaluate(legendre::argument(v, low, high), &mut basis);
             for beta in coefficients {
                 response += beta.iter().zip(&basis).map(|(&b, l)| f64::from(b) * l).sum::<f64>().powi(2);
@@ -114,7 +117,7 @@ pub fn refit_weights(h: &[Vec<f64>], q: &[Vec<f64>]) -> Vec<Vec<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::material::naive;
+    use crate::naive;
 
     #[test]
     fn errors_are_those_of_all_rows_and_channels() {

@@ -4,7 +4,7 @@
 use super::entropy::Bits;
 use super::exact::{raw, raw_f32};
 use super::maps::Price;
-use crate::material::{CHANNELS, Material, legendre};
+use crate::{CHANNELS, Material, Responses, legendre};
 
 /// Angles are whole parts of a turn.
 const ANGLE_BITS: u32 = 12;
@@ -141,9 +141,10 @@ impl ColorBasis {
         let h = &material.header;
         let [low, high] = h.intensity_range.map(f64::from);
         let (mut gram, mut rows, mut basis) = (vec![0.0; n * n], 0.0, vec![0.0; n]);
+        let responses = Responses::new(material);
         for index in (0..h.rows()).step_by(stride.max(1)) {
             rows += 1.0;
-            for v in material.plane_row(0, index) {
+            for v in responses.plane(0, &[index]) {
                 legendre::evaluate(legendre::argument(v, low, high), &mut basis);
                 for p in 0..n {
                     (0..=p).for_each(|q| gram[p * n + q] += basis[p] * basis[q]);
@@ -183,25 +184,25 @@ impl ColorBasis {
         Ok(Self { degree, lower })
     }
 
-    /// γ of each channel of a row, fitted to the row of `material` as polynomials of the intensity of `decoded`; of fits that
+    /// γ of each channel of a row, fitted to the row of `original` as polynomials of the intensity of `decoded`; of fits that
     /// are about equally good against the step, one that costs few bits.
     ///
     /// A row of nearly constant intensity leaves most coefficients undetermined. What a coefficient costs is about
     /// log₂(|γ|/step); the slope of that gives the weights of a ridge, improved round by round.
     pub fn fit(
         &self,
-        material: &Material,
-        decoded: &Material,
+        original: &Responses<'_>,
+        decoded: &Responses<'_>,
         degree: usize,
         index: usize,
         price: Price,
     ) -> [Vec<f64>; CHANNELS] {
-        let n = degree + 1;
+        let (n, material) = (degree + 1, original.material());
         let [low, high] = material.header.intensity_range.map(f64::from);
         let (mut gram, mut basis) = (vec![0.0; n * n], vec![0.0; n]);
         let mut right = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
         let beta = material.coefficients(index, degree);
-        for (v, seen) in material.plane_row(0, index).into_iter().zip(decoded.plane_row(0, index)) {
+        for (v, seen) in original.plane(0, &[index]).into_iter().zip(decoded.plane(0, &[index])) {
             legendre::evaluate(legendre::argument(v, low, high), &mut basis);
             let values = beta.map(|beta| beta.iter().zip(&basis).map(|(&b, l)| f64::from(b) * l).sum::<f64>());
             legendre::evaluate(legendre::argument(seen, low, high), &mut basis);
@@ -292,7 +293,7 @@ mod tests {
 
     #[test]
     fn a_colour_basis_is_undone_and_makes_errors_equal() {
-        let material = crate::material::file::tests::example();
+        let material = crate::file::tests::example();
         let basis = ColorBasis::of(&material, 2, 1);
         let beta = [0.3, -1.2, 0.7];
         let mut gamma = beta;
@@ -302,7 +303,7 @@ mod tests {
         let mut l = [0.0; 3];
         let mut sum = 0.0;
         for i in 0..6 {
-            for v in material.plane_row(0, i) {
+            for v in Responses::new(&material).plane(0, &[i]) {
                 legendre::evaluate(legendre::argument(v, low, high), &mut l);
                 sum += (0..3).map(|p| l[p] * beta[p]).sum::<f64>().powi(2) / 6.0;
             }

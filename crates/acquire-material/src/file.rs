@@ -1,13 +1,9 @@
 //! The material on disk: a `.safetensors` file, tensors named after the fields of [`Material`], everything else as one
 //! JSON text under the metadata key `acquire`.
 
-use super::{CHANNELS, Material, MaterialHeader, SharedBasis, legendre};
-use crate::output::Unfinished;
-use crate::{Error, Result};
+use crate::{CHANNELS, Error, Material, MaterialHeader, OffsetFactors, Result, SharedBasis, legendre};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
-use std::io::Write;
 use std::path::Path;
 
 const FORMAT: u32 = 2;
@@ -28,24 +24,34 @@ struct Metadata {
 }
 
 /// How a material's numbers are stored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
     /// As they are, 4 bytes each.
     F32,
     /// Rounded to 11 bits, 2 bytes each, not for colour polynomials; every tensor scaled by a power of two so that its largest number is near 2¹⁵.
     F16,
-    /// Transformed, quantized and entropy coded, see [`super::coded`].
+    /// Transformed, quantized and entropy coded, see the module `coded`.
     Coded,
+}
+
+impl Precision {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::F32, Self::F16, Self::Coded];
+
+    /// Its name, as people type it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::F16 => "f16",
+            Self::Coded => "coded",
+        }
+    }
 }
 
 impl std::fmt::Display for Precision {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::F32 => "f32",
-            Self::F16 => "f16",
-            Self::Coded => "coded",
-        })
+        f.write_str(self.name())
     }
 }
 
@@ -56,32 +62,32 @@ fn half_exponent(values: &[f32]) -> i32 {
 }
 
 impl Material {
-    /// [`Self::save`] with tensors in half precision; each number is off by 2⁻¹² of itself at most, those below 1e-9 of their tensor's
+    /// The bytes of a plain file in half precision; each number is off by 2⁻¹² of itself at most, those below 1e-9 of their tensor's
     /// largest by more.
     ///
     /// # Errors
-    /// Those of [`Self::save`]; [`Error::Setting`] for a material with colour polynomials, which magnify what rounding does to the intensity:
-    /// to several times the response on a chessboard.
-    pub fn save_half(&self, path: &Path) -> Result<()> {
+    /// Those of [`Self::to_bytes`]; [`Error::Option`] for a material with colour polynomials, which magnify what rounding does to the
+    /// intensity: to several times the response on a chessboard.
+    pub fn to_half_bytes(&self) -> Result<Vec<u8>> {
         if let Some(degree) = self.header.degree {
-            return Err(Error::Setting {
-                setting: "--precision",
+            return Err(Error::Option {
+                option: "precision",
                 expected: "f32 or coded where colour is a polynomial, which magnifies rounding".into(),
                 found: format!("f16 for {} of degree {degree}", self.header.model),
             });
         }
-        self.write(path, true)
+        self.serialized(true)
     }
 
-    /// Writes the file beside its name and renames it when complete, replacing an older one.
+    /// The bytes of a plain file, `.safetensors`. The same material gives the same bytes.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Internal`] when the material's arrays do not have the lengths its header says.
-    pub fn save(&self, path: &Path) -> Result<()> {
-        self.write(path, false)
+    /// [`Error::Inconsistent`] when the material's arrays do not have the lengths that its header says.
+    pub fn to_bytes(&self) -> Result<Vec<u8>> {
+        self.serialized(false)
     }
 
-    fn write(&self, path: &Path, half: bool) -> Result<()> {
+    fn serialized(&self, half: bool) -> Result<Vec<u8>> {
         self.check_lengths()?;
         let h = &self.header;
         let n = h.rows();
@@ -113,34 +119,42 @@ impl Material {
             .map_err(Error::internal)?;
         let metadata = Metadata { format: FORMAT, half_exponents: half.then_some(exponents), header: h.clone() };
         let text = serde_json::to_string(&metadata).map_err(Error::internal)?;
-        let bytes = serialize(views, Some(HashMap::from([(KEY.to_owned(), text)]))).map_err(Error::internal)?;
-        write_whole(path, &bytes)
+        serialize(views, Some([(KEY.to_owned(), text)].into_iter().collect())).map_err(Error::internal)
     }
 
-    /// Reads a material, plain or coded (told apart by the first bytes); every length, range and number is checked.
+    /// Reads a material from memory, plain or coded (told apart by the first bytes); every length, range and number is checked.
     ///
     /// # Errors
-    /// [`Error::Io`], [`Error::BrokenMaterial`].
-    pub fn load(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
-        let coded = bytes.starts_with(&super::coded::MAGIC);
-        let decoded = if coded { super::coded::decode(&bytes) } else { decode(&bytes) };
-        decoded.map_err(|reason| Error::BrokenMaterial { path: path.to_path_buf(), reason })
+    /// [`Error::Damaged`].
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
+        decode_any(bytes).map_err(|reason| Error::damaged(None, reason))
+    }
+
+    /// Reads a material from a file, see [`Self::from_bytes`].
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::Damaged`].
+    pub fn load(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.to_path_buf(), source })?;
+        decode_any(&bytes).map_err(|reason| Error::damaged(Some(path), reason))
     }
 
     /// Whether the header can be read again and the arrays have the lengths it says.
-    pub(super) fn check_lengths(&self) -> Result<()> {
-        check_header(&self.header).map_err(Error::internal)?;
+    pub(crate) fn check_lengths(&self) -> Result<()> {
+        check_header(&self.header).map_err(Error::inconsistent)?;
         self.check().map_err(|(field, expected, found)| {
-            Error::internal(format!("the material has {found} in {field}, expected {expected}"))
+            Error::inconsistent(format!("{field}: expected {expected} numbers, found {found}"))
         })
     }
 
     /// Whether every number may be in a file.
-    pub(super) fn check_values(&self) -> Result<(), String> {
+    pub(crate) fn check_values(&self) -> Result<(), String> {
         let lit: Vec<f32> = self.lit_mm.iter().flatten().map(|&v| v as f32).collect();
         let tensors = self.header.shapes().into_iter().zip(self.stored()).map(|((name, _), values)| (name, values));
-        for (name, values) in tensors.chain([("lit_mm", lit.as_slice()), ("offset_factors", &self.offset_factors)]) {
+        for (name, values) in
+            tensors.chain([("lit_mm", lit.as_slice()), ("offset_factors", &self.offset_factors.all())])
+        {
             if let Some(at) = values.iter().position(|v| !(v.abs() <= LARGEST)) {
                 return Err(format!("{name}: expected numbers up to {LARGEST:e}, found {} at {at}", values[at]));
             }
@@ -158,9 +172,12 @@ impl Material {
         let n = h.rows();
         let tensors = h.shapes().into_iter().zip(self.stored());
         let lengths = tensors.map(|((name, shape), values)| (name, shape.iter().product(), values.len()));
-        let own = h.offset_planes * h.terms * h.layout().len();
+        let maps = match &self.offset_factors {
+            OffsetFactors::Own(_) => None,
+            OffsetFactors::Shared(shared) => Some(shared.maps),
+        };
         let lengths = lengths.chain([
-            ("offset_factors", own, self.offset_factors.len()),
+            ("shared_maps", h.shared_maps.unwrap_or(0), maps.unwrap_or(0)),
             ("lit_mm", n, self.lit_mm.len()),
             ("shift", n, self.shift.len()),
         ]);
@@ -171,18 +188,17 @@ impl Material {
     }
 }
 
-/// Writes `bytes` under a temporary name in the folder of `path` and renames the file when it is complete.
-pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    // Made by `File::create_new` for its permissions: temporary files are otherwise for their owner only.
-    let mut file = tempfile::Builder::new()
-        .prefix(".acquire-")
-        .make_in(folder, |name| std::fs::File::create_new(name))
-        .map_err(Error::io("create", path))?;
-    let _unfinished = Unfinished::new(file.path());
-    file.write_all(bytes).map_err(Error::io("write", path))?;
-    file.persist(path).map_err(|e| Error::io("rename", path)(e.error))?;
-    Ok(())
+/// What first bytes the coded format has, with or without the feature that reads it.
+const CODED: [u8; 4] = *b"\x89ACQ";
+
+fn decode_any(bytes: &[u8]) -> Result<Material, String> {
+    match bytes.starts_with(&CODED) {
+        #[cfg(feature = "coded")]
+        true => crate::coded::decode(bytes),
+        #[cfg(not(feature = "coded"))]
+        true => Err("coded: expected a plain file, as this program is built without the feature `coded`".into()),
+        false => decode(bytes),
+    }
 }
 
 fn decode(bytes: &[u8]) -> Result<Material, String> {
@@ -215,8 +231,10 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
     let [weights, incident_factors, own, vectors, core, profile, color_coefficients] =
         [next()?, next()?, next()?, next()?, next()?, next()?, next()?];
     let lit = read("lit_mm", &[n, 2], None)?;
-    let shared = header.shared_maps.map(|maps| SharedBasis { maps, vectors, core });
-    let offset_factors = shared.as_ref().map_or(own, SharedBasis::offset_factors);
+    let offset_factors = match header.shared_maps {
+        Some(maps) => OffsetFactors::Shared(SharedBasis { maps, vectors, core }),
+        None => OffsetFactors::Own(own),
+    };
     let shift: Vec<i16> = tensor(&file, "shift", Dtype::I16, &[n, 2])?
         .as_chunks::<2>()
         .0
@@ -228,7 +246,6 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
         weights,
         incident_factors,
         offset_factors,
-        shared,
         profile,
         color_coefficients,
         shift: shift.as_chunks::<2>().0.to_vec(),
@@ -247,7 +264,7 @@ fn tensor<'a>(file: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize])
 }
 
 /// Bounds that keep every later product and index in range.
-pub(super) fn check_header(h: &MaterialHeader) -> Result<(), String> {
+pub(crate) fn check_header(h: &MaterialHeader) -> Result<(), String> {
     let small = |v: usize| (1..=1 << 20).contains(&v);
     let sizes = [h.points, h.window, h.extended];
     if !sizes.as_flattened().iter().all(|&v| small(v))

@@ -5,9 +5,8 @@
 //! probability of a sample is the product of those choices, whatever the sums were: it is known exactly where rows are cut by their shifts
 //! and where negative samples cancel, only less close to the response.
 
-use super::Material;
-use super::evaluator::LANES;
-use crate::transport::normalize::Layout;
+use crate::evaluator::LANES;
+use crate::{Layout, Material, offset_plane};
 
 /// Share of the draws that are uniform over the window.
 const UNIFORM: f64 = 0.01;
@@ -74,9 +73,10 @@ impl Tree {
         let width = a * terms;
         // Planes that share their incident factors are summed: what is drawn for is the sum over planes.
         let mut maps = vec![0.0; layout.len() * width];
+        let all = material.offset_factors.all();
         for plane in 0..h.planes() {
             let profile = material.profile_plane(plane);
-            for (j, map) in material.offsets(plane).chunks_exact(layout.len()).enumerate() {
+            for (j, map) in offset_plane(&all, h, plane).chunks_exact(layout.len()).enumerate() {
                 for (e, &v) in map.iter().enumerate() {
                     let m = profile.map_or(1.0, |p| f64::from(p[e]));
                     maps[e * width + plane.min(a - 1) * terms + j] += f64::from(v) * m;

@@ -1,0 +1,386 @@
+//! Relighting: the exitance of the slab under a light, rows added where they leave the slab.
+
+use crate::convolve::{convolution_is_faster, convolve};
+use crate::light::srgb_from_linear;
+use crate::response::Responses;
+use crate::splat::splat;
+use crate::{CHANNELS, Error, Material, MaterialHeader, Point, Result};
+use std::collections::BTreeMap;
+
+/// The largest side of a canvas, samples; beyond it the lit points cannot be right.
+const LARGEST: usize = 1 << 15;
+
+/// A canvas may have so many samples for each sample of a window …
+const GAPS: f64 = 64.0;
+/// … and this many in any case.
+const SMALL: f64 = (1 << 20) as f64;
+
+/// Numbers in a block of a material's rows.
+const BLOCK: usize = 1 << 20;
+
+/// Where rows lie on the slab.
+#[derive(Debug, Clone, Copy)]
+pub struct Shape<'a> {
+    /// Lit points along x and y.
+    pub points: [usize; 2],
+    /// Outgoing samples of a window along x and y.
+    pub window: [usize; 2],
+    /// Side of an outgoing cell, mm.
+    pub pitch_mm: f64,
+    /// Mean distance of lit points along x and y, mm.
+    pub lit_pitch_mm: Point,
+    /// Where each lit point is, mm.
+    pub lit_mm: &'a [Point],
+}
+
+impl Shape<'_> {
+    /// Number of lit points.
+    pub fn rows(&self) -> usize {
+        self.points[0] * self.points[1]
+    }
+}
+
+impl Material {
+    /// Where its rows lie.
+    pub fn shape(&self) -> Shape<'_> {
+        let MaterialHeader { points, window, pitch_mm, lit_pitch_mm, .. } = self.header;
+        Shape { points, window, pitch_mm, lit_pitch_mm, lit_mm: &self.lit_mm }
+    }
+}
+
+/// A regular grid of outgoing samples that covers every window.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Canvas {
+    /// Centre of sample (0, 0), mm.
+    pub origin_mm: Point,
+    /// Columns and rows.
+    pub size: [usize; 2],
+    /// Side of a sample, mm.
+    pub pitch_mm: f64,
+}
+
+/// Radiant exitance, row 0 at the top.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Exitance {
+    /// Where its samples are.
+    pub canvas: Canvas,
+    /// R, G and B planes, `size` each, in the light's unit of irradiance.
+    pub planes: [Vec<f64>; 3],
+}
+
+impl Canvas {
+    /// The smallest canvas on which no window, spread over the nearest samples, is cut.
+    ///
+    /// # Errors
+    /// [`Error::TooSparse`] when the lit points are too far apart for their pitch.
+    pub fn covering(shape: &Shape<'_>) -> Result<Self> {
+        let mut low = [f64::INFINITY; 2];
+        let mut high = [f64::NEG_INFINITY; 2];
+        for point in shape.lit_mm {
+            for a in 0..2 {
+                (low[a], high[a]) = (low[a].min(point[a]), high[a].max(point[a]));
+            }
+        }
+        let half = |a: usize| (shape.window[a] / 2) as f64 * shape.pitch_mm;
+        let sides: [f64; 2] =
+            std::array::from_fn(|a| ((high[a] - low[a]) / shape.pitch_mm).ceil() + shape.window[a] as f64 + 1.0);
+        if !sides.iter().all(|s| (1.0..=LARGEST as f64).contains(s)) {
+            let expected = format!("lit points within {LARGEST} samples of each other");
+            return Err(Error::TooSparse { expected, found: format!("{:.0} × {:.0}", sides[0], sides[1]) });
+        }
+        // Memory for gaps between far-off windows is not to exceed by much what the windows themselves hold.
+        let held = (shape.rows() * shape.window[0] * shape.window[1]) as f64;
+        if sides[0] * sides[1] > (GAPS * held).max(SMALL) {
+            let expected = "lit points whose windows cover a good part of the slab".to_owned();
+            let found = format!("{} windows on {:.0} × {:.0} samples", shape.rows(), sides[0], sides[1]);
+            return Err(Error::TooSparse { expected, found });
+        }
+        Ok(Self {
+            origin_mm: std::array::from_fn(|a| low[a] - half(a)),
+            size: sides.map(|s| s as usize),
+            pitch_mm: shape.pitch_mm,
+        })
+    }
+}
+
+impl Exitance {
+    /// Black.
+    pub fn new(canvas: Canvas) -> Self {
+        Self { canvas, planes: std::array::from_fn(|_| vec![0.0; canvas.size[0] * canvas.size[1]]) }
+    }
+
+    /// The exitance that maps to white in [`Self::tone_mapped`]: its 99.5th percentile; 1 when that is not positive.
+    pub fn white(&self) -> f64 {
+        let mut all: Vec<f64> = self.planes.concat();
+        let at = all.len() * 995 / 1000;
+        if at >= all.len() {
+            return 1.0;
+        }
+        let (_, white, _) = all.select_nth_unstable_by(at, f64::total_cmp);
+        if *white > 0.0 { *white } else { 1.0 }
+    }
+
+    /// 8-bit sRGB, interleaved, with `white` at 255.
+    pub fn tone_mapped(&self, white: f64) -> Vec<u8> {
+        let samples = self.planes[0].len();
+        (0..samples * 3)
+            .map(|k| (255.0 * srgb_from_linear((self.planes[k % 3][k / 3] / white) as f32)).round() as u8)
+            .collect()
+    }
+}
+
+/// The exitance of a material under several lights at once, each given as the flux into every lit point.
+///
+/// Rows without light are not evaluated. The rows of a material without a colour polynomial are added by convolution where that is
+/// faster: what they leave between samples that differ by more than 15 decades is rounding. `done` is told of rows as they are added.
+///
+/// # Errors
+/// See [`Canvas::covering`].
+pub fn relight(material: &Material, fluxes: &[Vec<[f64; 3]>], done: &dyn Fn(usize)) -> Result<Vec<Exitance>> {
+    let shape = material.shape();
+    let canvas = Canvas::covering(&shape)?;
+    let mut out: Vec<Exitance> = fluxes.iter().map(|_| Exitance::new(canvas)).collect();
+    let is_lit = |i: &usize| fluxes.iter().any(|f| f.get(*i).is_some_and(|f| *f != [0.0; 3]));
+    let lit: Vec<usize> = (0..shape.rows()).filter(is_lit).collect();
+    done(shape.rows() - lit.len());
+    let rows = Responses::new(material);
+    let mut one_by_one = Vec::new();
+    for (shift, group) in by_shift(material, lit) {
+        match convolution_is_faster(material, group.len(), fluxes, &canvas) {
+            true => {
+                convolve(&mut out, &rows, shift, &group, &shape, fluxes)?;
+                done(group.len());
+            }
+            false => one_by_one.extend(group),
+        }
+    }
+    one_by_one.sort_unstable();
+    let len = CHANNELS * rows.window_len();
+    let mut values = Vec::new();
+    for indices in one_by_one.chunks((BLOCK / len.max(1)).max(1)) {
+        values.resize(indices.len() * len, 0.0);
+        rows.by_channel(indices, &mut values);
+        splat(&mut out, indices, &shape, fluxes, &|k, channel, dy, line| {
+            let at = k * len + channel * rows.window_len() + dy * shape.window[0];
+            line.copy_from_slice(&values[at..at + shape.window[0]]);
+        });
+        done(indices.len());
+    }
+    Ok(out)
+}
+
+/// Rows that are shifted alike.
+fn by_shift(material: &Material, rows: Vec<usize>) -> BTreeMap<[i16; 2], Vec<usize>> {
+    let mut groups: BTreeMap<[i16; 2], Vec<usize>> = BTreeMap::new();
+    for row in rows {
+        groups.entry(material.shift.get(row).copied().unwrap_or_default()).or_default().push(row);
+    }
+    groups
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::file::tests::example;
+    use crate::{Light, naive};
+
+    #[test]
+    fn the_flux_that_leaves_is_that_of_the_rows_wherever_they_lie() {
+        let mut material = example();
+        material.lit_mm.iter_mut().enumerate().for_each(|(k, p)| p[0] += 0.013 * k as f64);
+        let rows: Vec<Vec<f32>> = (0..6).map(|i| material.evaluate_row(i)).collect();
+        let flux = Light::Gradient.flux(&material.shape()).unwrap();
+        let out = relight(&material, std::slice::from_ref(&flux), &|_| {}).unwrap();
+        for c in 0..3 {
+            let expected: f64 = rows
+                .iter()
+                .zip(&flux)
+                .map(|(row, f)| f[c] * row.iter().skip(c).step_by(3).map(|&v| f64::from(v)).sum::<f64>())
+                .sum();
+            let total: f64 = out[0].planes[c].iter().sum();
+            assert!((total - expected).abs() < 1e-6 * expected.abs().max(1.0), "rows one by one are rounded to f32");
+        }
+    }
+
+    /// Many points: rows of one shift are convolved, the few of another are not.
+    #[test]
+    fn a_slab_is_relit_as_its_rows_are() {
+        let mut material = example();
+        let h = &mut material.header;
+        (h.points, h.window, h.extended) = ([40, 30], [9, 7], [13, 11]);
+        (h.degree, h.offset_planes, h.lit_pitch_mm) = (None, 3, [0.5; 2]);
+        let wave = |n: usize, f: f32| (0..n).map(|k| (f * k as f32).sin()).collect::<Vec<f32>>();
+        material.incident_factors = wave(2 * 1200, 0.7);
+        material.offset_factors = wave(3 * 2 * 143, 0.3).into();
+        material.color_coefficients = Vec::new();
+        material.lit_mm =
+            (0..1200).map(|k| [(k % 40) as f64 * 0.5 + 0.07 * (k as f64).sin(), (k / 40) as f64 * 0.5]).collect();
+        material.shift = (0..1200).map(|k| if k % 97 == 0 { [2, -1] } else { [0, 1] }).collect();
+        let rows: Vec<f32> = (0..1200).flat_map(|i| material.evaluate_row(i)).collect();
+        let grey: Vec<[f64; 3]> = (0..1200).map(|k| [(k % 7) as f64; 3]).collect();
+        let colored: Vec<[f64; 3]> = (0..1200).map(|k| [1.0, (k % 3) as f64, 0.3]).collect();
+        for fluxes in [vec![grey.clone()], vec![colored.clone(), grey]] {
+            let canvas = Canvas::covering(&material.shape()).unwrap();
+            let few = material.shift.iter().filter(|s| **s == [2, -1]).count();
+            let ways = [few, 1200 - few].map(|n| convolution_is_faster(&material, n, &fluxes, &canvas));
+            assert_eq!(ways, [false, true], "both ways are taken");
+            let mut expected = vec![Exitance::new(canvas); fluxes.len()];
+            let all: Vec<usize> = (0..1200).collect();
+            splat(&mut expected, &all, &material.shape(), &fluxes, &|k, c, dy, line| {
+                line.iter_mut().enumerate().for_each(|(dx, to)| *to = f64::from(rows[189 * k + 3 * (9 * dy + dx) + c]));
+            });
+            let found = relight(&material, &fluxes, &|_| {}).unwrap();
+            for (a, b) in found.iter().zip(&expected) {
+                let pairs = a.planes.iter().flatten().zip(b.planes.iter().flatten());
+                let worst = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                assert!(worst < 1e-4, "up to 63 rows of size 10 and light of 6, rounded to f32: {worst}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_canvas_that_is_nearly_all_gaps_is_refused() {
+        let mut material = example();
+        material.lit_mm[5] = [10_000.0, 10_000.0];
+        let refused = Canvas::covering(&material.shape());
+        assert!(matches!(refused, Err(Error::TooSparse { .. })));
+    }
+
+    #[test]
+    fn one_point_shows_its_row() {
+        let material = example();
+        let row = material.evaluate_row(4);
+        let flux = Light::Point([1, 1]).flux(&material.shape()).unwrap();
+        let out = &relight(&material, &[flux], &|_| {}).unwrap()[0];
+        // Point (1, 1) is 2 samples right of and 3 below the first.
+        for (k, rgb) in row.chunks_exact(3).enumerate() {
+            let at = 2 + k % 5 + (3 + k / 5) * out.canvas.size[0];
+            for c in 0..3 {
+                assert!((out.planes[c][at] - f64::from(rgb[c])).abs() < 1e-6, "the row is rounded to f32");
+            }
+        }
+    }
+
+    /// A flux of three different channels into every point but one.
+    fn flux(i: usize, c: usize) -> f64 {
+        if i == 7 { 0.0 } else { 0.3 + ((5 * i + 3 * c) % 11) as f64 * 0.25 }
+    }
+
+    /// Every response of every point, spread over the samples of the canvas by its distance from them.
+    fn expected(m: &Material, canvas: &Canvas, c: usize, lit: &[usize]) -> Vec<f64> {
+        let mut out = vec![0.0; canvas.size[0] * canvas.size[1]];
+        for &i in lit {
+            for d in naive::offsets() {
+                let value = flux(i, c) * naive::response(m, i, d).unwrap()[c];
+                let at =
+                    |a: usize| (m.lit_mm[i][a] + d[a] as f64 * naive::PITCH_MM - canvas.origin_mm[a]) / naive::PITCH_MM;
+                for (k, sum) in out.iter_mut().enumerate() {
+                    let (x, y) = ((k % canvas.size[0]) as f64, (k / canvas.size[0]) as f64);
+                    *sum += value * naive::tent(at(0), x) * naive::tent(at(1), y);
+                }
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn a_slab_is_relit_as_a_loop_over_points_offsets_and_samples_does() {
+        for m in naive::materials() {
+            let fluxes = vec![(0..naive::ROWS).map(|i| [0, 1, 2].map(|c| flux(i, c))).collect::<Vec<_>>()];
+            let out = relight(&m, &fluxes, &|_| {}).unwrap();
+            let canvas = out[0].canvas;
+            // The leftmost lit point is the last line's first, the highest the first; half a window of 7 × 5 around them.
+            assert_eq!(canvas.origin_mm, [1.25 - 2.0 * 0.03125 - 3.0 * 0.5, -2.0 - 2.0 * 0.5]);
+            // 3.0625 mm by 2.25 mm between the outermost points, and a sample more for the spread.
+            assert_eq!(canvas.size, [7 + 7 + 1, 5 + 5 + 1]);
+            for c in 0..3 {
+                let all: Vec<usize> = (0..naive::ROWS).collect();
+                for (k, (a, b)) in out[0].planes[c].iter().zip(expected(&m, &canvas, c, &all)).enumerate() {
+                    // f64 throughout; polynomials in powers lose a digit.
+                    assert!((a - b).abs() < 1e-12, "{} channel {c} sample {k}: {a} {b}", m.header.model);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_convolution_is_that_loop_over_the_rows_of_one_shift() {
+        for m in naive::materials().into_iter().filter(|m| m.header.degree.is_none()) {
+            let shape = m.shape();
+            let canvas = Canvas::covering(&shape).unwrap();
+            let colored: Vec<[f64; 3]> = (0..naive::ROWS).map(|i| [0, 1, 2].map(|c| flux(i, c))).collect();
+            let grey: Vec<[f64; 3]> = (0..naive::ROWS).map(|i| [flux(i, 1); 3]).collect();
+            for shift in [[0, 0], [-1, 0], [2, 1], [1, -1]] {
+                let group: Vec<usize> = (0..naive::ROWS).filter(|&i| m.shift[i] == shift).collect();
+                let mut images = vec![Exitance::new(canvas), Exitance::new(canvas)];
+                convolve(&mut images, &Responses::new(&m), shift, &group, &shape, &[grey.clone(), colored.clone()])
+                    .unwrap();
+                for c in 0..3 {
+                    let found = images[1].planes[c].iter().zip(expected(&m, &canvas, c, &group));
+                    for (k, (a, b)) in found.enumerate() {
+                        // Rounding of transforms of some hundred samples of size one.
+                        assert!((a - b).abs() < 1e-12, "{} channel {c} sample {k}: {a} {b}", m.header.model);
+                    }
+                }
+                // Under grey light green is as under the coloured one, whose green it is.
+                let pairs = images[0].planes[1].iter().zip(&images[1].planes[1]);
+                assert!(pairs.into_iter().all(|(a, b)| (a - b).abs() < 1e-12), "the same flux");
+            }
+        }
+    }
+
+    #[test]
+    fn lights_are_told_apart_and_rows_without_light_add_nothing() {
+        let m = naive::materials().remove(0);
+        let one = |at: usize, rgb: [f64; 3]| {
+            (0..naive::ROWS).map(|i| if i == at { rgb } else { [0.0; 3] }).collect::<Vec<_>>()
+        };
+        let fluxes = [one(3, [0.0, 2.0, 0.0]), one(11, [1.0, 0.0, 3.0])];
+        let out = relight(&m, &fluxes, &|_| {}).unwrap();
+        let (total, row) = (
+            |k: usize, c: usize| out[k].planes[c].iter().sum::<f64>(),
+            |i: usize, c: usize| naive::offsets().map(|d| naive::response(&m, i, d).unwrap()[c]).sum::<f64>(),
+        );
+        // What leaves is the flux times the sum of a row: f64.
+        for (k, c, e) in [(0, 1, 2.0 * row(3, 1)), (1, 0, row(11, 0)), (1, 2, 3.0 * row(11, 2))] {
+            assert!((total(k, c) - e).abs() < 1e-12, "{} {e}", total(k, c));
+        }
+        assert!([(0, 0), (0, 2), (1, 1)].iter().all(|&(k, c)| out[k].planes[c].iter().all(|v| *v == 0.0)));
+    }
+
+    #[test]
+    fn white_is_the_percentile_and_tones_are_encoded_by_channel() {
+        let canvas = Canvas { origin_mm: [0.0; 2], size: [20, 10], pitch_mm: 1.0 };
+        let mut e = Exitance::new(canvas);
+        assert_eq!(e.white(), 1.0, "black has no white");
+        // 600 numbers 0 … 599: the one at 597 is exceeded by two.
+        for (k, v) in e.planes.iter_mut().flatten().enumerate() {
+            *v = ((k * 7) % 600) as f64;
+        }
+        // 7 and 600 have no common factor: each number once.
+        assert_eq!(e.white(), 597.0);
+        let mut e = Exitance::new(Canvas { origin_mm: [0.0; 2], size: [2, 1], pitch_mm: 1.0 });
+        e.planes = [vec![0.0, 4.0], vec![0.72, 2.0], vec![8.0, -1.0]];
+        // 0.18 of white is 46.1 % in sRGB (117.6), a half 73.5 % (187.5, rounded to even or up by f32), beyond white is white.
+        let found = e.tone_mapped(4.0);
+        assert_eq!([found[0], found[1], found[2], found[3], found[5]], [0, 118, 255, 255, 0]);
+        assert!(found[4] == 187 || found[4] == 188, "{}", found[4]);
+    }
+
+    #[test]
+    fn a_canvas_may_be_sixty_four_times_what_its_windows_hold() {
+        let refused = |apart_mm: f64| {
+            let lit_mm: Vec<Point> = (0..4).map(|k| [(k % 2) as f64 * apart_mm, (k / 2) as f64 * apart_mm]).collect();
+            let shape = Shape {
+                points: [2, 2],
+                window: [129, 129],
+                pitch_mm: 1.0,
+                lit_pitch_mm: [apart_mm; 2],
+                lit_mm: &lit_mm,
+            };
+            Canvas::covering(&shape).is_err()
+        };
+        // Four windows of 129² are 66,564 samples, 64 times that 2064². A canvas is as wide as a window and one more than the points are apart.
+        assert!(!refused(2064.0 - 130.0) && refused(2065.0 - 130.0));
+    }
+}

@@ -1,0 +1,459 @@
+//! The response of rows: a product of matrices, then the colour polynomial, with the vector instructions at hand.
+//!
+//! Every value of a material is Σ_j g_j f_j h_j of its planes, see [`Material`]; here for many samples of many rows at once, in
+//! [`crate::Evaluator`] for single pairs of points, from factors that lie otherwise in memory. Colours are those of [`colors`] in both.
+//! Sums and polynomials are evaluated in f64, in an order that depends neither on the rows beside a row nor on the number of threads.
+
+use crate::color::{Colors, Interval, colors};
+use crate::parallel::*;
+use crate::{CHANNELS, Layout, Material};
+use pulp::Simd;
+
+/// Numbers in the product of a few rows: they stay in the processor's cache.
+const PRODUCT: usize = 1 << 17;
+/// Samples that go through the polynomial together.
+const LANES: usize = 8;
+/// Numbers in a padded line of a map: two of the widest vectors.
+const LINE: usize = 16;
+
+/// Maps in f64, one below the other, each padded with zeros to whole vectors.
+#[derive(Debug, Clone)]
+pub(crate) struct Maps {
+    samples: usize,
+    padded: Vec<f64>,
+}
+
+impl Maps {
+    /// From `count` maps of equal length.
+    pub(crate) fn new(maps: &[f64], count: usize) -> Self {
+        let samples = maps.len() / count.max(1);
+        let stride = samples.next_multiple_of(LINE);
+        let mut padded = vec![0.0; count * stride];
+        let lines = padded.chunks_exact_mut(stride.max(1)).zip(maps.chunks_exact(samples.max(1)));
+        lines.for_each(|(to, from)| to[..samples].copy_from_slice(from));
+        Self { samples, padded }
+    }
+
+    pub(crate) fn samples(&self) -> usize {
+        self.samples
+    }
+
+    /// Numbers from one line of sums to the next.
+    pub(crate) fn stride(&self) -> usize {
+        self.samples.next_multiple_of(LINE)
+    }
+
+    /// The samples of map `at`.
+    pub(crate) fn map(&self, at: usize) -> &[f64] {
+        &self.padded[at * self.stride()..][..self.samples]
+    }
+
+    /// Sums of all maps, one for each line of `amounts` (\[sums, maps\]): \[sums, [`Self::stride`]\].
+    pub(crate) fn sums(&self, amounts: &[f64], out: &mut Vec<f64>) {
+        let (stride, maps) = (self.stride().max(1), self.padded.len() / self.stride().max(1));
+        out.resize(amounts.len() / maps.max(1) * stride, 0.0);
+        sums(amounts, &self.padded, maps, out, stride);
+    }
+}
+
+/// Sums of the first `terms` lines of `maps`, one line of `out` for each `terms` numbers of `amounts`.
+fn sums(amounts: &[f64], maps: &[f64], terms: usize, out: &mut [f64], stride: usize) {
+    pulp::Arch::new().dispatch(Sums { amounts, maps, terms, out, stride });
+}
+
+struct Sums<'a> {
+    amounts: &'a [f64],
+    maps: &'a [f64],
+    terms: usize,
+    out: &'a mut [f64],
+    stride: usize,
+}
+
+impl pulp::WithSimd for Sums<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        /// Sums that are made together: their vectors fit the registers.
+        const TOGETHER: usize = 4;
+        let Self { amounts, maps, terms, out, stride } = self;
+        if terms == 0 {
+            return out.fill(0.0);
+        }
+        let blocks = out.chunks_mut(TOGETHER * stride).zip(amounts.chunks(TOGETHER * terms));
+        for (out, amounts) in blocks {
+            match amounts.len() / terms {
+                TOGETHER => several::<S, TOGETHER>(simd, amounts, maps, terms, out, stride),
+                _ => {
+                    for (out, amounts) in out.chunks_exact_mut(stride).zip(amounts.chunks_exact(terms)) {
+                        several::<S, 1>(simd, amounts, maps, terms, out, stride);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn several<S: Simd, const R: usize>(
+    simd: S,
+    amounts: &[f64],
+    maps: &[f64],
+    terms: usize,
+    out: &mut [f64],
+    stride: usize,
+) {
+    let step = 2 * S::F64_LANES;
+    for e in (0..stride).step_by(step) {
+        let mut total = [[simd.splat_f64s(0.0); 2]; R];
+        for j in 0..terms {
+            let (h, _) = S::as_simd_f64s(&maps[j * stride + e..][..step]);
+            for r in 0..R {
+                let amount = simd.splat_f64s(amounts[r * terms + j]);
+                for v in 0..2 {
+                    total[r][v] = simd.mul_add_e_f64s(amount, h[v], total[r][v]);
+                }
+            }
+        }
+        for r in 0..R {
+            let (to, _) = S::as_mut_simd_f64s(&mut out[r * stride + e..][..step]);
+            to.copy_from_slice(&total[r]);
+        }
+    }
+}
+
+/// A material prepared for the responses of many rows.
+#[derive(Debug)]
+pub struct Responses<'a> {
+    material: &'a Material,
+    layout: Layout,
+    /// m_k h_{k,j} on the common window, for each of B planes.
+    maps: Vec<Maps>,
+    colors: Option<Colors>,
+}
+
+impl<'a> Responses<'a> {
+    /// Prepares `material`: memory of twice its offset factors.
+    pub fn new(material: &'a Material) -> Self {
+        let (h, layout) = (&material.header, material.header.layout());
+        let (samples, terms) = (layout.len(), h.terms);
+        let factors = material.offset_factors.all();
+        let maps = (0..h.offset_planes).map(|plane| {
+            let factors = &factors[plane * terms * samples..][..terms * samples];
+            let mut wide: Vec<f64> = factors.iter().map(|&v| f64::from(v)).collect();
+            if let Some(profile) = material.profile_plane(plane) {
+                let lines = wide.chunks_exact_mut(samples.max(1));
+                lines.for_each(|line| line.iter_mut().zip(profile).for_each(|(v, &m)| *v *= f64::from(m)));
+            }
+            Maps::new(&wide, terms)
+        });
+        Self { material, layout, maps: maps.collect(), colors: h.degree.map(Colors::new) }
+    }
+
+    /// What it was made from.
+    pub fn material(&self) -> &Material {
+        self.material
+    }
+
+    /// T.
+    pub(crate) fn terms(&self) -> usize {
+        self.material.header.terms
+    }
+
+    /// A and B.
+    pub(crate) fn factor_planes(&self) -> [usize; 2] {
+        [self.material.header.incident_planes, self.material.header.offset_planes]
+    }
+
+    /// g_j f_{k,j} of a row; 0 for a row that is not there.
+    pub(crate) fn incident(&self, plane: usize, index: usize, term: usize) -> f64 {
+        let f = self.material.incident(plane, index).get(term).copied().unwrap_or(0.0);
+        self.material.weights.get(term).map_or(0.0, |&g| f64::from(g) * f64::from(f))
+    }
+
+    /// m_k h_{k,j} where rows shifted by `shift` have measured it: `each(x, y, values)` gets pieces of the lines of their window.
+    pub(crate) fn window_map(
+        &self,
+        plane: usize,
+        term: usize,
+        shift: [i16; 2],
+        mut each: impl FnMut(usize, usize, &[f64]),
+    ) {
+        let width = self.layout.window[0].max(1);
+        let map = self.maps[plane.min(self.maps.len() - 1)].map(term);
+        self.layout.for_each_line(shift, |k, e, n| each(k % width, k / width, &map[e..e + n]));
+    }
+
+    /// Samples of a measured window.
+    pub fn window_len(&self) -> usize {
+        self.layout.window[0] * self.layout.window[1]
+    }
+
+    /// R̂_d of row `index` on its measured window, \[dy\]\[dx\]\[channel\], mm⁻²; zeros for a row that is not there.
+    pub fn row(&self, index: usize) -> Vec<f32> {
+        let mut out = vec![0.0; CHANNELS * self.window_len()];
+        self.interleaved(&[index], &mut out);
+        out
+    }
+
+    /// R̂_d of the rows `indices`, mm⁻², into `out`, \[rows\]\[channel\]\[dy\]\[dx\]; rows that are not there are zeros.
+    pub fn by_channel(&self, indices: &[usize], out: &mut [f64]) {
+        self.each(indices, out, |index, values, _, out| {
+            out.fill(0.0);
+            self.finish(index, values, out);
+        });
+    }
+
+    /// The same as \[rows\]\[dy\]\[dx\]\[channel\].
+    pub fn interleaved(&self, indices: &[usize], out: &mut [f32]) {
+        let len = self.window_len();
+        self.each(indices, out, |index, values, planes, out| {
+            planes.resize(CHANNELS * len, 0.0);
+            planes.fill(0.0);
+            self.finish(index, values, planes);
+            let (red, rest) = planes.split_at(len);
+            let (green, blue) = rest.split_at(len);
+            for (rgb, (r, (g, b))) in out.as_chunks_mut::<3>().0.iter_mut().zip(red.iter().zip(green.iter().zip(blue)))
+            {
+                *rgb = [*r as f32, *g as f32, *b as f32];
+            }
+        });
+    }
+
+    /// Plane `plane` of the rows `indices` on the common window, \[rows\]\[y\]\[x\]; rows that are not there are zeros. The only plane of a
+    /// material with a colour polynomial is the normalized intensity.
+    pub fn plane(&self, plane: usize, indices: &[usize]) -> Vec<f64> {
+        let samples = self.layout.len();
+        let mut out = vec![0.0; indices.len() * samples];
+        let few = (PRODUCT / samples.max(1)).clamp(1, 64);
+        let part = |(factors, product): &mut (Vec<f64>, Vec<f64>), (out, indices): (&mut [f64], &[usize])| {
+            let stride = self.product(plane, indices, factors, product);
+            for (out, line) in out.chunks_exact_mut(samples.max(1)).zip(product.chunks_exact(stride.max(1))) {
+                out.copy_from_slice(&line[..samples]);
+            }
+        };
+        let buffers = || (Vec::new(), Vec::new());
+        for_each_part(&mut out, few * samples, indices, few, buffers, part);
+        out
+    }
+
+    /// Multiplies the factors of a few rows at a time, and calls `finish` with each row, its planes (each padded to the stride of the
+    /// maps), a buffer and its part of `out`.
+    fn each<V: Send>(
+        &self,
+        indices: &[usize],
+        out: &mut [V],
+        finish: impl Fn(usize, &[&[f64]], &mut Vec<f64>, &mut [V]) + Sync,
+    ) {
+        let planes = self.material.header.planes();
+        let len = CHANNELS * self.window_len();
+        let few = (PRODUCT / (planes * self.layout.len()).max(1)).clamp(1, 64);
+        let buffers = || (Vec::new(), vec![Vec::new(); planes], Vec::new());
+        for_each_part(out, few * len, indices, few, buffers, |(factors, products, buffer), (out, indices)| {
+            let mut stride = 0;
+            for (plane, product) in products.iter_mut().enumerate() {
+                stride = self.product(plane, indices, factors, product);
+            }
+            for (k, (out, &index)) in out.chunks_exact_mut(len).zip(indices).enumerate() {
+                let empty: [&[f64]; CHANNELS] = [&[]; CHANNELS];
+                let mut values = empty;
+                values.iter_mut().zip(&*products).for_each(|(v, product)| *v = &product[k * stride..][..stride]);
+                finish(index, &values[..planes], buffer, out);
+            }
+        });
+    }
+
+    /// A plane of rows on the common window, \[rows\]\[stride\]; gives the stride.
+    fn product(&self, plane: usize, indices: &[usize], factors: &mut Vec<f64>, product: &mut Vec<f64>) -> usize {
+        let terms = self.terms();
+        factors.clear();
+        factors.resize(indices.len() * terms, 0.0);
+        for (row, &index) in factors.chunks_exact_mut(terms.max(1)).zip(indices) {
+            let f = self.material.incident(plane, index).iter().zip(&self.material.weights);
+            row.iter_mut().zip(f).for_each(|(v, (&f, &g))| *v = f64::from(g) * f64::from(f));
+        }
+        let maps = &self.maps[plane.min(self.maps.len() - 1)];
+        maps.sums(factors, product);
+        maps.stride()
+    }
+
+    /// The part of the common window that a row measured, in colour.
+    fn finish(&self, index: usize, values: &[&[f64]], row: &mut [f64]) {
+        let (h, window) = (&self.material.header, self.window_len());
+        let Some(&shift) = self.material.shift.get(index).filter(|_| index < h.rows()) else { return };
+        let Some(known) = &self.colors else {
+            for (c, channel) in row.chunks_exact_mut(window).enumerate() {
+                let plane = values[c.min(h.planes() - 1)];
+                self.layout.for_each_line(shift, |k, e, n| channel[k..k + n].copy_from_slice(&plane[e..e + n]));
+            }
+            return;
+        };
+        let (coefficients, interval) = (known.of_row(self.material, index), Interval::of(h.intensity_range));
+        let (first, rest) = row.split_at_mut(window);
+        let (second, third) = rest.split_at_mut(window);
+        self.layout.for_each_line(shift, |k, e, n| {
+            let out = [&mut first[k..k + n], &mut second[k..k + n], &mut third[k..k + n]];
+            let values = &values[0][e..e + n];
+            pulp::Arch::new().dispatch(ColorLine { values, interval, coefficients: &coefficients, out });
+        });
+    }
+}
+
+/// Calls `each` with parts of `out` and of `indices`, on all cores with the feature `threads`, and with a buffer that parts share.
+fn for_each_part<V: Send, B>(
+    out: &mut [V],
+    len: usize,
+    indices: &[usize],
+    count: usize,
+    buffers: impl Fn() -> B + Sync + Send,
+    each: impl Fn(&mut B, (&mut [V], &[usize])) + Sync + Send,
+) {
+    out.par_chunks_mut(len.max(1)).zip(indices.par_chunks(count)).for_each_init(buffers, each);
+}
+
+/// The three polynomials of a row on a line of its intensities.
+struct ColorLine<'a> {
+    values: &'a [f64],
+    interval: Interval,
+    /// Of powers of u, lowest first.
+    coefficients: &'a [[f64; CHANNELS]],
+    out: [&'a mut [f64]; CHANNELS],
+}
+
+impl pulp::NullaryFnOnce for ColorLine<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let [red, green, blue] = self.out;
+        let mut at = 0;
+        while at < self.values.len() {
+            // The last lanes overlap those before them: the same numbers are written twice.
+            let n = LANES.min(self.values.len());
+            at = at.min(self.values.len() - n);
+            let mut values = [0.0; LANES];
+            values[..n].copy_from_slice(&self.values[at..at + n]);
+            let sums = colors(self.coefficients, self.interval.arguments(values));
+            red[at..at + n].copy_from_slice(&sums[0][..n]);
+            green[at..at + n].copy_from_slice(&sums[1][..n]);
+            blue[at..at + n].copy_from_slice(&sums[2][..n]);
+            at += n;
+        }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::OffsetFactors;
+    use crate::{Model, file::tests::example, naive};
+
+    impl Material {
+        /// One entry of a row; `None` outside its window or where there is no such row.
+        pub fn response(&self, index: usize, [x, y]: [isize; 2]) -> Option<[f32; 3]> {
+            let [width, height] = self.header.window.map(|w| w as isize);
+            let (x, y) = (x.checked_add(width / 2)?, y.checked_add(height / 2)?);
+            let inside = (0..width).contains(&x) && (0..height).contains(&y) && index < self.header.rows();
+            inside.then(|| self.evaluate_row(index).as_chunks::<3>().0[(x + y * width) as usize])
+        }
+    }
+
+    impl OffsetFactors {
+        /// Themselves, to be changed.
+        pub fn own(&mut self) -> &mut Vec<f32> {
+            *self = Self::Own(self.all().into_owned());
+            match self {
+                Self::Own(own) => own,
+                Self::Shared(_) => unreachable!(),
+            }
+        }
+    }
+
+    /// Materials of every kind, with shifts, a common window that is smaller than some shifts need, and negative factors.
+    pub(crate) fn every_kind() -> Vec<Material> {
+        let wave = |n: usize, f: f32| (0..n).map(|k| (f * (k as f32 + 1.0)).sin()).collect::<Vec<f32>>();
+        let mut all = Vec::new();
+        for (model, [a, b], profile, degree) in [
+            (Model::Tucker, [1, 1], false, Some(2)),
+            (Model::Tucker, [1, 1], false, Some(15)),
+            (Model::Tucker, [1, 1], false, Some(0)),
+            (Model::Peers2006, [1, 1], true, Some(3)),
+            (Model::Peers2006, [3, 3], true, None),
+            (Model::Peers2006, [3, 1], false, None),
+            (Model::Joint, [1, 3], false, None),
+            (Model::Joint, [1, 1], true, None),
+        ] {
+            for (window, extended, terms) in [([5, 3], [7, 3], 2), ([5, 3], [5, 3], 5), ([1, 1], [3, 1], 1)] {
+                let mut m = example();
+                let h = &mut m.header;
+                (h.model, h.incident_planes, h.offset_planes, h.profile, h.degree) = (model, a, b, profile, degree);
+                (h.window, h.extended, h.terms) = (window, extended, terms);
+                let samples = extended[0] * extended[1];
+                m.weights = wave(terms, 0.9);
+                m.incident_factors = wave(a * 6 * terms, 0.7);
+                m.offset_factors = wave(b * terms * samples, 0.3).into();
+                m.profile = if profile { wave(b * samples, 0.11) } else { Vec::new() };
+                m.color_coefficients = degree.map_or(Vec::new(), |p| wave(18 * (p + 1), 1.1));
+                assert!(m.header.shapes().iter().all(|(_, s)| !s.is_empty()));
+                all.push(m);
+            }
+        }
+        all
+    }
+
+    #[test]
+    fn blocks_are_the_rows_one_by_one() {
+        for m in every_kind() {
+            let rows = Responses::new(&m);
+            let len = rows.window_len();
+            let indices = [4, 0, 5, 1, 1, 2, 3, 99];
+            let mut out = vec![7.0; indices.len() * 3 * len];
+            rows.by_channel(&indices, &mut out);
+            for (&i, block) in indices.iter().zip(out.chunks_exact(3 * len)) {
+                let expected = if i < 6 { m.evaluate_row(i) } else { vec![0.0; 3 * len] };
+                for (k, &e) in expected.iter().enumerate() {
+                    let found = block[k % 3 * len + k / 3];
+                    // Coefficients of size 1: rounding to f32, 6e-8 of up to 16 terms.
+                    assert!((found - f64::from(e)).abs() < 1e-6, "{:?} row {i}: {found} {e}", m.header);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_at_the_ends_of_what_a_file_may_hold_stay_numbers() {
+        for mut m in every_kind() {
+            let ends = [1e-30, 1e30, -1e-30, -1e30];
+            let each = [&mut m.weights, &mut m.incident_factors, m.offset_factors.own(), &mut m.profile];
+            for (k, v) in each.into_iter().flatten().enumerate() {
+                *v = ends[k % 4];
+            }
+            m.color_coefficients.iter_mut().enumerate().for_each(|(k, v)| *v = ends[k % 4]);
+            let rows = Responses::new(&m);
+            let mut out = vec![0.0; 6 * 3 * rows.window_len()];
+            rows.by_channel(&[0, 1, 2, 3, 4, 5], &mut out);
+            assert!(out.iter().all(|v| v.is_finite()));
+        }
+    }
+
+    #[test]
+    fn many_rows_at_once_are_the_naive_formula() {
+        for m in naive::materials() {
+            let rows = Responses::new(&m);
+            let indices: Vec<usize> = (0..naive::ROWS).rev().collect();
+            let (mut planes, mut interleaved) = (vec![7.0; 15 * 105], vec![7.0; 15 * 105]);
+            rows.by_channel(&indices, &mut planes);
+            rows.interleaved(&indices, &mut interleaved);
+            for (n, &i) in indices.iter().enumerate() {
+                for (k, d) in naive::offsets().enumerate() {
+                    let expected = naive::response(&m, i, d).unwrap();
+                    for c in 0..3 {
+                        let (a, b) = (planes[n * 105 + c * 35 + k], interleaved[n * 105 + 3 * k + c]);
+                        assert!((a - expected[c]).abs() < 1e-13, "f64, row {i} {d:?}: {a} {}", expected[c]);
+                        assert!((f64::from(b) - expected[c]).abs() < 1e-6, "f32, row {i} {d:?}: {b} {}", expected[c]);
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! Lights from names and from files.
+
+use super::{Light, LightImage};
+use crate::capture::{check_exr_size, check_jpeg_end};
+use crate::{Error, Result};
+use std::path::Path;
+
+/// A built-in light by its name, or else an image file (EXR linear; PNG and JPEG decoded from sRGB).
+///
+/// # Errors
+/// [`Error::Setting`] for a point that cannot be read, [`Error::Io`], [`Error::BrokenImage`].
+pub fn parse_light(text: &str) -> Result<Light> {
+    match text {
+        "spot" => Ok(Light::Spot),
+        "stripes" => Ok(Light::Stripes),
+        "gradient" => Ok(Light::Gradient),
+        "uniform" => Ok(Light::Uniform),
+        _ => match text.strip_prefix("point:") {
+            Some(at) => {
+                let parts: Option<Vec<usize>> = at.split(',').map(|p| p.trim().parse().ok()).collect();
+                match parts.as_deref() {
+                    Some(&[x, y]) => Ok(Light::Point([x, y])),
+                    _ => Err(setting("point:I,J with two grid indices", text)),
+                }
+            }
+            None => Ok(Light::Image(read_light_image(Path::new(text))?)),
+        },
+    }
+}
+
+fn setting(expected: &str, found: &str) -> Error {
+    Error::Setting { setting: "light", expected: expected.into(), found: found.into() }
+}
+
+/// Reads an image: EXR as linear irradiance, PNG and JPEG decoded from sRGB.
+///
+/// # Errors
+/// [`Error::Io`], [`Error::BrokenImage`].
+pub fn read_light_image(path: &Path) -> Result<LightImage> {
+    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    let broken = |reason: String| Error::BrokenImage { path: path.to_path_buf(), reason };
+    let exr_magic = [0x76, 0x2f, 0x31, 0x01];
+    let image = if bytes.starts_with(&exr_magic) { read_exr(&bytes) } else { read_encoded(&bytes) };
+    let image = image.map_err(broken)?;
+    match image.rgb.iter().flatten().find(|v| !v.is_finite()) {
+        Some(v) => Err(broken(format!("expected finite irradiance, found {v}"))),
+        None => Ok(image),
+    }
+}
+
+fn read_exr(bytes: &[u8]) -> Result<LightImage, String> {
+    use exr::prelude::*;
+    check_exr_size(bytes)?;
+    let image = read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .rgb_channels(
+            |size, _| LightImage { size: [size.width(), size.height()], rgb: vec![[0.0; 3]; size.area()] },
+            |image: &mut LightImage, at, (r, g, b): (f32, f32, f32)| {
+                image.rgb[at.x() + at.y() * image.size[0]] = [r, g, b];
+            },
+        )
+        .first_valid_layer()
+        .all_attributes()
+        .from_buffered(std::io::Cursor::new(bytes))
+        .map_err(|e| e.to_string())?;
+    Ok(image.layer_data.channel_data.pixels)
+}
+
+fn read_encoded(bytes: &[u8]) -> Result<LightImage, String> {
+    check_jpeg_end(bytes)?;
+    let image = image::load_from_memory(bytes).map_err(|e| e.to_string())?.into_rgb32f();
+    let size = [image.width() as usize, image.height() as usize];
+    let rgb = image.pixels().map(|p| p.0.map(acquire_material::linear_from_srgb)).collect();
+    Ok(LightImage { size, rgb })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_lights_are_read() {
+        let names = ["spot", "stripes", "gradient", "uniform", "point: 4, 2"];
+        let lights = [Light::Spot, Light::Stripes, Light::Gradient, Light::Uniform, Light::Point([4, 2])];
+        for (name, light) in names.into_iter().zip(lights) {
+            assert_eq!(parse_light(name).unwrap(), light);
+        }
+        for wrong in ["point:", "point:1", "point:1,2,3", "point:1,-2", "point:a,2"] {
+            assert!(matches!(parse_light(wrong), Err(Error::Setting { setting: "light", .. })), "{wrong}");
+        }
+        assert!(matches!(parse_light("/no/such/light.png"), Err(Error::Io { .. })));
+    }
+
+    #[test]
+    fn pictures_are_read_with_their_lines_columns_and_channels() {
+        let folder = tempfile::tempdir().unwrap();
+        let encoded = |x: u32, y: u32, c: usize| (20 + 30 * x + 90 * y + 7 * c as u32) as u8;
+        let png = folder.path().join("light.png");
+        image::RgbImage::from_fn(3, 2, |x, y| image::Rgb([0, 1, 2].map(|c| encoded(x, y, c)))).save(&png).unwrap();
+        let read = read_light_image(&png).unwrap();
+        assert_eq!(read.size, [3, 2]);
+        for (k, rgb) in read.rgb.iter().enumerate() {
+            for c in 0..3 {
+                let v = f64::from(encoded(k as u32 % 3, k as u32 / 3, c)) / 255.0;
+                let linear = if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
+                assert!((f64::from(rgb[c]) - linear).abs() < 1e-6, "f32 powers: pixel {k} channel {c}");
+            }
+        }
+        let exr = folder.path().join("light.exr");
+        let canvas = crate::material::Canvas { origin_mm: [0.0; 2], size: [3, 2], pitch_mm: 1.0 };
+        let mut exitance = crate::material::Exitance::new(canvas);
+        for c in 0..3 {
+            exitance.planes[c] = (0..6).map(|k| (10 * k) as f64 + c as f64 + 0.25).collect();
+        }
+        crate::material::write_exitance(&exitance, &exr).unwrap();
+        let read = read_light_image(&exr).unwrap();
+        assert_eq!(read.size, [3, 2]);
+        assert_eq!(read.rgb, (0..6).map(|k| [0, 1, 2].map(|c| (10 * k + c) as f32 + 0.25)).collect::<Vec<_>>());
+        exitance.planes[1][4] = 1e38;
+        crate::material::write_exitance(&exitance, &exr).unwrap();
+        assert_eq!(read_light_image(&exr).unwrap().rgb[4][1], 1e38);
+    }
+}
