@@ -8,7 +8,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 /// Everything that ends the work.
 ///
 /// All but [`Error::Internal`] are about the input or the surroundings (the program exits with 1);
-/// `Internal` is our own fault (exit 2). [`Error::hint`] says what to try.
+/// `Internal` is our own fault (exit 2).
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -141,7 +141,7 @@ pub enum Error {
         reason: Box<Error>,
     },
     /// A matrix store cannot be read.
-    #[error("{}: not a whole R_d matrix: {reason}", path.display())]
+    #[error("{}: incomplete or damaged matrix store: {reason}", path.display())]
     BrokenMatrix {
         /// The store.
         path: PathBuf,
@@ -149,7 +149,7 @@ pub enum Error {
         reason: String,
     },
     /// A material file cannot be read.
-    #[error("{}: not a whole material: {reason}", path.display())]
+    #[error("{}: incomplete or damaged material: {reason}", path.display())]
     BrokenMaterial {
         /// The file.
         path: PathBuf,
@@ -181,7 +181,7 @@ pub enum Error {
     /// An option has a value that cannot be used.
     #[error("{setting}: expected {expected}, found {found}")]
     Setting {
-        /// The option, as typed.
+        /// The field of the options; several are separated by commas.
         setting: &'static str,
         /// What it should have been.
         expected: String,
@@ -278,46 +278,6 @@ impl Error {
     /// Whether this is our own fault rather than the input's.
     pub fn is_internal(&self) -> bool {
         matches!(self, Self::Internal { .. })
-    }
-
-    /// What the person at the terminal might do about it.
-    pub fn hint(&self) -> Option<String> {
-        let hint = match self {
-            Self::Io { action: "create" | "write" | "rename", .. } => {
-                "choose an output path in a folder that exists and can be written, with --out"
-            }
-            Self::Io { .. } => "check the path and its permissions",
-            Self::NoManifest { .. } => {
-                "name the folder that holds capture.toml; docs/captures.md describes it, and `acquire simulate DIR` writes an example"
-            }
-            Self::NoRig { .. } => "name the folder of rig.toml with --calibration DIR; docs/captures.md describes it",
-            Self::Field { .. } => "docs/captures.md lists every field with its unit and range",
-            Self::MissingPhotograph { .. } => "copy the photograph back, or remove the shot from capture.toml",
-            Self::BrokenPhotograph { .. } => "the copy from the camera may have been cut short; copy it again",
-            Self::NoExposure { .. } => "write exposure_secs = … for this photograph in capture.toml",
-            Self::SameExposure { .. } => "correct exposure_secs in capture.toml, or remove one of the two photographs",
-            Self::DotOutsideSlab { .. } => "check [grid] and [slab] in capture.toml against the projected patterns",
-            Self::DotSaturated { .. } => "add a shorter exposure to this shot, or close the aperture",
-            Self::Registration { .. } => {
-                "look at the named photograph: the whole board or pattern must be visible, sharp and unsaturated"
-            }
-            Self::DoesNotFit { .. } => {
-                "compare plan.toml with the photographs around the one that is named; remove doubled ones, shoot missing ones again"
-            }
-            Self::WouldNotBuild { reason } => return reason.hint(),
-            Self::BrokenMatrix { .. } => {
-                "the store may come from a stopped run; build it again with `acquire build-matrix`"
-            }
-            Self::BrokenMaterial { .. } => "the file may have been cut short; make it again with `acquire factor`",
-            Self::BrokenImage { .. } => "give an OpenEXR, PNG or JPEG image",
-            Self::Mismatch { .. } => "compare outputs of the same capture, grid and window",
-            Self::Setting { .. } => "see `acquire help` for the range of each option",
-            Self::Voxels { .. } => "docs/simulation.md describes voxel files, with an example that writes one",
-            Self::Diffusion { .. } => "follow the photons instead: --transport mc",
-            Self::NotFinite { .. } => "the file, or what it is made from, was damaged or not written by `acquire`",
-            Self::Internal { .. } => "this is a bug in acquire; please report it with the command line",
-        };
-        Some(hint.to_owned())
     }
 }
 

@@ -4,7 +4,6 @@
 
 mod error;
 mod output;
-mod parse;
 mod warning;
 
 pub mod geometry;

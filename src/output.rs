@@ -47,16 +47,16 @@ impl NewFolder {
     /// Checks that `target` may be made, before any work: a new or empty folder or, with `force`, an earlier output, known by its file `mark`.
     ///
     /// # Errors
-    /// [`Error::Setting`] naming --out; [`Error::Io`].
+    /// [`Error::Setting`] naming `out`; [`Error::Io`].
     pub(crate) fn create(target: &Path, force: bool, mark: &str) -> Result<Self> {
-        let refuse = |expected: String, found: String| Err(Error::Setting { setting: "--out", expected, found });
+        let refuse = |expected: String, found: String| Err(Error::Setting { setting: "out", expected, found });
         let full = match std::fs::read_dir(target) {
             Ok(mut entries) => entries.next().is_some(),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound && target.symlink_metadata().is_err() => false,
             Err(e) => return Err(Error::io("create", target)(e)),
         };
         if full && !force {
-            let expected = "a folder that is empty or not there, or --force".to_owned();
+            let expected = "a folder that is empty or not there, or leave to replace it".to_owned();
             return refuse(expected, format!("files in {}", target.display()));
         }
         // Whatever else lies there is not ours to remove.

@@ -399,7 +399,7 @@ impl std::fmt::Display for Warning {
             ),
             Self::ExposureRatios { nominal_secs, measured_secs, relative_sd } => write!(
                 f,
-                "the exposure of {nominal_secs:.6} s was {measured_secs:.6} s ({:+.2} % ± {:.2} %) by the photographs; use --exposure-from estimate, or check camera.response in rig.toml",
+                "the exposure of {nominal_secs:.6} s was {measured_secs:.6} s ({:+.2} % ± {:.2} %) by the photographs",
                 100.0 * (measured_secs / nominal_secs - 1.0),
                 100.0 * relative_sd
             ),
@@ -421,7 +421,7 @@ impl std::fmt::Display for Warning {
             Self::CurveNotSaved { file, reason } => {
                 write!(f, "{file}: the estimated response curve could not be saved: {reason}")
             }
-            Self::GoalMissed { asked, found } => write!(f, "{asked} were asked for, {found} are what there is"),
+            Self::GoalMissed { asked, found } => write!(f, "target not reached: asked {asked}, got {found}"),
             Self::EmptyRows { rows } => write!(f, "{rows} rows have no positive peak; they are kept as zeros"),
             Self::ShiftLimited { rows, limit } => {
                 write!(
@@ -437,12 +437,12 @@ impl std::fmt::Display for Warning {
                 let path = mean_free_path_mm.map_or("without end".into(), |mm| format!("of {mm:.3} mm"));
                 write!(
                     f,
-                    "{medium}, {channel}: a transport mean free path {path} exceeds the {exceeds} of {length_mm} mm, diffusion is far off; use --transport mc"
+                    "{medium}, {channel}: a transport mean free path {path} exceeds the {exceeds} of {length_mm} mm, diffusion is far off"
                 )
             }
             Self::DiffusionTooDark { medium, channel, reduced_scattering_per_mm, absorption_per_mm } => write!(
                 f,
-                "{medium}, {channel}: absorption {absorption_per_mm} /mm exceeds scattering {reduced_scattering_per_mm} /mm, diffusion is far off; use --transport mc"
+                "{medium}, {channel}: absorption {absorption_per_mm} /mm exceeds scattering {reduced_scattering_per_mm} /mm, diffusion is far off"
             ),
         }
     }

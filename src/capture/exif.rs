@@ -19,7 +19,7 @@ pub struct ExifExposure {
 }
 
 /// Which source of an exposure time comes first. What `capture.toml` says comes before any.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum ExposureFrom {
     /// EXIF ExposureTime, else ShutterSpeedValue.
     #[default]

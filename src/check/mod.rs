@@ -24,13 +24,11 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 
 /// Settings of [`check`].
-#[derive(Debug, Clone, clap::Args)]
+#[derive(Debug, Clone)]
 pub struct CheckOptions {
     /// Those of the build that is to come.
-    #[command(flatten)]
     pub build: BuildOptions,
     /// Lattice shots to look at, spread over the sweep. 8: the first, the last and some between show drift and light.
-    #[arg(long, value_name = "N", default_value_t = 8)]
     pub lattice_shots: usize,
 }
 
@@ -104,7 +102,7 @@ const BLUR_SHARE: f64 = 1.0 / 3.0;
 pub fn check(dir: &Path, options: &CheckOptions, progress: &Progress) -> Result<CheckReport> {
     if options.lattice_shots == 0 {
         let (expected, found) = ("1 or more".into(), "0".into());
-        return Err(Error::Setting { setting: "--lattice-shots", expected, found });
+        return Err(Error::Setting { setting: "lattice_shots", expected, found });
     }
     let mut report = CheckReport { name: None, figures: Figures::default(), findings: Vec::new(), stopped_by: None };
     let done = report.look(dir, options, progress);

@@ -23,7 +23,7 @@ pub fn table(report: &CheckReport, color: bool) -> String {
         lines.push(format!("{:<13} {state} {figures}", topic.name()).trim_end().to_owned());
         lines.extend(findings.iter().take(LISTED).map(|f| format!("{:<18} {}", "", f)));
         if findings.len() > LISTED {
-            lines.push(format!("{:<18} … and {} more: --json lists all", "", findings.len() - LISTED));
+            lines.push(format!("{:<18} … and {} more", "", findings.len() - LISTED));
         }
     }
     lines.join("\n")

@@ -1,5 +1,5 @@
-use super::Context;
-use crate::pipeline::{BuildOptions, BuildReport, build_matrix};
+use super::{Context, options};
+use crate::pipeline::{BuildReport, build_matrix};
 use crate::simulate::TRUTH_MATRIX;
 use crate::{Error, Result};
 use std::path::PathBuf;
@@ -18,7 +18,7 @@ pub struct Args {
     /// Folder of capture.toml.
     capture: PathBuf,
     #[command(flatten)]
-    build: BuildOptions,
+    build: options::Build,
     /// Where the matrix goes; an older one there is replaced.
     #[arg(long, value_name = "X.rd.zarr", default_value = "matrix.rd.zarr")]
     out: PathBuf,
@@ -29,9 +29,9 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let truth = args.capture.join(TRUTH_MATRIX);
     if truth.canonicalize().is_ok_and(|truth| args.out.canonicalize().is_ok_and(|out| out == truth)) {
         let expected = "another path than the simulated capture's truth".into();
-        return Err(Error::Setting { setting: "--out", expected, found: args.out.display().to_string() });
+        return Err(Error::Setting { setting: "out", expected, found: args.out.display().to_string() });
     }
-    let report = build_matrix(&args.capture, &args.build, &args.out, &context.progress)?;
+    let report = build_matrix(&args.capture, &args.build.into(), &args.out, &context.progress)?;
     report.warnings.iter().for_each(|w| context.warn(w));
     context.done(summary(&report));
     let stages: Vec<_> = context.progress.timings().iter().map(|t| format!("{} {:.2} s", t.stage, t.secs)).collect();

@@ -1,5 +1,5 @@
-use super::Context;
-use crate::check::{CheckOptions, Severity, check, table};
+use super::{Context, options};
+use crate::check::{Severity, check, table};
 use crate::{Error, Result};
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -20,7 +20,7 @@ pub struct Args {
     /// Folder of capture.toml.
     capture: PathBuf,
     #[command(flatten)]
-    options: CheckOptions,
+    options: options::Check,
     /// Print one JSON object instead of a table.
     #[arg(long)]
     json: bool,
@@ -28,7 +28,7 @@ pub struct Args {
 
 pub fn run(args: Args, context: &Context) -> Result<()> {
     let start = std::time::Instant::now();
-    let report = check(&args.capture, &args.options, &context.progress)?;
+    let report = check(&args.capture, &args.options.into(), &context.progress)?;
     let out = std::io::stdout();
     let text = match args.json {
         true => serde_json::to_string_pretty(&report.json()?).map_err(Error::internal)?,
@@ -42,7 +42,10 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         Some(reason) => Err(Error::WouldNotBuild { reason: Box::new(reason) }),
         None => {
             let secs = start.elapsed().as_secs_f64();
-            context.done(format_args!("would build; {warnings} warnings; {sample} looked at in {secs:.1} s"));
+            context.done(format_args!(
+                "would build; {warnings} warning{}; {sample} looked at in {secs:.1} s",
+                if warnings == 1 { "" } else { "s" }
+            ));
             Ok(())
         }
     }

@@ -73,20 +73,20 @@ fn check(args: &Args, out: &Path, precision: Precision) -> Result<()> {
     let coded = precision == Precision::Coded;
     if args.added_error.is_some() && !coded {
         return refuse(
-            "--added-error",
+            "added_error",
             "--precision coded, or an --out that ends in .acq, beside it",
             precision.to_string(),
         );
     }
     // What the name says is what others will take the file for.
     if coded && ends("safetensors") {
-        return refuse("--out", "a name that ends in .acq for a coded material", out.display().to_string());
+        return refuse("out", "a name that ends in .acq for a coded material", out.display().to_string());
     }
     if !coded && ends("acq") {
-        return refuse("--out", "a name that ends in .safetensors for a plain material", out.display().to_string());
+        return refuse("out", "a name that ends in .safetensors for a plain material", out.display().to_string());
     }
     if args.color_regression && args.model != Some(Model::Peers2006) {
-        return refuse("--color-regression", "--model peers2006 beside it", "another model".into());
+        return refuse("color_regression", "--model peers2006 beside it", "another model".into());
     }
     Ok(())
 }

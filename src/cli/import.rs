@@ -1,6 +1,6 @@
-use super::Context;
+use super::{Context, options};
 use crate::Result;
-use crate::import::{ImportOptions, import};
+use crate::import::import;
 use std::path::PathBuf;
 
 /// Sort a camera's folder of photographs into the shots of a plan.
@@ -24,11 +24,11 @@ pub struct Args {
     #[arg(long, short, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
-    options: ImportOptions,
+    options: options::Import,
 }
 
 pub fn run(args: Args, context: &Context) -> Result<()> {
-    let done = import(&args.folder, &args.plan, &args.out, &args.options, &context.progress)?;
+    let done = import(&args.folder, &args.plan, &args.out, &args.options.into(), &context.progress)?;
     let out = args.out.display();
     let left = if done.left > 0 { format!(", {} of other kinds left", done.left) } else { String::new() };
     let ignored = if done.ignored > 0 { format!(", {} other files ignored", done.ignored) } else { String::new() };

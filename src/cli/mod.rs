@@ -6,6 +6,8 @@ mod evaluate;
 mod export;
 mod factor;
 mod import;
+mod messages;
+mod options;
 mod patterns;
 mod relight;
 mod run;
@@ -77,7 +79,8 @@ impl Context {
 
     /// A finding that does not stop the work.
     fn warn(&self, warning: &crate::Warning) {
-        self.progress.say(format_args!("warning: {warning}"));
+        let advice = messages::advice(warning).map(|advice| format!("; {advice}"));
+        self.progress.say(format_args!("warning: {warning}{}", advice.unwrap_or_default()));
     }
 }
 
@@ -97,8 +100,8 @@ pub fn main() -> ExitCode {
     match done.unwrap_or_else(|_| Err(Error::internal("the program panicked"))) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            message(format_args!("error: {}", one_line(&error.to_string())));
-            if let Some(hint) = error.hint() {
+            message(format_args!("error: {}", messages::text(&error)));
+            if let Some(hint) = messages::hint(&error) {
                 message(format_args!("hint: {hint}"));
             }
             ExitCode::from(if error.is_internal() { 2 } else { 1 })
@@ -119,16 +122,10 @@ fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Decoders and file names may bring line breaks of their own.
-fn one_line(text: &str) -> String {
-    let lines: Vec<_> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
-    lines.join(" ")
-}
-
 /// Refuses an output file that would fail or harm only after the work: a folder, a device, a file without a folder, one of `inputs`.
 fn check_output(out: &Path, inputs: &[&Path]) -> Result<()> {
     let refuse = |expected: &str| {
-        Err(Error::Setting { setting: "--out", expected: expected.into(), found: out.display().to_string() })
+        Err(Error::Setting { setting: "out", expected: expected.into(), found: out.display().to_string() })
     };
     if std::fs::metadata(out).is_ok_and(|kind| !kind.is_file()) {
         return refuse("a file");
@@ -149,7 +146,7 @@ fn check_output(out: &Path, inputs: &[&Path]) -> Result<()> {
 fn run(cli: Cli) -> Result<()> {
     if let Some(n) = cli.threads {
         let refuse =
-            |expected: &str| Error::Setting { setting: "--threads", expected: expected.into(), found: n.to_string() };
+            |expected: &str| Error::Setting { setting: "threads", expected: expected.into(), found: n.to_string() };
         if !(1..=MOST_THREADS).contains(&n) {
             return Err(refuse("1 to 1024"));
         }
@@ -194,10 +191,5 @@ mod tests {
         assert!(refused("") && refused("..") && refused("nowhere/x"));
         assert!(check_output(Path::new("/dev/null"), &[]).is_err(), "a rename would replace the device");
         assert!(!refused("new.safetensors"));
-    }
-
-    #[test]
-    fn a_message_is_one_line() {
-        assert_eq!(one_line("a:  b\n\n  c\n"), "a:  b c");
     }
 }

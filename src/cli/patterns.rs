@@ -1,4 +1,4 @@
-use super::Context;
+use super::{Context, options};
 use crate::Result;
 use crate::capture::Rig;
 use crate::patterns::{Patterns, PatternsOptions, Plan, Probe, hours, patterns};
@@ -27,7 +27,7 @@ pub struct Args {
     #[arg(long, value_name = "CAPTURE")]
     probe: Option<PathBuf>,
     #[command(flatten)]
-    options: PatternsOptions,
+    options: options::Patterns,
     /// The folder to make.
     #[arg(long, short, value_name = "DIR")]
     out: PathBuf,
@@ -37,7 +37,8 @@ pub struct Args {
 }
 
 pub fn run(args: Args, context: &Context) -> Result<()> {
-    args.options.check()?;
+    let options = PatternsOptions::from(args.options);
+    options.check()?;
     let rig_path = Rig::find(&args.rig, Some(&args.rig))?;
     let probe = match &args.probe {
         Some(dir) => {
@@ -48,13 +49,13 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         }
         None => None,
     };
-    let written = patterns(&args.options, &rig_path, probe.as_ref(), &args.out, args.force, &context.progress)?;
+    let written = patterns(&options, &rig_path, probe.as_ref(), &args.out, args.force, &context.progress)?;
     if let Some(line) = chosen(&written) {
         context.done(line);
     }
     let plan = &written.plan;
     let cost = |plan: &Plan| {
-        format!("{} photographs, about {}", plan.photographs(), hours(plan.shooting_secs(args.options.overhead_secs)))
+        format!("{} photographs, about {}", plan.photographs(), hours(plan.shooting_secs(options.overhead_secs)))
     };
     let instead =
         written.without_probe.as_ref().map_or(String::new(), |p| format!(" (without the probe: {})", cost(p)));

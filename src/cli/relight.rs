@@ -26,7 +26,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let png = args.out.with_extension("png");
     if png == args.out {
         return Err(Error::Setting {
-            setting: "--out",
+            setting: "out",
             expected: "an .exr file; the PNG goes beside it".into(),
             found: args.out.display().to_string(),
         });

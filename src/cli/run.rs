@@ -1,10 +1,10 @@
-use super::Context;
+use super::{Context, options};
 use crate::capture::Manifest;
 use crate::evaluate::evaluate;
 use crate::factor::{Factored, Options, factor};
 use crate::material::{self, Precision, Responses, Source, export_exr, export_npz};
 use crate::output::ScratchFolder;
-use crate::pipeline::{BuildOptions, BuildReport, build_matrix};
+use crate::pipeline::{BuildReport, build_matrix};
 use crate::report::{self, Comparison, MaterialSummary, ReportInput, Survey};
 use crate::simulate::TRUTH_MATRIX;
 use crate::transport::MatrixReader;
@@ -27,7 +27,7 @@ pub struct Args {
     #[arg(long, short, value_name = "RESULTS")]
     out: PathBuf,
     #[command(flatten)]
-    build: BuildOptions,
+    build: options::Build,
     /// Number of terms [default: as many as exceed the measured noise].
     #[arg(long, value_name = "T")]
     terms: Option<usize>,
@@ -52,7 +52,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let title = manifest.name;
     let at = |name: &str| results.folder.join(name);
 
-    let build = build_matrix(&args.capture, &args.build, &at(MATRIX), &context.progress)?;
+    let build = build_matrix(&args.capture, &args.build.into(), &at(MATRIX), &context.progress)?;
     build.warnings.iter().for_each(|w| context.warn(w));
     context.done(super::build_matrix::summary(&build));
 
@@ -173,7 +173,7 @@ impl Results {
     /// Checks that `target` may be made, before any work.
     fn prepare(target: &Path, force: bool) -> Result<Self> {
         let refuse =
-            |expected: &str, found: String| Err(Error::Setting { setting: "--out", expected: expected.into(), found });
+            |expected: &str, found: String| Err(Error::Setting { setting: "out", expected: expected.into(), found });
         let entries = match std::fs::read_dir(target) {
             Ok(mut entries) => entries.next().is_some(),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound && target.symlink_metadata().is_err() => false,

@@ -1,6 +1,6 @@
 //! `acquire simulate`: a capture without a rig, and its truth.
 
-use super::Context;
+use super::{Context, options};
 use crate::{
     Result,
     simulate::{self, Cause, Material, Options},
@@ -38,7 +38,7 @@ pub struct Args {
     /// The folder to write.
     dir: PathBuf,
     #[command(flatten)]
-    options: Options,
+    options: options::Simulate,
     /// A slab of voxels from an NPZ file or a Zarr group (docs/simulation.md), instead of --material.
     #[arg(long, value_name = "FILE.npz|DIR.zarr", conflicts_with = "material", help_heading = "Slab")]
     voxels: Option<PathBuf>,
@@ -55,7 +55,7 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args, context: &Context) -> Result<()> {
-    let mut options = args.options;
+    let mut options = Options::from(args.options);
     if let Some(file) = args.voxels {
         options.material = Material::Voxels(file);
     }
@@ -95,7 +95,7 @@ mod tests {
     }
 
     fn parsed(arguments: &[&str]) -> Options {
-        Simulate::try_parse_from([&["simulate", "dir"], arguments].concat()).unwrap().args.options
+        Simulate::try_parse_from([&["simulate", "dir"], arguments].concat()).unwrap().args.options.into()
     }
 
     #[test]

@@ -230,23 +230,23 @@ impl Options {
             |setting, expected: &str, found: String| Err(Error::Setting { setting, expected: expected.into(), found });
         let degree = "0 to 15";
         match self {
-            Self { terms: Some(0), .. } => refuse("--terms", "at least 1", "0".into()),
-            Self { max_terms: 0, .. } => refuse("--max-terms", "at least 1", "0".into()),
-            Self { degree: Some(p), .. } if *p > MOST_DEGREE => refuse("--degree", degree, p.to_string()),
-            Self { max_degree: p, .. } if *p > MOST_DEGREE => refuse("--max-degree", degree, p.to_string()),
+            Self { terms: Some(0), .. } => refuse("terms", "at least 1", "0".into()),
+            Self { max_terms: 0, .. } => refuse("max_terms", "at least 1", "0".into()),
+            Self { degree: Some(p), .. } if *p > MOST_DEGREE => refuse("degree", degree, p.to_string()),
+            Self { max_degree: p, .. } if *p > MOST_DEGREE => refuse("max_degree", degree, p.to_string()),
             Self { degree: Some(p), model: Some(Model::Joint), .. } => {
-                refuse("--degree", "none, the model joint has no colour polynomial", p.to_string())
+                refuse("degree", "none, the model joint has no colour polynomial", p.to_string())
             }
             Self { degree: Some(p), model: Some(Model::Peers2006), color_regression: false, .. } => {
-                refuse("--degree", "none without --color-regression", p.to_string())
+                refuse("degree", "none without color_regression", p.to_string())
             }
             Self { accuracy: a, .. } if !(*a > 0.0 && *a < 1.0) => {
-                refuse("--accuracy", "above 0 and below 1", a.to_string())
+                refuse("accuracy", "above 0 and below 1", a.to_string())
             }
             Self { goal: Goal::Psnr(db), .. } if !(*db > 0.0 && *db <= 150.0) => {
-                refuse("--target-psnr", "above 0 and up to 150 dB", db.to_string())
+                refuse("target_psnr", "above 0 and up to 150 dB", db.to_string())
             }
-            Self { goal: Goal::Bytes(0), .. } => refuse("--max-bytes", "at least 1", "0".into()),
+            Self { goal: Goal::Bytes(0), .. } => refuse("max_bytes", "at least 1", "0".into()),
             _ => Ok(()),
         }
     }
@@ -262,19 +262,19 @@ mod tests {
         let joint = Some(Model::Joint);
         let peers = Some(Model::Peers2006);
         let refused = [
-            ("--terms", Options { terms: Some(0), ..base() }),
-            ("--max-terms", Options { max_terms: 0, ..base() }),
-            ("--degree", Options { degree: Some(16), ..base() }),
-            ("--max-degree", Options { max_degree: 16, ..base() }),
-            ("--degree", Options { degree: Some(2), model: joint, ..base() }),
-            ("--degree", Options { degree: Some(2), model: peers, ..base() }),
-            ("--accuracy", Options { accuracy: 0.0, ..base() }),
-            ("--accuracy", Options { accuracy: 1.0, ..base() }),
-            ("--accuracy", Options { accuracy: f64::NAN, ..base() }),
-            ("--target-psnr", Options { goal: Goal::Psnr(0.0), ..base() }),
-            ("--target-psnr", Options { goal: Goal::Psnr(150.5), ..base() }),
-            ("--target-psnr", Options { goal: Goal::Psnr(f64::NAN), ..base() }),
-            ("--max-bytes", Options { goal: Goal::Bytes(0), ..base() }),
+            ("terms", Options { terms: Some(0), ..base() }),
+            ("max_terms", Options { max_terms: 0, ..base() }),
+            ("degree", Options { degree: Some(16), ..base() }),
+            ("max_degree", Options { max_degree: 16, ..base() }),
+            ("degree", Options { degree: Some(2), model: joint, ..base() }),
+            ("degree", Options { degree: Some(2), model: peers, ..base() }),
+            ("accuracy", Options { accuracy: 0.0, ..base() }),
+            ("accuracy", Options { accuracy: 1.0, ..base() }),
+            ("accuracy", Options { accuracy: f64::NAN, ..base() }),
+            ("target_psnr", Options { goal: Goal::Psnr(0.0), ..base() }),
+            ("target_psnr", Options { goal: Goal::Psnr(150.5), ..base() }),
+            ("target_psnr", Options { goal: Goal::Psnr(f64::NAN), ..base() }),
+            ("max_bytes", Options { goal: Goal::Bytes(0), ..base() }),
         ];
         for (name, options) in refused {
             let found = options.check();

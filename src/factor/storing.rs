@@ -125,10 +125,10 @@ fn room(factored: &Factored, goal: Goal) -> f64 {
 fn of_goal(error: Error, goal: Goal) -> Error {
     match (error, goal) {
         (Error::Setting { expected, found, .. }, Goal::Bytes(_)) => {
-            Error::Setting { setting: "goal.bytes", expected, found }
+            Error::Setting { setting: "max_bytes", expected, found }
         }
         (Error::Setting { found, .. }, Goal::Psnr(_)) => Error::Setting {
-            setting: "goal.psnr",
+            setting: "target_psnr",
             expected: "a target that coding can keep to (a plain file reaches more)".into(),
             found: format!("one that lets coding add {found}"),
         },

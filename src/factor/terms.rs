@@ -134,7 +134,7 @@ impl Asked<'_, '_> {
         let most = self.rank.min(self.most);
         if let Some(asked) = options.terms {
             let why = match asked > self.rank {
-                true => format!("{asked} were asked for and the rows have no more"),
+                true => format!("as asked, {asked}: the rows have no more"),
                 false => "as asked".to_owned(),
             };
             return Ok(Plan { terms: asked.min(self.rank), maps: None, degree: None, why, short: false });

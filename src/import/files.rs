@@ -77,7 +77,7 @@ pub fn list(folder: &Path, take: Option<&str>) -> Result<Listing> {
             let kind = kind_of(&name.trim_start_matches('.').to_ascii_lowercase());
             let kind = kind.filter(|kind| kinds.contains_key(kind));
             Some(kind.ok_or_else(|| Error::Setting {
-                setting: "--take",
+                setting: "take",
                 expected: format!("the ending of a photograph in the folder ({})", names(kinds.keys())),
                 found: name.to_owned(),
             })?)

@@ -18,25 +18,19 @@ use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
 /// Settings of [`import`].
-#[derive(Debug, Clone, Default, clap::Args)]
+#[derive(Debug, Clone, Default)]
 pub struct ImportOptions {
     /// Link the photographs (hard links, on the same disk) instead of copying them.
-    #[arg(long)]
     pub link: bool,
     /// Ending of the photographs to take, of a camera that wrote two of each [default: the one with most files; of equals RAW, TIFF, PNG, EXR, JPEG].
-    #[arg(long, value_name = "ENDING")]
     pub take: Option<String>,
     /// Folder of rig.toml, copied into the capture [default: calibration/ of the plan].
-    #[arg(long, value_name = "DIR")]
     pub calibration: Option<PathBuf>,
     /// A name for people [default: the plan's].
-    #[arg(long)]
     pub name: Option<String>,
     /// Believe the plan where photographs without EXIF tell no exposure: only their number can be checked then.
-    #[arg(long)]
     pub exposures_from_plan: bool,
-    /// Replace an earlier capture at --out.
-    #[arg(long)]
+    /// Replace an earlier capture at `out`.
     pub force: bool,
 }
 

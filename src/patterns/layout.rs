@@ -32,7 +32,7 @@ impl Layout {
         let corners = [[0, 0], [last[0], 0], [0, last[1]], last].map(|d| grid.dot_projector_px(d));
         if let Some(p) = corners.iter().chain(&reference_dots).find(|p| outside(p)) {
             return Err(Error::Setting {
-                setting: "--slab-mm, --projector-px-per-mm, --center-px",
+                setting: "slab_mm, projector_px_per_mm, center_px",
                 expected: format!("dots within the projector's {} × {} px", size_px[0], size_px[1]),
                 found: format!("one at ({:.1}, {:.1}) px", p[0], p[1]),
             });
@@ -93,7 +93,7 @@ impl Layout {
             let extent_px = (self.slab_mm[a] - 2.0 * margin) * scale - dot as f64;
             if !(extent_px >= 0.0) {
                 let found = format!("{} mm of {} mm", 2.0 * margin, self.slab_mm[a]);
-                return refuse("--margin-mm", "margins that leave room for a dot".into(), found);
+                return refuse("margin_mm", "margins that leave room for a dot".into(), found);
             }
             match options.grid {
                 Some(grid) => {
@@ -107,10 +107,10 @@ impl Layout {
             }
             if step[a] < dot as f64 {
                 let found = format!("dots {} px apart", step[a]);
-                return refuse("--grid, --lit-pitch-mm", format!("dots that are {dot} px apart or more"), found);
+                return refuse("grid, lit_pitch_mm", format!("dots that are {dot} px apart or more"), found);
             }
             if !(1..=65_536).contains(&points[a]) {
-                return refuse("--grid, --lit-pitch-mm", "1 to 65536 points".into(), points[a].to_string());
+                return refuse("grid, lit_pitch_mm", "1 to 65536 points".into(), points[a].to_string());
             }
         }
         let center = self.projector_from_slab.map(self.slab_mm.map(|s| 0.5 * s));

@@ -19,7 +19,6 @@ pub use spacing::{SpacingChoice, SpacingOptions, Tails, choose_spacing};
 use crate::capture::{Rig, Window};
 use crate::geometry::{Homography, Point};
 use crate::output::NewFolder;
-use crate::parse::{pair_of, secs};
 use crate::progress::Progress;
 use crate::{Error, Result};
 use layout::Layout;
@@ -27,64 +26,45 @@ use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
 /// Settings of [`patterns`].
-#[derive(Debug, Clone, clap::Args)]
+#[derive(Debug, Clone)]
 pub struct PatternsOptions {
     /// A name for people; it heads the report.
-    #[arg(long)]
     pub name: Option<String>,
-    /// Width and height of the sample, mm: 20 or 30x20 [default with --probe: the probe's].
-    #[arg(long, value_name = "MM[xMM]", value_parser = pair_of::<f64>)]
+    /// Width and height of the sample, mm: 20 or 30x20 [default with `probe`: the probe's].
     pub slab_mm: Option<Point>,
-    /// Projector pixels in a mm of the slab [default with --probe: as registered].
-    #[arg(long, value_name = "PX")]
+    /// Projector pixels in a mm of the slab [default with `probe`: as registered].
     pub projector_px_per_mm: Option<f64>,
-    /// Projector pixel that falls on the middle of the slab [default: the projector's middle; with --probe: as registered].
-    #[arg(long, value_name = "XxY", value_parser = pair_of::<f64>)]
+    /// Projector pixel that falls on the middle of the slab [default: the projector's middle; with `probe`: as registered].
     pub center_px: Option<Point>,
-    /// Lit points: 32 or 40x30 [default: as many as --lit-pitch-mm makes].
-    #[arg(long, value_name = "N[xN]", value_parser = pair_of::<usize>, conflicts_with = "lit_pitch_mm")]
+    /// Lit points: 32 or 40x30 [default: as many as `lit_pitch_mm` makes].
     pub grid: Option<[usize; 2]>,
-    /// Distance of lit points, mm [default: --pitch-mm].
-    #[arg(long, value_name = "MM")]
+    /// Distance of lit points, mm [default: `pitch_mm`].
     pub lit_pitch_mm: Option<f64>,
-    /// Outgoing samples of a window along each axis, odd [default: 31; with --probe: as far as the response reaches].
-    #[arg(long, value_name = "N")]
+    /// Outgoing samples of a window along each axis, odd [default: 31; with `probe`: as far as the response reaches].
     pub window: Option<usize>,
-    /// Side of an outgoing cell, mm [default: 0.5; with --probe: the probe's].
-    #[arg(long, value_name = "MM")]
+    /// Side of an outgoing cell, mm [default: 0.5; with `probe`: the probe's].
     pub pitch_mm: Option<f64>,
     /// Side of a dot, projector pixels. 3: a dark pixel between neighbours four pixels apart.
-    #[arg(long, value_name = "PX", default_value_t = 3)]
     pub dot_px: usize,
-    /// Distance of the dots of one shot, mm [default: one and a half windows; with --probe: the smallest that the tails permit].
-    #[arg(long, value_name = "MM")]
+    /// Distance of the dots of one shot, mm [default: one and a half windows; with `probe`: the smallest that the tails permit].
     pub spacing_mm: Option<f64>,
     /// Least distance of the lit points from the slab's rim, mm [default: half a window, or a quarter of the slab when that is less].
-    #[arg(long, value_name = "MM")]
     pub margin_mm: Option<f64>,
     /// Width of the opaque frame, mm: the reference dots lie in its middle.
-    #[arg(long, value_name = "MM", default_value_t = 6.0)]
     pub frame_mm: f64,
-    /// Narrowest stripes of the Gray code, projector pixels [default: 8; with --probe: what is six camera pixels].
-    #[arg(long, value_name = "PX")]
+    /// Narrowest stripes of the Gray code, projector pixels [default: 8; with `probe`: what is six camera pixels].
     pub narrowest_stripe_px: Option<usize>,
-    /// Exposures of each lattice and each black shot [default: 5; with --probe: as many as the response requires].
-    #[arg(long, value_name = "N")]
+    /// Exposures of each lattice and each black shot [default: 5; with `probe`: as many as the response requires].
     pub exposures: Option<usize>,
     /// Stops between exposures.
-    #[arg(long, value_name = "STOPS", default_value_t = 2.0)]
     pub stops: f64,
-    /// Shortest exposure of a lattice shot, s, as 0.004 or 1/250: the brightest dot must not saturate in it [default: 1/256; with --probe: as measured].
-    #[arg(long, value_name = "S", value_parser = secs)]
+    /// Shortest exposure of a lattice shot, s, as 0.004 or 1/250: the brightest dot must not saturate in it [default: 1/256; with `probe`: as measured].
     pub shortest_secs: Option<f64>,
-    /// Shorter of the two exposures of board, white reference and Gray code, s [default: --shortest-secs; with --probe: the probe's].
-    #[arg(long, value_name = "S", value_parser = secs)]
+    /// Shorter of the two exposures of board, white reference and Gray code, s [default: `shortest_secs`; with `probe`: the probe's].
     pub white_secs: Option<f64>,
     /// What the camera takes for a photograph besides its exposure, s, to tell the time.
-    #[arg(long, value_name = "S", default_value_t = 1.5)]
     pub overhead_secs: f64,
-    /// Share of a row's light that other dots' tails may add to it before `build-matrix` takes that out, with --probe.
-    #[arg(long, value_name = "SHARE", default_value_t = SpacingOptions::default().most_cross_talk)]
+    /// Share of a row's light that other dots' tails may add to it before `build-matrix` takes that out, with `probe`.
     pub most_cross_talk: f64,
 }
 
@@ -161,13 +141,13 @@ pub fn plan(options: &PatternsOptions, rig: &Rig, probe: Option<&Probe>) -> Resu
 fn layout(options: &PatternsOptions, rig: &Rig, probe: Option<&Probe>, choice: Option<&ProbeChoice>) -> Result<Layout> {
     let missing = |setting, expected: &str| Error::Setting { setting, expected: expected.into(), found: "none".into() };
     let slab_mm = options.slab_mm.or(probe.map(|p| p.manifest.slab.size_mm));
-    let slab_mm = slab_mm.ok_or_else(|| missing("--slab-mm", "the sample's size, or a --probe of it"))?;
+    let slab_mm = slab_mm.ok_or_else(|| missing("slab_mm", "the sample's size, or a probe of it"))?;
     let pitch_mm = options.pitch_mm.or(probe.map(|p| p.manifest.window.pitch_mm)).unwrap_or(PITCH_MM);
     let samples = options.window.or(choice.map(|c| c.window)).unwrap_or(WINDOW);
     let projector_from_slab = match (options.projector_px_per_mm, probe) {
         (None, Some(probe)) => probe.projector_from_slab()?,
         (scale, _) => {
-            let scale = scale.ok_or_else(|| missing("--projector-px-per-mm", "a number, or a --probe"))?;
+            let scale = scale.ok_or_else(|| missing("projector_px_per_mm", "a number, or a probe"))?;
             let middle = options.center_px.unwrap_or(rig.projector.size_px.map(|s| 0.5 * (s as f64 - 1.0)));
             let corner = std::array::from_fn(|a| middle[a] - 0.5 * scale * slab_mm[a]);
             Homography::similarity(scale, corner)
@@ -258,28 +238,28 @@ impl PatternsOptions {
             _ => Ok(()),
         };
         for a in 0..2 {
-            range("--slab-mm", self.slab_mm.map(|s| s[a]), 1e-3, 1e6)?;
-            range("--center-px", self.center_px.map(|s| s[a]), -65_536.0, 65_536.0)?;
-            range("--grid", self.grid.map(|g| g[a] as f64), 1.0, 65_536.0)?;
+            range("slab_mm", self.slab_mm.map(|s| s[a]), 1e-3, 1e6)?;
+            range("center_px", self.center_px.map(|s| s[a]), -65_536.0, 65_536.0)?;
+            range("grid", self.grid.map(|g| g[a] as f64), 1.0, 65_536.0)?;
         }
-        range("--projector-px-per-mm", self.projector_px_per_mm, 1e-3, 1e6)?;
-        range("--lit-pitch-mm", self.lit_pitch_mm, 1e-6, 1e6)?;
-        range("--window", self.window.map(|w| w as f64), 1.0, 4095.0)?;
-        range("--pitch-mm", self.pitch_mm, 1e-6, 1e6)?;
-        range("--dot-px", Some(self.dot_px as f64), 1.0, 1000.0)?;
-        range("--spacing-mm", self.spacing_mm, 1e-6, 1e6)?;
-        range("--margin-mm", self.margin_mm, 0.0, 1e6)?;
-        range("--frame-mm", Some(self.frame_mm), 1e-3, 1e6)?;
-        range("--narrowest-stripe-px", self.narrowest_stripe_px.map(|n| n as f64), 2.0, 65_536.0)?;
-        range("--exposures", self.exposures.map(|n| n as f64), 1.0, 20.0)?;
-        range("--stops", Some(self.stops), 0.33, 6.0)?;
-        range("--shortest-secs", self.shortest_secs, 1e-6, 1e3)?;
-        range("--white-secs", self.white_secs, 1e-6, 1e3)?;
-        range("--overhead-secs", Some(self.overhead_secs), 0.0, 1e4)?;
-        range("--most-cross-talk", Some(self.most_cross_talk), 1e-6, 1.0)?;
+        range("projector_px_per_mm", self.projector_px_per_mm, 1e-3, 1e6)?;
+        range("lit_pitch_mm", self.lit_pitch_mm, 1e-6, 1e6)?;
+        range("window", self.window.map(|w| w as f64), 1.0, 4095.0)?;
+        range("pitch_mm", self.pitch_mm, 1e-6, 1e6)?;
+        range("dot_px", Some(self.dot_px as f64), 1.0, 1000.0)?;
+        range("spacing_mm", self.spacing_mm, 1e-6, 1e6)?;
+        range("margin_mm", self.margin_mm, 0.0, 1e6)?;
+        range("frame_mm", Some(self.frame_mm), 1e-3, 1e6)?;
+        range("narrowest_stripe_px", self.narrowest_stripe_px.map(|n| n as f64), 2.0, 65_536.0)?;
+        range("exposures", self.exposures.map(|n| n as f64), 1.0, 20.0)?;
+        range("stops", Some(self.stops), 0.33, 6.0)?;
+        range("shortest_secs", self.shortest_secs, 1e-6, 1e3)?;
+        range("white_secs", self.white_secs, 1e-6, 1e3)?;
+        range("overhead_secs", Some(self.overhead_secs), 0.0, 1e4)?;
+        range("most_cross_talk", Some(self.most_cross_talk), 1e-6, 1.0)?;
         if self.window.is_some_and(|w| w.is_multiple_of(2)) {
             let found = self.window.unwrap_or(0).to_string();
-            return Err(Error::Setting { setting: "--window", expected: "an odd number".into(), found });
+            return Err(Error::Setting { setting: "window", expected: "an odd number".into(), found });
         }
         Ok(())
     }

@@ -12,7 +12,7 @@ const BEFORE: &str = "\
 Before the first photograph
   - Sample in its opaque, matt frame, both surfaces in one plane. Room dark, projector warm, crossed polarisers.
   - Show align.png: the outer outline must fall on the sample's rim, the inner one is where dots will be. Move the sample or the
-    projector until it does; if the outline has the wrong size, correct --projector-px-per-mm and make the patterns again.
+    projector until it does; if the outline has the wrong size, correct projector_px_per_mm and make the patterns again.
   - Focus projector and camera on the sample's surface. From now on nothing may move but what is said here.
   - Camera: manual exposure, fixed ISO, aperture, focus and white balance, every correction off, RAW if it has it, clock on.
   - Show the pictures pixel for pixel on the whole projector, in the order of their numbers; take every exposure of a picture

@@ -122,12 +122,12 @@ impl Probe {
     /// # Errors
     /// [`Error::Setting`] when the response reaches further than any spacing could keep apart.
     pub fn choose(&self, options: &PatternsOptions, rig: &Rig) -> Result<ProbeChoice> {
-        let too_far = |found: &str| {
-            Error::Setting {
-            setting: "--probe",
-            expected: "a response that falls within its window; give --window and --spacing-mm, or a probe with a wider window".into(),
+        let too_far = |found: &str| Error::Setting {
+            setting: "probe",
+            expected:
+                "a response that falls within its window; give window and spacing_mm, or a probe with a wider window"
+                    .into(),
             found: found.into(),
-        }
         };
         let pitch_mm = options.pitch_mm.unwrap_or(self.manifest.window.pitch_mm);
         let (reach, seen) = self.tails.reach_mm(WINDOW_SHARE).ok_or_else(|| too_far("one that does not fall"))?;

@@ -22,17 +22,14 @@ use shots::Shots;
 use std::path::{Path, PathBuf};
 
 /// Settings of [`build_matrix`].
-#[derive(Debug, Clone, Default, clap::Args)]
+#[derive(Debug, Clone, Default)]
 pub struct BuildOptions {
     /// Folder of rig.toml [default: calibration/ in the capture, else beside it].
-    #[arg(long, value_name = "DIR")]
     pub calibration: Option<PathBuf>,
     /// Leave the light of a shot's other dots in the rows, to see what it does.
-    #[arg(long)]
     pub keep_crosstalk: bool,
     /// Where exposure times come from. capture.toml comes before all; `estimate` measures the actual times behind EXIF's from the
     /// photographs.
-    #[arg(long, value_enum, default_value = "exif", value_name = "SOURCE")]
     pub exposure_from: ExposureFrom,
 }
 

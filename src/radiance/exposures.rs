@@ -237,7 +237,7 @@ struct Contrast {
 impl Contrast {
     fn new(stack: &Stack, scales: &StackScales) -> Option<Self> {
         let n = scales.log_scale.len();
-        // A photograph whose scale is not known to a tenth was measured by nothing.
+        // A photograph whose scale is not known to a tenth is treated as unmeasured.
         let kept: Vec<usize> = (0..n).filter(|&j| scales.information[j * n + j] > 100.0).collect();
         let information = kept.iter().flat_map(|&j| kept.iter().map(move |&i| scales.information[j * n + i])).collect();
         (kept.len() >= 2).then(|| Self {

@@ -90,7 +90,7 @@ impl Sensor {
             (Samples::U16(v), Some(e)) => looked_up(&v[first..], out, &e.of_u16, mark),
             (Samples::U8(v), None) => each(v, first, out, |c| mark(f32::from(c))),
             (Samples::U16(v), None) => each(v, first, out, |c| mark(f32::from(c))),
-            // NaN, infinities and negative numbers beyond all noise in a float file were measured by nothing.
+            // NaN, infinities and negative numbers beyond all noise in a float file are treated as unmeasured.
             (Samples::F32(v), _) => each(v, first, out, |c| if c >= -self.saturation { mark(c) } else { f32::NAN }),
         }
     }

@@ -1,11 +1,10 @@
 //! The chessboard in the slab's plane: where the camera sees the slab.
 
 use super::Pairs;
+use super::corners::find_corners;
 use super::fit::fit_view;
 use crate::capture::{Board, Camera};
-use crate::geometry::Point;
 use crate::radiance::Radiance;
-use opencv::{calib3d, core, imgproc, prelude::*};
 
 /// Finds a board in a merged photograph: its corners in slab coordinates, were it in the slab's plane, and where they are seen.
 ///
@@ -13,12 +12,21 @@ use opencv::{calib3d, core, imgproc, prelude::*};
 /// for corner (0, 0). The whole board must be in the picture.
 ///
 /// # Errors
-/// A text that says what was not found; corners that fit no flat board through any lens.
+/// A text that says what was not found; corners that fit no flat board through any lens; every board, without the feature `opencv`.
 ///
 /// Not detected: a board that is not where `rig.toml` says.
 pub fn find_board(picture: &Radiance, board: &Board, camera: &Camera) -> Result<Pairs, String> {
     let [nx, ny] = board.inner_corners;
-    let corners = find_corners(picture, board.inner_corners)?;
+    let light = picture.luminance();
+    let brightest = percentile(&light, 0.99);
+    if !(brightest > 0.0) {
+        return Err("the photograph is black".into());
+    }
+    let scaled: Vec<f32> = light.iter().map(|v| (255.0 * v / brightest).clamp(0.0, 255.0)).collect();
+    let corners = find_corners(&scaled, picture.rect.height, board.inner_corners)?;
+    if corners.len() != nx * ny {
+        return Err(format!("no chessboard with {nx} × {ny} inner corners was found"));
+    }
     let at = |i: usize, j: usize| corners[j * nx + i];
     // OpenCV starts at either end of the board: x must grow to the right, y downwards.
     let flip_x = at(nx - 1, 0)[0] < at(0, 0)[0];
@@ -37,42 +45,6 @@ pub fn find_board(picture: &Radiance, board: &Board, camera: &Camera) -> Result<
         return Err(format!("the board's corners fit no flat board: RMS {:.2} px", fit.rms_px));
     }
     Ok(pairs)
-}
-
-fn find_corners(picture: &Radiance, inner: [usize; 2]) -> Result<Vec<Point>, String> {
-    let light = picture.luminance();
-    let brightest = percentile(&light, 0.99);
-    if !(brightest > 0.0) {
-        return Err("the photograph is black".into());
-    }
-    let (height, pattern) = (picture.rect.height, core::Size::new(inner[0] as i32, inner[1] as i32));
-    let find = || -> opencv::Result<Option<Vec<Point>>> {
-        let scaled: Vec<f32> = light.iter().map(|v| (255.0 * v / brightest).clamp(0.0, 255.0)).collect();
-        let bytes: Vec<u8> = scaled.iter().map(|v| v.round() as u8).collect();
-        let grey8 = core::Mat::from_slice(&bytes)?;
-        let grey8 = grey8.reshape(1, height as i32)?;
-        let mut corners = core::Vector::<core::Point2f>::new();
-        let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE;
-        if !calib3d::find_chessboard_corners(&grey8, pattern, &mut corners, flags)? {
-            return Ok(None);
-        }
-        let grey = core::Mat::from_slice(&scaled)?;
-        let grey = grey.reshape(1, height as i32)?;
-        let half = (0.35 * nearest_distance(&corners)).clamp(2.0, 15.0) as i32;
-        let stop = core::TermCriteria::new(core::TermCriteria_COUNT | core::TermCriteria_EPS, 100, 1e-4)?;
-        imgproc::corner_sub_pix(&grey, &mut corners, core::Size::new(half, half), core::Size::new(-1, -1), stop)?;
-        Ok(Some(corners.iter().map(|c| [f64::from(c.x), f64::from(c.y)]).collect()))
-    };
-    match find() {
-        Ok(Some(corners)) if corners.len() == inner[0] * inner[1] => Ok(corners),
-        Ok(_) => Err(format!("no chessboard with {} × {} inner corners was found", inner[0], inner[1])),
-        Err(e) => Err(format!("OpenCV: {}", e.message)),
-    }
-}
-
-fn nearest_distance(corners: &core::Vector<core::Point2f>) -> f32 {
-    let points: Vec<_> = corners.iter().collect();
-    points.windows(2).map(|p| (p[0].x - p[1].x).hypot(p[0].y - p[1].y)).fold(f32::MAX, f32::min)
 }
 
 /// The value below which the share `q` of `values` lies; 0 for none.
@@ -100,11 +72,13 @@ mod tests {
         assert_eq!((percentile(&[], 0.5), percentile(&[4.0], 0.9)), (0.0, 4.0));
     }
 
+    #[cfg(feature = "opencv")]
     #[test]
     fn corners_of_a_board_are_found_by_their_own_numbers() {
         (0..2).for_each(corners_of_a_board);
     }
 
+    #[cfg(feature = "opencv")]
     /// OpenCV begins at the one or the other end, by which squares are dark.
     fn corners_of_a_board(first_dark: i64) {
         // Squares of 2 mm, seen obliquely at about 6 and 5 px a millimetre; light inside the board only.

@@ -3,6 +3,7 @@
 mod blobs;
 mod board;
 mod camera_motion;
+mod corners;
 mod dot_fit;
 mod drift;
 mod fit;

@@ -4,7 +4,7 @@ use super::{Options, Response};
 use crate::{Error, Result};
 
 /// One imperfection of the bench.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Cause {
     /// Photon and read noise.
     Noise,
@@ -117,8 +117,29 @@ impl Cause {
         }
     }
 
-    fn name(self) -> String {
-        clap::ValueEnum::to_possible_value(&self).map(|v| v.get_name().to_owned()).unwrap_or_default()
+    /// Its name in one word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Noise => "noise",
+            Self::Psf => "psf",
+            Self::Glare => "glare",
+            Self::Distortion => "distortion",
+            Self::Vignetting => "vignetting",
+            Self::HotPixels => "hot-pixels",
+            Self::Film => "film",
+            Self::Exif => "exif",
+            Self::Flicker => "flicker",
+            Self::Ambient => "ambient",
+            Self::Falloff => "falloff",
+            Self::WhiteUnevenness => "white-unevenness",
+            Self::ProjectorBlack => "projector-black",
+            Self::Blur => "blur",
+            Self::ProjectorDistortion => "projector-distortion",
+            Self::Drift => "drift",
+            Self::Jumps => "jumps",
+            Self::CameraDrift => "camera-drift",
+            Self::CameraJumps => "camera-jumps",
+        }
     }
 }
 
@@ -144,14 +165,14 @@ impl Options {
     /// [`Error::Setting`] when they contradict each other.
     pub fn switch(&mut self, only: Option<&[Cause]>, with: &[Cause], without: &[Cause]) -> Result<()> {
         let refuse = |setting, expected: &str, cause: Cause| {
-            Err(Error::Setting { setting, expected: expected.into(), found: cause.name() })
+            Err(Error::Setting { setting, expected: expected.into(), found: cause.name().into() })
         };
         if let Some(both) = without.iter().find(|c| with.contains(c) || only.is_some_and(|only| only.contains(c))) {
-            return refuse("--without", "causes that --only and --with do not name", *both);
+            return refuse("without", "causes that `only` and `with` do not name", *both);
         }
         let named = || only.unwrap_or_default().iter().chain(with);
         if self.noise_free && named().any(|c| *c == Cause::Noise) {
-            return refuse("--noise-free", "no noise among the causes that are switched on", Cause::Noise);
+            return refuse("noise_free", "no noise among the causes that are switched on", Cause::Noise);
         }
         if let Some(only) = only {
             self.only(only);
@@ -200,9 +221,9 @@ mod tests {
             let mut options = Options { noise_free, ..Options::default() };
             options.switch(only, with, without).unwrap_err().to_string()
         };
-        assert!(refused(Some(&[Cause::Psf]), &[], &[Cause::Psf], false).contains("--without"));
+        assert!(refused(Some(&[Cause::Psf]), &[], &[Cause::Psf], false).contains("without:"));
         assert!(refused(None, &[Cause::Glare], &[Cause::Glare], false).contains("glare"));
-        assert!(refused(Some(&[Cause::Noise]), &[], &[], true).contains("--noise-free"));
+        assert!(refused(Some(&[Cause::Noise]), &[], &[], true).contains("noise_free:"));
         Options { noise_free: true, ..Options::default() }.switch(Some(&[Cause::Drift]), &[], &[]).unwrap();
     }
 }

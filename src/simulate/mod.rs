@@ -226,10 +226,7 @@ fn refuse_full(dir: &Path, force: bool) -> Result<()> {
         Err(e) => return Err(Error::io("read", dir)(e)),
     };
     if full && !force {
-        return refuse(
-            "a new or empty folder (or --force to replace it)",
-            format!("{} with files in it", dir.display()),
-        );
+        return refuse("a new or empty folder, or leave to replace it", format!("{} with files in it", dir.display()));
     }
     // Whatever else lies there is not ours to remove: a lab's photographs above all.
     if full && !dir.join(TRUTH_FILE).is_file() {

@@ -2,12 +2,11 @@
 
 use super::slab::Material;
 use crate::geometry::Point;
-use crate::parse::{pair_of, whole};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 
 /// The photographs' file format.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FileFormat {
     /// 16-bit PNG. With a linear response it holds the sensor's code values unscaled.
@@ -17,19 +16,16 @@ pub enum FileFormat {
 }
 
 /// Whose sensor.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SensorKind {
     /// Sony A7R III: 14 bits, 7.5 e⁻ of read noise.
-    #[value(name = "sony-a7r3")]
     #[serde(rename = "sony-a7r3")]
     SonyA7r3,
     /// Sony A7R: 14 bits, 0.7 e⁻.
-    #[value(name = "sony-a7r1")]
     #[serde(rename = "sony-a7r1")]
     SonyA7r1,
     /// Canon T1i: 14 bits, 4.3 e⁻, three times the gain.
-    #[value(name = "canon-t1")]
     #[serde(rename = "canon-t1")]
     CanonT1,
     /// A phone: 10 bits, 7.8 e⁻.
@@ -37,7 +33,7 @@ pub enum SensorKind {
 }
 
 /// What solves for the light inside the slab.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Transport {
     /// Diffusion: fast and without noise, wrong near the source and for media that absorb much or scatter little.
@@ -47,7 +43,7 @@ pub enum Transport {
 }
 
 /// How code values encode light.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Response {
     /// Code values in proportion to light, above the sensor's black level.
@@ -59,7 +55,7 @@ pub enum Response {
 }
 
 /// What the rig file says of the response.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RigResponse {
     /// Code values in proportion to light.
@@ -71,185 +67,128 @@ pub enum RigResponse {
 }
 
 /// Everything that makes a simulated capture; the same options give the same bytes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, clap::Args)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
     /// Replace DIR when it is an earlier simulation.
-    #[arg(long)]
     #[serde(skip)]
     pub force: bool,
     /// The slab's material; the forms are listed below. Marble: the simplest truth.
-    #[arg(long, default_value = "homogeneous", help_heading = "Slab")]
     pub material: Material,
     /// Mean cosine of the scattering angle in every medium, −0.99 to 0.99; the reduced scattering stays as it is
     /// [default: 0]
-    #[arg(long, value_name = "G", allow_negative_numbers = true, help_heading = "Slab")]
     pub anisotropy: Option<f64>,
     /// BLAKE3 of the voxel file: `simulate` records it, and refuses another file when it is given.
-    #[arg(skip)]
     pub voxels_blake3: Option<String>,
     /// Thickness of the slab, mm [default: that of the layers or voxels, or 4]
-    #[arg(long, value_name = "MM", help_heading = "Slab")]
     pub thickness_mm: Option<f64>,
     /// What solves for the light inside the slab. Diffusion takes seconds.
-    #[arg(long, value_enum, default_value = "diffusion", help_heading = "Slab")]
     pub transport: Transport,
-    /// Photons for a dot and channel, with --transport mc. 100,000: about half a per cent of noise in a row.
-    #[arg(long, value_name = "N", default_value_t = Options::default().photons, value_parser = whole, help_heading = "Slab")]
+    /// Photons for a dot and channel, with `transport mc`. 100,000: about half a per cent of noise in a row.
     pub photons: u64,
     /// Voxels of the transport solver across an outgoing cell.
-    #[arg(long, value_name = "N", default_value_t = Options::default().voxels_per_sample, help_heading = "Slab")]
     pub voxels_per_sample: usize,
     /// Relative residual at which diffusion stops. 1e-6: far below what 5 exposures can see.
-    #[arg(skip = Options::default().tolerance)]
     pub tolerance: f64,
     /// Write the true matrix only: truth.rd.zarr and truth.toml, no photographs and no capture.toml.
-    #[arg(long, help_heading = "Capture")]
     pub truth_only: bool,
     /// Lit points along the projector's axes: 16 or 24x16. 18x14: minutes of a lab's time, seconds of ours.
-    #[arg(long, value_name = "N[xN]", default_value = "18x14", value_parser = pair_of::<usize>, help_heading = "Capture")]
     pub grid: [usize; 2],
     /// Outgoing samples of a window along the slab's axes, odd: 15 or 31x21. 17x13: the peak and most of the tails.
-    #[arg(long, value_name = "N[xN]", default_value = "17x13", value_parser = pair_of::<usize>, help_heading = "Capture")]
     pub window: [usize; 2],
     /// Side of an outgoing cell, mm. 0.5: responses of most materials fall by 3 to 4 decades within a window of 31.
-    #[arg(long, value_name = "MM", default_value_t = Options::default().pitch_mm, help_heading = "Capture")]
     pub pitch_mm: f64,
     /// Distance of lit points along the projector's axes, mm: 1 or 1x1.5 [default: the pitch along x, and along y what makes the
     /// projector's pixels square]
-    #[arg(long, value_name = "MM[xMM]", value_parser = pair_of::<f64>, help_heading = "Capture")]
     pub lit_pitch_mm: Option<Point>,
     /// Distance of the dots of one shot, in lit points: 8 or 8x6 [default: one and a half windows]
-    #[arg(long, value_name = "N[xN]", value_parser = pair_of::<usize>, help_heading = "Capture")]
     pub spacing: Option<[usize; 2]>,
     /// Exposures of each lattice shot.
-    #[arg(long, value_name = "N", default_value_t = Options::default().exposures, help_heading = "Capture")]
     pub exposures: usize,
     /// Stops between exposures. 2: five exposures reach over the 16 bits of a response.
-    #[arg(long, value_name = "STOPS", default_value_t = Options::default().stops, help_heading = "Capture")]
     pub stops: f64,
     /// Seed of everything random: noise, drift, jumps, flicker, hot pixels, veins.
-    #[arg(long, value_name = "N", default_value_t = Options::default().seed, help_heading = "Capture")]
     pub seed: u64,
     /// Whose sensor: gain, noise, bits and black level. The A7R III is a current camera.
-    #[arg(long, value_enum, default_value = "sony-a7r3", help_heading = "Camera")]
     pub sensor: SensorKind,
     /// Bits of its converter [default: its own]
-    #[arg(long, value_name = "BITS", help_heading = "Camera")]
     pub bits: Option<u32>,
     /// Format of the photographs.
-    #[arg(long, value_enum, default_value = "png", help_heading = "Camera")]
     pub format: FileFormat,
     /// Response curve; the rig file takes `film` for sRGB [default: linear for PNG, srgb for JPEG]
-    #[arg(long, value_enum, help_heading = "Camera")]
     pub response: Option<Response>,
     /// Leave `[noise]` out of the rig file: it is to be estimated from the photographs.
-    #[arg(long, help_heading = "Camera")]
     pub rig_without_noise: bool,
     /// The board is shot at the lattice's shortest exposure too: its black squares link the exposures of the references to those of
     /// the lattice.
-    #[arg(long, help_heading = "Capture")]
     pub link_exposures: bool,
     /// What the rig file says of the response [default: linear, or srgb for srgb and film]
-    #[arg(long, value_enum, help_heading = "Camera")]
     pub rig_response: Option<RigResponse>,
     /// EXIF gives each distinct exposure time wrong by a fixed random amount of this size, root mean square, stops.
-    #[arg(long, value_name = "STOPS", default_value_t = Options::default().exif_stops_error, help_heading = "Camera")]
     pub exif_stops_error: f64,
     /// EXIF gives the usual name of the time: 1/250 for 1/256, thirds of stops.
-    #[arg(long, help_heading = "Camera")]
     pub nominal_times: bool,
     /// Camera pixels across an outgoing cell. 3: enough for sub-cell registration.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().camera_px_per_sample, help_heading = "Camera")]
     pub camera_px_per_sample: f64,
     /// Lens distortion, Brown's k1. −0.05: a good lens, 3 px at the corner of a picture of 1000; k2 is −k1/5.
-    #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = Options::default().distortion, help_heading = "Camera")]
     pub distortion: f64,
     /// Tilt of the camera about the slab's x and y axes, degrees: 5 or 5x-3.
-    #[arg(long, value_name = "DEG[xDEG]", allow_hyphen_values = true, default_value = "5x-3", value_parser = pair_of::<f64>, help_heading = "Camera")]
     pub camera_tilt_deg: Point,
     /// Turn of the camera about its axis, degrees. 2: set up by hand.
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true, default_value_t = Options::default().camera_turn_deg, help_heading = "Camera")]
     pub camera_turn_deg: f64,
     /// Sensitivity lost at the corner. 0.15: a good lens, stopped down.
-    #[arg(long, value_name = "SHARE", default_value_t = Options::default().vignetting, help_heading = "Camera")]
     pub vignetting: f64,
     /// Standard deviation of the point-spread function, px. 0: pixels average over their area, and that is all.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().psf_px, help_heading = "Camera")]
     pub psf_px: f64,
     /// Share of the light in a halo of 20 px.
-    #[arg(long, value_name = "SHARE", default_value_t = Options::default().glare, help_heading = "Camera")]
     pub glare: f64,
     /// Share of the photosites that are hot.
-    #[arg(long, value_name = "SHARE", default_value_t = Options::default().hot_pixels, help_heading = "Camera")]
     pub hot_pixels: f64,
     /// Projector pixels between neighbouring lit points along each axis: 4 or 4x5.
-    #[arg(long, value_name = "PX[xPX]", default_value = "4x5", value_parser = pair_of::<usize>, help_heading = "Projector")]
     pub step_projector_px: [usize; 2],
     /// Turn of the projector's picture against the slab, degrees. 3: set up by hand; 90: a projector on its side.
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true, default_value_t = Options::default().projector_turn_deg, help_heading = "Projector")]
     pub projector_turn_deg: f64,
     /// The projector's picture comes by a mirror: its columns run backwards.
-    #[arg(long, help_heading = "Projector")]
     pub projector_mirrored: bool,
     /// Side of a dot, projector pixels. 3: a dark pixel between neighbours.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().dot_projector_px, help_heading = "Projector")]
     pub dot_projector_px: usize,
     /// Blur of a projector pixel (standard deviation), projector pixels.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().projector_blur_px, help_heading = "Projector")]
     pub projector_blur_px: f64,
     /// Distortion of its lens, Brown's k1 with the image's width for focal length. Usual: 0.01, 1 px at the corner of a picture of 300.
-    #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = Options::default().projector_distortion, help_heading = "Projector")]
     pub projector_distortion: f64,
     /// Photographs of the board in other poses, for the lens.
-    #[arg(long, value_name = "N", default_value_t = Options::default().calibration_boards, help_heading = "Capture")]
     pub calibration_boards: usize,
     /// Print dark discs on the frame, photograph them before and after the lattice shots, and tell the rig file.
-    #[arg(long, help_heading = "Capture")]
     pub frame_marks: bool,
     /// A lab without a board: the frame's marks alone tell where the slab is.
-    #[arg(long, requires = "frame_marks", conflicts_with = "calibration_boards", help_heading = "Capture")]
     pub without_board: bool,
     /// Project the Gray code on the sample in its frame instead of the white reference.
-    #[arg(long, help_heading = "Projector")]
     pub gray_on_frame: bool,
     /// Irradiance of a black projector pixel over that of a white one. 1/5000: more would saturate the longest of
     /// five exposures all over the sample.
-    #[arg(long, value_name = "RATIO", default_value_t = Options::default().projector_black, help_heading = "Projector")]
     pub projector_black: f64,
     /// By how much the white reference's reflectance differs across it from what the rig file says, at most, of itself.
     /// 0.002: a good reference.
-    #[arg(long, value_name = "SHARE", default_value_t = Options::default().white_unevenness, help_heading = "Capture")]
     pub white_unevenness: f64,
     /// Irradiance lost towards the corner.
-    #[arg(long, value_name = "SHARE", default_value_t = Options::default().falloff, help_heading = "Projector")]
     pub falloff: f64,
     /// Standard deviation of the lamp from photograph to photograph, of its output.
-    #[arg(long, value_name = "RATIO", default_value_t = Options::default().flicker, help_heading = "Projector")]
     pub flicker: f64,
     /// Ambient irradiance over that of projector white. 5e-5: a dark room.
-    #[arg(long, value_name = "RATIO", default_value_t = Options::default().ambient, help_heading = "Projector")]
     pub ambient: f64,
     /// Slow walk of the pattern: root mean square over the lattice shots, camera px. 0.5: a bench that was touched.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().drift_px, help_heading = "Drift")]
     pub drift_px: f64,
     /// Length of its jumps, camera px.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().jump_px, help_heading = "Drift")]
     pub jump_px: f64,
     /// Number of its jumps.
-    #[arg(long, value_name = "N", default_value_t = Options::default().jumps, help_heading = "Drift")]
     pub jumps: usize,
     /// Slow walk of the camera's picture, root mean square, px.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().camera_drift_px, help_heading = "Drift")]
     pub camera_drift_px: f64,
     /// Length of its jumps, px.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().camera_jump_px, help_heading = "Drift")]
     pub camera_jump_px: f64,
     /// Number of its jumps.
-    #[arg(long, value_name = "N", default_value_t = Options::default().camera_jumps, help_heading = "Drift")]
     pub camera_jumps: usize,
-    /// No photon and read noise, only rounding: as `--without noise`.
-    #[arg(long, help_heading = "Switches")]
+    /// No photon and read noise, only rounding: as `without noise`.
     pub noise_free: bool,
 }
 
@@ -380,54 +319,54 @@ impl Options {
             let expected = format!("{low} to {high}");
             Err(Error::Setting { setting, expected, found: crate::error::number(value) })
         };
-        range("--photons", self.photons as f64, 1e3, 1e12)?;
+        range("photons", self.photons as f64, 1e3, 1e12)?;
         let lit_pitch_mm = self.lit_pitch_mm();
         for a in 0..2 {
-            range("--grid", self.grid[a] as f64, 1.0, 1024.0)?;
-            range("--window", self.window[a] as f64, 3.0, 255.0)?;
-            range("--step-projector-px", self.step_projector_px[a] as f64, 1.0, 64.0)?;
-            range("--lit-pitch-mm", lit_pitch_mm[a], 1e-3, 1e3)?;
-            range("--spacing", self.spacing()[a] as f64, 1.0, 1e6)?;
-            range("--camera-tilt-deg", self.camera_tilt_deg[a], -45.0, 45.0)?;
+            range("grid", self.grid[a] as f64, 1.0, 1024.0)?;
+            range("window", self.window[a] as f64, 3.0, 255.0)?;
+            range("step_projector_px", self.step_projector_px[a] as f64, 1.0, 64.0)?;
+            range("lit_pitch_mm", lit_pitch_mm[a], 1e-3, 1e3)?;
+            range("spacing", self.spacing()[a] as f64, 1.0, 1e6)?;
+            range("camera_tilt_deg", self.camera_tilt_deg[a], -45.0, 45.0)?;
         }
         if let Some(even) = self.window.iter().find(|w| w.is_multiple_of(2)) {
             let found = even.to_string();
-            return Err(Error::Setting { setting: "--window", expected: "odd numbers".into(), found });
+            return Err(Error::Setting { setting: "window", expected: "odd numbers".into(), found });
         }
         // The picture's top left corner must stay the sample's.
-        range("--camera-turn-deg", self.camera_turn_deg, -30.0, 30.0)?;
-        range("--projector-turn-deg", self.projector_turn_deg, -180.0, 180.0)?;
-        range("--white-unevenness", self.white_unevenness, 0.0, 0.5)?;
-        range("--drift-px", self.drift_px, 0.0, 20.0)?;
-        range("--pitch-mm", self.pitch_mm, 1e-3, 1e3)?;
-        range("--calibration-boards", self.calibration_boards as f64, 0.0, 100.0)?;
-        range("--exposures", self.exposures as f64, 1.0, 10.0)?;
-        range("--stops", self.stops, 0.1, 4.0)?;
-        range("--bits", f64::from(self.bits.unwrap_or(8)), 8.0, 16.0)?;
-        range("--exif-stops-error", self.exif_stops_error, 0.0, 1.0)?;
-        range("--distortion", self.distortion, -0.5, 0.5)?;
-        range("--projector-distortion", self.projector_distortion, -0.2, 0.2)?;
-        range("--vignetting", self.vignetting, 0.0, 0.9)?;
-        range("--psf-px", self.psf_px, 0.0, 20.0)?;
-        range("--glare", self.glare, 0.0, 0.5)?;
-        range("--hot-pixels", self.hot_pixels, 0.0, 0.1)?;
-        range("--flicker", self.flicker, 0.0, 0.2)?;
-        range("--jump-px", self.jump_px, 0.0, 20.0)?;
-        range("--jumps", self.jumps as f64, 1.0, 1e4)?;
-        range("--camera-drift-px", self.camera_drift_px, 0.0, 20.0)?;
-        range("--camera-jump-px", self.camera_jump_px, 0.0, 20.0)?;
-        range("--camera-jumps", self.camera_jumps as f64, 1.0, 1e4)?;
-        range("--camera-px-per-sample", self.camera_px_per_sample, 1.0, 50.0)?;
-        range("--anisotropy", self.anisotropy.unwrap_or(0.0), -0.99, 0.99)?;
-        range("--thickness-mm", self.thickness_mm(), 1e-2, 1e3)?;
-        range("--voxels-per-sample", self.voxels_per_sample as f64, 1.0, 8.0)?;
+        range("camera_turn_deg", self.camera_turn_deg, -30.0, 30.0)?;
+        range("projector_turn_deg", self.projector_turn_deg, -180.0, 180.0)?;
+        range("white_unevenness", self.white_unevenness, 0.0, 0.5)?;
+        range("drift_px", self.drift_px, 0.0, 20.0)?;
+        range("pitch_mm", self.pitch_mm, 1e-3, 1e3)?;
+        range("calibration_boards", self.calibration_boards as f64, 0.0, 100.0)?;
+        range("exposures", self.exposures as f64, 1.0, 10.0)?;
+        range("stops", self.stops, 0.1, 4.0)?;
+        range("bits", f64::from(self.bits.unwrap_or(8)), 8.0, 16.0)?;
+        range("exif_stops_error", self.exif_stops_error, 0.0, 1.0)?;
+        range("distortion", self.distortion, -0.5, 0.5)?;
+        range("projector_distortion", self.projector_distortion, -0.2, 0.2)?;
+        range("vignetting", self.vignetting, 0.0, 0.9)?;
+        range("psf_px", self.psf_px, 0.0, 20.0)?;
+        range("glare", self.glare, 0.0, 0.5)?;
+        range("hot_pixels", self.hot_pixels, 0.0, 0.1)?;
+        range("flicker", self.flicker, 0.0, 0.2)?;
+        range("jump_px", self.jump_px, 0.0, 20.0)?;
+        range("jumps", self.jumps as f64, 1.0, 1e4)?;
+        range("camera_drift_px", self.camera_drift_px, 0.0, 20.0)?;
+        range("camera_jump_px", self.camera_jump_px, 0.0, 20.0)?;
+        range("camera_jumps", self.camera_jumps as f64, 1.0, 1e4)?;
+        range("camera_px_per_sample", self.camera_px_per_sample, 1.0, 50.0)?;
+        range("anisotropy", self.anisotropy.unwrap_or(0.0), -0.99, 0.99)?;
+        range("thickness_mm", self.thickness_mm(), 1e-2, 1e3)?;
+        range("voxels_per_sample", self.voxels_per_sample as f64, 1.0, 8.0)?;
         let narrower = self.step_projector_px[0].min(self.step_projector_px[1]);
-        range("--dot-projector-px", self.dot_projector_px as f64, 1.0, narrower as f64)?;
-        range("--projector-black", self.projector_black, 0.0, 0.5)?;
-        range("--falloff", self.falloff, 0.0, 0.9)?;
-        range("--projector-blur-px", self.projector_blur_px, 0.0, 2.0)?;
-        range("--ambient", self.ambient, 0.0, 0.5)?;
-        range("--tolerance", self.tolerance, 1e-7, 1e-2)
+        range("dot_projector_px", self.dot_projector_px as f64, 1.0, narrower as f64)?;
+        range("projector_black", self.projector_black, 0.0, 0.5)?;
+        range("falloff", self.falloff, 0.0, 0.9)?;
+        range("projector_blur_px", self.projector_blur_px, 0.0, 2.0)?;
+        range("ambient", self.ambient, 0.0, 0.5)?;
+        range("tolerance", self.tolerance, 1e-7, 1e-2)
     }
 }
 

@@ -191,7 +191,7 @@ impl MatrixWriter {
         }
         if path.symlink_metadata().is_ok() && !path.join("zarr.json").is_file() {
             let expected = "a new path, or an older matrix to replace".into();
-            return Err(Error::Setting { setting: "--out", expected, found: path.display().to_string() });
+            return Err(Error::Setting { setting: "out", expected, found: path.display().to_string() });
         }
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let folder = ScratchFolder::new(parent, ".acquire-matrix-", path)?;

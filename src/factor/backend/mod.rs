@@ -16,9 +16,7 @@ use faer::{Accum, Mat, MatRef, Side, get_global_parallelism};
 use rayon::prelude::*;
 
 /// How a truncated SVD is computed. Errors are of singular values, relative to the largest.
-#[derive(
-    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize, clap::ValueEnum,
-)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Backend {
     /// The whole matrix in memory, bidiagonalized in f64: 1e-14.

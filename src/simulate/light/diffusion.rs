@@ -108,13 +108,13 @@ impl Slab {
     /// Refuses a box of more voxels than memory is meant for.
     ///
     /// # Errors
-    /// [`Error::Setting`] naming `--voxels-per-sample`.
+    /// [`Error::Setting`] naming `voxels_per_sample`.
     pub fn check_size(&self, domain: &Domain) -> Result<()> {
         let voxels = domain.columns().saturating_mul(self.layers_mm.len());
         match voxels <= MOST_VOXELS {
             true => Ok(()),
             false => Err(Error::Setting {
-                setting: "--voxels-per-sample",
+                setting: "voxels_per_sample",
                 expected: format!(
                     "a sample of at most {MOST_VOXELS} voxels (a smaller grid or window, or fewer voxels per sample)"
                 ),

@@ -193,9 +193,9 @@ fn the_response_moves_with_its_dot() {
 fn defaults_are_sound_and_bad_options_are_named() {
     Options::default().check().unwrap();
     let even = Options { window: [9, 8], ..Options::default() };
-    assert!(even.check().unwrap_err().to_string().contains("--window"));
+    assert!(even.check().unwrap_err().to_string().contains("window"));
     let wide = Options { dot_projector_px: 9, ..Options::default() };
-    assert!(wide.check().unwrap_err().to_string().contains("--dot-projector-px"));
+    assert!(wide.check().unwrap_err().to_string().contains("dot_projector_px"));
     assert_eq!(Options { window: [31, 11], ..Options::default() }.spacing(), [47, 20]);
     let sideways = Options { window: [31, 11], projector_turn_deg: -80.0, ..Options::default() };
     // 46.5 samples along the projector's y, whose dots are 1.25 samples apart.

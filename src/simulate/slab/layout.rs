@@ -121,11 +121,11 @@ pub(crate) fn build(options: &Options, place: &Place) -> Result<Built> {
     Ok(Built { volume, record, warnings })
 }
 
-/// Refuses a `--thickness-mm` that is not the material's own.
+/// Refuses a `thickness_mm` that is not the material's own.
 fn agree(options: &Options, own_mm: f64) -> Result<()> {
     match options.thickness_mm {
         Some(asked) if (asked - own_mm).abs() > 1e-9 * own_mm => Err(Error::Setting {
-            setting: "--thickness-mm",
+            setting: "thickness_mm",
             expected: format!("{}, which the material has, or no such option", (1e6 * own_mm).round() / 1e6),
             found: asked.to_string(),
         }),
@@ -271,7 +271,7 @@ mod tests {
         assert_eq!(slab.record.media[1].name, "whole-milk");
         built("layered:skin1=0.5,whole-milk=3.0", Some(3.5)).unwrap();
         let error = built("layered:skin1=0.5,whole-milk=3.0", Some(4.0)).unwrap_err();
-        assert!(error.to_string().contains("--thickness-mm"), "{error}");
+        assert!(error.to_string().contains("thickness_mm"), "{error}");
         assert_eq!(built("layered", Some(8.0)).unwrap().volume.layers_mm, [2.0, 6.0]);
     }
 

@@ -52,7 +52,7 @@ trait Arrays {
 ///
 /// # Errors
 /// [`Error::Io`]; [`Error::Voxels`] naming file and array for what cannot be used; [`Error::Setting`] when both
-/// `--anisotropy` and the file say g.
+/// `anisotropy` and the file say g.
 pub fn read(path: &Path, anisotropy: Option<f64>) -> Result<VoxelFile> {
     let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
     let mut arrays: Box<dyn Arrays> =
@@ -125,7 +125,7 @@ fn anisotropies(path: &Path, arrays: &mut dyn Arrays, asked: Option<f64>, shape:
     };
     if let Some(g) = asked {
         let expected = format!("no such option, as {} has the array {ANISOTROPY}", path.display());
-        return Err(Error::Setting { setting: "--anisotropy", expected, found: g.to_string() });
+        return Err(Error::Setting { setting: "anisotropy", expected, found: g.to_string() });
     }
     if array.values.len() != 1 && array.shape != shape {
         let expected = format!("one number or shape {shape:?}, as {SCATTERING}");

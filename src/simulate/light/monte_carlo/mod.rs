@@ -132,7 +132,7 @@ pub struct Options {
 /// Not detected: estimates whose error is far from normal because hardly any photon reached them.
 pub fn trace(setup: &Setup, options: &Options, stage: Option<&Stage>) -> Result<Outcome> {
     if options.photons == 0 {
-        return Err(Error::Setting { setting: "--photons", expected: "at least 1".into(), found: "0".into() });
+        return Err(Error::Setting { setting: "photons", expected: "at least 1".into(), found: "0".into() });
     }
     // What the top face turns back before it enters.
     let specular = normal_reflectance(setup.medium.refractive_index);

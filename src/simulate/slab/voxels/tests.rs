@@ -112,7 +112,7 @@ fn arrays_that_cannot_be_used_are_named() {
     assert!(read_npz(&with(vec![2], vec![0.1, 0.2])).unwrap_err().to_string().contains(ANISOTROPY));
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), npz(&with(vec![], vec![0.7]), zip::CompressionMethod::Stored)).unwrap();
-    assert!(matches!(read(file.path(), Some(0.2)), Err(Error::Setting { setting: "--anisotropy", .. })));
+    assert!(matches!(read(file.path(), Some(0.2)), Err(Error::Setting { setting: "anisotropy", .. })));
 }
 
 #[test]
