@@ -103,6 +103,7 @@ fn write(store: &Path, points: usize, window: usize) -> Result<(), Box<dyn std::
         position_sd_mm: vec![0.0; rows],
         shot_of: vec![None; rows],
         shots: Vec::new(),
+        camera_px_per_mm: None,
         warnings: Vec::new(),
         provenance: serde_json::json!({ "bench": "factor" }),
     };

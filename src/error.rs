@@ -188,6 +188,12 @@ pub enum Error {
         /// What it was.
         found: String,
     },
+    /// An output folder has files in it, and replacing was not asked for.
+    #[error("{}: expected a folder that is empty or not there, found files in it", path.display())]
+    NotEmpty {
+        /// The folder.
+        path: PathBuf,
+    },
     /// A value that must be finite is not.
     #[error("{}: {field}: expected finite numbers, found {found} at {at}", path.display())]
     NotFinite {

@@ -1,8 +1,6 @@
 //! Unfinished outputs: under a temporary name beside the final one, removed when the work fails or a signal ends the program.
 
 use crate::{Error, Result};
-use signal_hook::consts::{SIGINT, SIGTERM};
-use signal_hook::iterator::Signals;
 use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -47,7 +45,7 @@ impl NewFolder {
     /// Checks that `target` may be made, before any work: a new or empty folder or, with `force`, an earlier output, known by its file `mark`.
     ///
     /// # Errors
-    /// [`Error::Setting`] naming `out`; [`Error::Io`].
+    /// [`Error::NotEmpty`]; [`Error::Setting`] naming `out`; [`Error::Io`].
     pub(crate) fn create(target: &Path, force: bool, mark: &str) -> Result<Self> {
         let refuse = |expected: String, found: String| Err(Error::Setting { setting: "out", expected, found });
         let full = match std::fs::read_dir(target) {
@@ -56,8 +54,7 @@ impl NewFolder {
             Err(e) => return Err(Error::io("create", target)(e)),
         };
         if full && !force {
-            let expected = "a folder that is empty or not there, or leave to replace it".to_owned();
-            return refuse(expected, format!("files in {}", target.display()));
+            return Err(Error::NotEmpty { path: target.to_path_buf() });
         }
         // Whatever else lies there is not ours to remove.
         if full && !target.join(mark).is_file() {
@@ -131,12 +128,27 @@ fn list() -> std::sync::MutexGuard<'static, BTreeSet<PathBuf>> {
     UNFINISHED.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
+/// From now on Ctrl-C removes what is unfinished before it ends the program.
+///
+/// # Errors
+/// [`Error::Internal`] when the system refuses the handler.
+#[cfg(not(unix))]
+pub(crate) fn remove_on_signals() -> Result<()> {
+    let end = || {
+        list().iter().for_each(|path| remove(path));
+        std::process::exit(130);
+    };
+    ctrlc::set_handler(end).map_err(Error::internal)
+}
+
 /// From now on Ctrl-C and SIGTERM remove what is unfinished before they end the program, as they would have without this.
 ///
 /// # Errors
 /// [`Error::Internal`] when the system refuses the handlers.
+#[cfg(unix)]
 pub(crate) fn remove_on_signals() -> Result<()> {
-    let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(Error::internal)?;
+    use signal_hook::consts::{SIGINT, SIGTERM};
+    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM]).map_err(Error::internal)?;
     std::thread::spawn(move || {
         for signal in signals.forever() {
             // Held until the end: the threads at work meet missing files, and wait here instead of reporting them.

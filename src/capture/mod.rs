@@ -8,6 +8,7 @@ mod photograph;
 #[cfg(feature = "raw")]
 mod raw;
 mod rig;
+mod samples;
 mod settings;
 
 pub use exif::ExposureFrom;
@@ -16,9 +17,10 @@ pub use jpeg::compression_variance;
 pub use manifest::{
     Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Surface, Window,
 };
-pub use photograph::{Photograph, Pixels, Rect, Samples, Sampling};
+pub use photograph::Photograph;
 pub(crate) use photograph::{check_exr_size, check_jpeg_end};
 pub use rig::{Board, Camera, FrameMarks, Noise, Projector, ResponseCurve, Rig, WhiteReference};
+pub use samples::{Pixels, Rect, Samples, Sampling};
 pub use settings::CameraSettings;
 
 use crate::{Error, Result};

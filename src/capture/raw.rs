@@ -1,6 +1,6 @@
 //! Camera raw files: the mosaic itself, never a preview, read at half size.
 
-use super::photograph::{Samples, Sampling};
+use super::samples::{Samples, Sampling};
 use rawler::rawimage::{RawImage, RawPhotometricInterpretation};
 use rawler::rawsource::RawSource;
 

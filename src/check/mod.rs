@@ -15,7 +15,7 @@ pub use finding::{Finding, Severity, Topic};
 pub use text::table;
 
 use crate::capture::{Capture, Manifest, Pattern, ResponseCurve, Rig};
-use crate::pipeline::{BuildOptions, BuildReport, try_build};
+use crate::pipeline::{BuildOptions, BuildReport, BuildSecs, try_build};
 use crate::progress::Progress;
 use crate::radiance::Sensor;
 use crate::{Error, Result, Warning};
@@ -161,10 +161,10 @@ impl CheckReport {
         self.warned(&capture.warnings);
         let sample = sampled(&capture, options.lattice_shots);
         self.figures.lattice_shots_looked_at = sample.shots(is_lattice).len();
-        let tried = try_build(sample.clone(), &options.build, progress);
+        let tried = try_build(&sample, &options.build, progress);
         self.pixels(&capture, &sample, tried.as_ref().ok(), progress)?;
         let tried = tried?;
-        self.estimate(&capture, &sample, progress);
+        self.estimate(&capture, &sample, tried.secs);
         dots_on_slab(&capture, &tried)
     }
 
@@ -258,17 +258,10 @@ impl CheckReport {
     }
 
     /// From the time that the sample took.
-    fn estimate(&mut self, capture: &Capture, sample: &Capture, progress: &Progress) {
-        let timings = progress.timings();
-        let secs = |stage: &str| timings.iter().rev().find(|t| t.stage == stage).map(|t| t.secs);
+    fn estimate(&mut self, capture: &Capture, sample: &Capture, secs: BuildSecs) {
         let photographs = |c: &Capture| c.shots(is_lattice).iter().map(|&s| c.brackets[s].len()).sum::<usize>();
         let more = photographs(capture) as f64 / photographs(sample).max(1) as f64;
-        let stages = (secs("radiometry"), secs("register"), secs("reference"), secs("extract"));
-        if let (Some(radiometry), Some(register), Some(reference), Some(extract)) = stages {
-            let stray = secs("stray light").unwrap_or(0.0);
-            let separate = secs("separate").unwrap_or(0.0);
-            self.figures.build_secs = Some(radiometry + register + reference + stray + more * (extract + separate));
-        }
+        self.figures.build_secs = Some(secs.once + more * secs.lattice);
     }
 
     fn stop(&mut self, error: Error) {

@@ -15,7 +15,8 @@ pub fn text(error: &Error) -> String {
 
 /// Fields of options as they are typed: `lit_pitch_mm` is `--lit-pitch-mm`.
 fn typed(fields: &str) -> String {
-    let one = |field: &str| match field.starts_with("--") {
+    // DIR and the like are arguments without a flag.
+    let one = |field: &str| match field.starts_with(|c: char| c == '-' || c.is_ascii_uppercase()) {
         true => field.to_owned(),
         false => format!("--{}", field.replace('_', "-")),
     };
@@ -59,6 +60,7 @@ pub fn hint(error: &Error) -> Option<String> {
         Error::BrokenMaterial { .. } => "the file may have been cut short; make it again with `acquire factor`",
         Error::BrokenImage { .. } => "give an OpenEXR, PNG or JPEG image",
         Error::Mismatch { .. } => "compare outputs of the same capture, grid and window",
+        Error::NotEmpty { .. } => "name another --out, or replace an earlier output with --force",
         Error::Setting { .. } => "see `acquire help` for the range of each option",
         Error::Voxels { .. } => "docs/simulation.md describes voxel files, with an example that writes one",
         Error::Diffusion { .. } => "follow the photons instead: --transport mc",
@@ -89,6 +91,7 @@ mod tests {
     #[test]
     fn options_are_named_as_they_are_typed() {
         assert_eq!(typed("grid, lit_pitch_mm"), "--grid, --lit-pitch-mm");
+        assert_eq!(typed("DIR"), "DIR");
         let error = Error::Setting { setting: "target_psnr", expected: "a".into(), found: "b".into() };
         assert_eq!(text(&error), "--target-psnr: expected a, found b");
     }

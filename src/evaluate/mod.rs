@@ -124,8 +124,9 @@ pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progres
         drift_rms_px: candidate_header.and_then(|h| drift_rms(h, header)),
         position_rms_mm,
         position_rms_px: candidate_header
-            .and_then(px_per_mm)
-            .or_else(|| px_per_mm(header))
+            .and_then(|h| h.camera_px_per_mm)
+            .or(header.camera_px_per_mm)
+            .filter(|v| v.is_finite() && *v > 0.0)
             .map(|scale| scale * position_rms_mm),
     })
 }
@@ -135,13 +136,6 @@ fn matrix_header(source: &Source) -> Option<&MatrixHeader> {
         Source::Matrix(reader) => Some(reader.header()),
         Source::Material(..) => None,
     }
-}
-
-/// Camera pixels per millimetre of the slab: as the provenance says, or as a simulation was asked to have.
-fn px_per_mm(header: &MatrixHeader) -> Option<f64> {
-    let number = |pointer: &str| header.provenance.pointer(pointer).and_then(serde_json::Value::as_f64);
-    let simulated = || Some(number("/options/camera_px_per_sample")? / number("/options/pitch_mm")?);
-    number("/camera_px_per_mm").or_else(simulated).filter(|v| v.is_finite() && *v > 0.0)
 }
 
 fn check(candidate: &Source, reference: &MatrixReader) -> Result<()> {

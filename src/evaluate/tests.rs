@@ -16,7 +16,8 @@ fn matrix(path: &Path, gain: f32, window: [usize; 2], drift_px: Point, moved_mm:
         shot_of: vec![Some(0); 6],
         shots: vec![ShotRecord { name: "a".into(), drift_px, drift_sd_px: None }],
         warnings: Vec::new(),
-        provenance: serde_json::json!({"camera_px_per_mm": 4.0}),
+        camera_px_per_mm: Some(4.0),
+        provenance: serde_json::Value::Null,
     };
     let writer = MatrixWriter::create(path, header.clone()).unwrap();
     let n = header.row_len();
@@ -79,7 +80,7 @@ struct Plain {
     variance: Vec<f32>,
     valid: Vec<bool>,
     shots: Vec<ShotRecord>,
-    provenance: serde_json::Value,
+    camera_px_per_mm: Option<f64>,
 }
 
 fn at(row: usize, dy: usize, dx: usize, c: usize) -> usize {
@@ -109,7 +110,7 @@ impl Plain {
             variance: vec![0.5; at(rows, 0, 0, 0)],
             valid: vec![true; at(rows, 0, 0, 0)],
             shots: vec![shot("c", [0.5, 0.25]), shot("a", [0.1, -0.7]), shot("z", [9.0, 9.0])],
-            provenance: serde_json::json!({"camera_px_per_mm": 40.0}),
+            camera_px_per_mm: Some(40.0),
         };
         for row in 0..rows {
             for (dy, dx, c) in entries() {
@@ -151,7 +152,7 @@ impl Plain {
             *p = [p[0] + 0.02 + 0.01 * jitter(i), p[1] - 0.007 + 0.004 * jitter(i + 50)];
         }
         plain.shots = vec![shot("a", [0.4, -0.3]), shot("b", [7.0, 7.0]), shot("c", [0.45, 0.15])];
-        plain.provenance = serde_json::json!({"options": {"camera_px_per_sample": 3.0, "pitch_mm": 0.2}});
+        plain.camera_px_per_mm = Some(15.0);
         plain
     }
 
@@ -167,7 +168,8 @@ impl Plain {
             shot_of: vec![Some(0); rows],
             shots: self.shots.clone(),
             warnings: Vec::new(),
-            provenance: self.provenance.clone(),
+            camera_px_per_mm: self.camera_px_per_mm,
+            provenance: serde_json::Value::Null,
         }
     }
 
@@ -448,20 +450,6 @@ fn an_error_of_exactly_two_deviations_is_covered_and_an_albedo_of_exactly_one_is
     assert_eq!(albedo.violations, 0);
     albedo.add([0.2, 0.4, 1.000_001]);
     assert_eq!((albedo.violations, albedo.max), (1, [0.2, 1.0, 1.000_001]));
-}
-
-#[test]
-fn the_camera_s_scale_is_taken_from_what_the_provenance_says_first() {
-    let header = |provenance| px_per_mm(&Plain { provenance, ..Plain::reference() }.header());
-    let simulated = serde_json::json!({"camera_px_per_sample": 3.0, "pitch_mm": 0.25});
-    assert_eq!(header(serde_json::json!({"camera_px_per_mm": 7.5, "options": simulated})), Some(7.5));
-    assert_eq!(header(serde_json::json!({"options": simulated})), Some(12.0));
-    assert_eq!(header(serde_json::json!({"options": {"pitch_mm": 0.25}})), None);
-    // A large sample has less than a pixel to a millimetre.
-    assert_eq!(header(serde_json::json!({"camera_px_per_mm": 0.4})), Some(0.4));
-    for no_scale in [0.0, -2.0] {
-        assert_eq!(header(serde_json::json!({"camera_px_per_mm": no_scale})), None);
-    }
 }
 
 #[test]

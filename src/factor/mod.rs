@@ -6,6 +6,7 @@
 mod backend;
 mod choose;
 mod color;
+mod content;
 mod fill;
 mod noise;
 mod nonnegative;
@@ -28,7 +29,8 @@ use crate::material::{Material, Model};
 use crate::progress::Progress;
 use crate::transport::MatrixReader;
 use crate::{Error, Result, Warning};
-use rows::{Content, PreparedRows};
+use content::Content;
+use rows::PreparedRows;
 
 /// How to factor.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]

@@ -1,6 +1,6 @@
 //! How large the singular values of noise alone would be, and so how many terms the measurement supports.
 
-use super::rows::Content;
+use super::content::Content;
 use crate::transport::rows::{RowView, gradient, intensity};
 
 /// Half a unit in the last place of an f32, relative: what storing the rows as f32 leaves undetermined.

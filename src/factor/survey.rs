@@ -1,8 +1,8 @@
 //! The first pass over a matrix: where every row goes, how noisy it is, and the mean profile.
 
+use super::content::{Content, RawRows};
 use super::fill::extend_edges;
 use super::noise::{Noise, row_noise};
-use super::rows::{Content, RawRows};
 use super::{Misfit, vector};
 use crate::material::Layout;
 use crate::progress::Progress;

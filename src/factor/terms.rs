@@ -1,11 +1,13 @@
 //! The terms of a material: singular triplets of the rows, or a non-negative product.
 
+use super::backend::Rows;
 use super::backend::{self, Backend, LowRank, Triplets, low_rank, triplets};
 use super::choose::{self, Goal};
+use super::content::Content;
 use super::fill::Basis;
 use super::noise::F32_ROUNDING;
 use super::nonnegative::factorize;
-use super::rows::{Content, PreparedRows, Rows};
+use super::rows::PreparedRows;
 use super::shared_basis::Sharing;
 use super::{Misfit, Options};
 use crate::material::{Material, MaterialHeader, Model, OffsetFactors, Responses};

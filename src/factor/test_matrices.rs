@@ -27,6 +27,7 @@ pub fn stored(
         position_sd_mm: (0..rows).map(position_sd_mm).collect(),
         shot_of: vec![None; rows],
         shots: Vec::new(),
+        camera_px_per_mm: None,
         warnings: Vec::new(),
         provenance: serde_json::Value::Null,
     };

@@ -1,10 +1,11 @@
 //! The dots of one shot light each other's windows: taking that out once all rows are there.
 
-use super::lattice::{Prepared, ShotResult, albedo};
+use super::lattice::{ShotResult, albedo};
+use super::scene::Scene;
+use super::sink::RowSink;
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::response::{LitRow, Separation, TailModel, fit_tails, reach_mm};
-use crate::transport::MatrixWriter;
 use crate::{Result, Warning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -37,68 +38,66 @@ impl CrossTalk {
     }
 }
 
-impl Prepared<'_> {
-    /// Leaves in each row the light of its own dot. `None` when no dot's light can reach another's window, or no row holds any.
-    pub(super) fn separate(
-        &self,
-        results: &mut [ShotResult],
-        writer: &MatrixWriter,
-        progress: &Progress,
-    ) -> Result<Option<CrossTalk>> {
-        let manifest = &self.shots.capture.manifest;
-        let Some(spacing_samples) = self.smallest_spacing() else { return Ok(None) };
-        if spacing_samples * manifest.window.pitch_mm > reach_mm(&manifest.window) {
-            return Ok(None);
-        }
-        let stage = progress.stage("separate", results.len());
-        let rows_of = |result: &ShotResult| -> Result<Vec<LitRow>> {
-            let row = |lit: &super::lattice::LitPoint| {
-                let row = writer.row(manifest.grid.row_index(lit.dot))?;
-                Ok(LitRow { center_mm: lit.center_mm, flux: lit.flux, row })
-            };
-            result.lit.iter().map(row).collect()
+/// Leaves in each row the light of its own dot. `None` when no dot's light can reach another's window, or no row holds any.
+pub(super) fn separate(
+    scene: &Scene<'_>,
+    results: &mut [ShotResult],
+    rows: &impl RowSink,
+    progress: &Progress,
+) -> Result<Option<CrossTalk>> {
+    let manifest = &scene.capture.manifest;
+    let Some(spacing_samples) = scene.smallest_spacing() else { return Ok(None) };
+    if spacing_samples * manifest.window.pitch_mm > reach_mm(&manifest.window) {
+        return Ok(None);
+    }
+    let stage = progress.stage("separate", results.len());
+    let rows_of = |result: &ShotResult| -> Result<Vec<LitRow>> {
+        let row = |lit: &super::lattice::LitPoint| {
+            let row = rows.row(manifest.grid.row_index(lit.dot))?;
+            Ok(LitRow { center_mm: lit.center_mm, flux: lit.flux, row })
         };
-        let Some(model) = self.fit(results, rows_of)? else { return Ok(None) };
-        let found: Vec<Separation> = results
-            .par_iter_mut()
-            .map(|result| {
-                let mut rows = rows_of(result)?;
-                let found = model.separate(&mut rows, &manifest.window);
-                for (lit, separated) in result.lit.iter_mut().zip(&rows) {
-                    writer.put(manifest.grid.row_index(lit.dot), &separated.row)?;
-                    lit.albedo = albedo(&separated.row, &manifest.window);
-                }
-                stage.advance(1);
-                Ok(found)
-            })
-            .collect::<Result<_>>()?;
-        let mut sum = Separation::default();
-        found.iter().for_each(|f| sum.add(f));
-        let share = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
-        Ok(Some(CrossTalk {
-            spacing_samples,
-            needed_samples: model.spacing_for(ENOUGH, &manifest.window),
-            removed_share: share(sum.removed, sum.light),
-            modelled_share: share(sum.modelled as f64, sum.samples as f64),
-        }))
-    }
+        result.lit.iter().map(row).collect()
+    };
+    let Some(model) = fit(scene, results, rows_of)? else { return Ok(None) };
+    let found: Vec<Separation> = results
+        .par_iter_mut()
+        .map(|result| {
+            let mut measured = rows_of(result)?;
+            let found = model.separate(&mut measured, &manifest.window);
+            for (lit, separated) in result.lit.iter_mut().zip(&measured) {
+                rows.put(manifest.grid.row_index(lit.dot), &separated.row)?;
+                lit.albedo = albedo(&separated.row, &manifest.window);
+            }
+            stage.advance(1);
+            Ok(found)
+        })
+        .collect::<Result<_>>()?;
+    let mut sum = Separation::default();
+    found.iter().for_each(|f| sum.add(f));
+    let share = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
+    Ok(Some(CrossTalk {
+        spacing_samples,
+        needed_samples: model.spacing_for(ENOUGH, &manifest.window),
+        removed_share: share(sum.removed, sum.light),
+        modelled_share: share(sum.modelled as f64, sum.samples as f64),
+    }))
+}
 
-    /// Fits the model to shots that are spread over the sweep.
-    fn fit(
-        &self,
-        results: &[ShotResult],
-        rows_of: impl Fn(&ShotResult) -> Result<Vec<LitRow>>,
-    ) -> Result<Option<TailModel>> {
-        let manifest = &self.shots.capture.manifest;
-        let rows: usize = results.iter().map(|r| r.lit.len()).sum();
-        let lit: Vec<&ShotResult> = results.iter().filter(|r| !r.lit.is_empty()).collect();
-        let wanted = (lit.len() * FITTED_ROWS).div_ceil(rows.max(1)).min(lit.len());
-        // Golden steps spread over the sweep whatever its rhythm.
-        let place = |k: usize| ((k as f64 * 0.618_033_988_75).fract() * lit.len() as f64) as usize;
-        let chosen: std::collections::BTreeSet<usize> =
-            if wanted == lit.len() { (0..lit.len()).collect() } else { (0..wanted).map(place).collect() };
-        let shots: Vec<Vec<LitRow>> = chosen.into_iter().map(|k| rows_of(lit[k])).collect::<Result<_>>()?;
-        let size_mm: Point = manifest.slab.size_mm;
-        Ok(fit_tails(&shots, &manifest.window, size_mm))
-    }
+/// Fits the model to shots that are spread over the sweep.
+fn fit(
+    scene: &Scene<'_>,
+    results: &[ShotResult],
+    rows_of: impl Fn(&ShotResult) -> Result<Vec<LitRow>>,
+) -> Result<Option<TailModel>> {
+    let manifest = &scene.capture.manifest;
+    let rows: usize = results.iter().map(|r| r.lit.len()).sum();
+    let lit: Vec<&ShotResult> = results.iter().filter(|r| !r.lit.is_empty()).collect();
+    let wanted = (lit.len() * FITTED_ROWS).div_ceil(rows.max(1)).min(lit.len());
+    // Golden steps spread over the sweep whatever its rhythm.
+    let place = |k: usize| ((k as f64 * 0.618_033_988_75).fract() * lit.len() as f64) as usize;
+    let chosen: std::collections::BTreeSet<usize> =
+        if wanted == lit.len() { (0..lit.len()).collect() } else { (0..wanted).map(place).collect() };
+    let shots: Vec<Vec<LitRow>> = chosen.into_iter().map(|k| rows_of(lit[k])).collect::<Result<_>>()?;
+    let size_mm: Point = manifest.slab.size_mm;
+    Ok(fit_tails(&shots, &manifest.window, size_mm))
 }

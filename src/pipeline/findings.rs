@@ -1,8 +1,12 @@
 //! What the shots together say: the header, the warnings, the provenance, the overview.
 
-use super::lattice::{Prepared, ShotResult};
-use super::{BuildReport, CrossTalk, Overview};
-use crate::capture::Pattern;
+use super::lattice::{Light, ShotResult};
+use super::noise::FoundNoise;
+use super::radiometry::Radiometry;
+use super::register::Registered;
+use super::scene::Scene;
+use super::{BuildReport, BuildSecs, CrossTalk, Overview};
+use crate::capture::{Manifest, Pattern};
 use crate::geometry::Point;
 use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps};
 use crate::transport::{MatrixHeader, ShotRecord};
@@ -18,219 +22,223 @@ const STRONG_BLUR_PX: f64 = 0.9;
 /// A halo of this share is worth a word: an ordinary lens has about half a per cent.
 const STRAY_TOLD: f64 = 0.005;
 
-impl Prepared<'_> {
-    /// Fills the header from the shots' results and gathers the findings.
-    pub(super) fn finish(
-        &self,
-        results: Vec<ShotResult>,
-        crosstalk: Option<CrossTalk>,
-        header: &mut MatrixHeader,
-    ) -> Result<BuildReport> {
-        let capture = self.shots.capture;
-        let mut warnings = capture.warnings.clone();
-        warnings.extend(self.registration_warnings.iter().cloned());
-        warnings.extend(self.shots.noise.warnings.clone());
-        warnings.extend(self.shots.radiometry.warnings.clone());
-        if !self.hot.is_empty() {
-            let stuck = self.hot.iter().filter(|h| h.excess.is_none()).count();
-            let strongest = self.hot.iter().filter_map(|h| h.excess).map(f64::from).fold(0.0, f64::max);
-            warnings.push(Warning::HotPixels { photosites: self.hot.len(), stuck, strongest_dn_per_sec: strongest });
-        }
-        let mut clipped = (0, 0);
-        let mut bright: Vec<f64> = Vec::new();
-        let mut saturated: Option<(String, usize, usize)> = None;
-        let mut unmeasured: Option<(String, usize)> = None;
-        for (number, (&shot, result)) in self.lattice().iter().zip(&results).enumerate() {
-            let name = capture.manifest.shots[shot].name.clone();
-            let samples: usize = result.lit.iter().map(|l| l.findings.saturated).sum();
-            if samples > 0 {
-                let (_, shots, all) = saturated.get_or_insert((name.clone(), 0, 0));
-                (*shots, *all) = (*shots + 1, *all + samples);
-            }
-            for lit in result.lit.iter().filter(|l| l.findings.clipped > 0) {
-                clipped = (clipped.0 + 1, clipped.1 + lit.findings.clipped);
-            }
-            if result.drift.is_none() {
-                unmeasured.get_or_insert((name.clone(), 0)).1 += 1;
-            }
-            bright.extend(result.lit.iter().map(|l| l.albedo).filter(|a| *a > 1.0));
-            let sd_mm = self.registration.position_sd_mm.hypot(result.drift.map_or(0.0, |d| d.sd_px / self.px_per_mm));
-            for lit in &result.lit {
-                let row = capture.manifest.grid.row_index(lit.dot);
-                header.lit_mm[row] = lit.center_mm;
-                header.position_sd_mm[row] = sd_mm;
-                header.shot_of[row] = Some(number);
-            }
-            let drift_px = result.drift.map_or([0.0; 2], |d| d.camera_px);
-            // The dots are seen against a camera whose own movement has its uncertainty.
-            let camera_sd = result.camera.filter(CameraMotion::is_sure).map_or(0.0, |m| m.sd_px);
-            header.shots.push(ShotRecord {
-                name,
-                drift_px,
-                drift_sd_px: result.drift.map(|d| d.sd_px.hypot(camera_sd)),
-            });
-        }
-        warnings.extend(saturated.map(|(first, shots, samples)| Warning::SaturatedSamples { first, shots, samples }));
-        warnings.extend(unmeasured.map(|(first, shots)| Warning::DriftUnmeasured { first, shots }));
-        warnings.extend(jumps(&results, header));
-        warnings.extend(camera_moved(&results, header));
-        if clipped.0 > 0 {
-            warnings.push(Warning::ClippedWindow { rows: clipped.0, samples: clipped.1 });
-        }
-        if let Some(largest) = bright.iter().copied().reduce(f64::max) {
-            warnings.push(Warning::AlbedoAboveOne { rows: bright.len(), largest });
-        }
-        if capture.manifest.reference_dots.is_none() {
-            warnings.push(Warning::DriftFromLatticeDots);
-        }
-        let remaining = results.iter().map(|r| r.flicker_variance).sum::<f64>() / results.len().max(1) as f64;
-        warnings.extend(self.flicker.as_ref().map(|f| f.warning(remaining)));
-        self.complete_header(header, &mut warnings);
-        warnings.extend(crosstalk.as_ref().and_then(CrossTalk::warning));
-        header.provenance = self.provenance(crosstalk.as_ref(), remaining)?;
-        header.warnings = warnings.clone();
-        Ok(BuildReport {
-            registration: self.registration.clone(),
-            noise: self.shots.noise.noise.clone(),
-            sensor: self.shots.sensor.clone(),
-            shots: header.shots.clone(),
-            crosstalk,
-            warnings,
-            photographs: capture.photographs(),
-            points: header.points,
-            window: header.window,
-            overview: self.overview(header)?,
-        })
-    }
+/// What the stages before the lattice shots found.
+pub(super) struct Stages<'a> {
+    pub noise: &'a FoundNoise,
+    pub radiometry: &'a Radiometry,
+    pub registered: &'a Registered,
+    pub light: &'a Light,
+}
 
-    /// Places of unlit points, the lit pitch, and the findings that need all shots together.
-    fn complete_header(&self, header: &mut MatrixHeader, warnings: &mut Vec<Warning>) {
-        let [nx, ny] = header.points;
-        let unlit: Vec<usize> = (0..nx * ny).filter(|&r| header.shot_of[r].is_none()).collect();
-        for &row in &unlit {
-            header.lit_mm[row] = self.nominal_mm([row % nx, row / nx]);
+/// The header of the matrix and the findings of all stages.
+pub(super) fn summarize(
+    scene: &Scene<'_>,
+    found: &Stages<'_>,
+    results: &[ShotResult],
+    crosstalk: Option<CrossTalk>,
+    secs: BuildSecs,
+) -> Result<(MatrixHeader, BuildReport)> {
+    let (capture, hot) = (scene.capture, &scene.references.hot);
+    let mut header = unmeasured(&capture.manifest);
+    let mut warnings = capture.warnings.clone();
+    warnings.extend(found.registered.warnings.iter().cloned());
+    warnings.extend(found.noise.warnings.clone());
+    warnings.extend(found.radiometry.warnings.clone());
+    if !hot.is_empty() {
+        let stuck = hot.iter().filter(|h| h.excess.is_none()).count();
+        let strongest = hot.iter().filter_map(|h| h.excess).map(f64::from).fold(0.0, f64::max);
+        warnings.push(Warning::HotPixels { photosites: hot.len(), stuck, strongest_dn_per_sec: strongest });
+    }
+    let mut clipped = (0, 0);
+    let mut bright: Vec<f64> = Vec::new();
+    let mut saturated: Option<(String, usize, usize)> = None;
+    let mut unmeasured: Option<(String, usize)> = None;
+    for (number, (&shot, result)) in scene.lattice().iter().zip(results).enumerate() {
+        let name = capture.manifest.shots[shot].name.clone();
+        let samples: usize = result.lit.iter().map(|l| l.findings.saturated).sum();
+        if samples > 0 {
+            let (_, shots, all) = saturated.get_or_insert((name.clone(), 0, 0));
+            (*shots, *all) = (*shots + 1, *all + samples);
         }
-        if !unlit.is_empty() {
-            warnings.push(Warning::UnlitPoints { rows: unlit.len() });
+        for lit in result.lit.iter().filter(|l| l.findings.clipped > 0) {
+            clipped = (clipped.0 + 1, clipped.1 + lit.findings.clipped);
         }
-        let ends = |dot: [usize; 2]| self.nominal_mm(dot);
-        let far = [ends([nx - 1, 0]), ends([0, ny - 1])];
-        let first = ends([0, 0]);
-        for a in 0..2 {
-            if header.points[a] > 1 {
-                let d = [far[a][0] - first[0], far[a][1] - first[1]];
-                header.lit_pitch_mm[a] = d[0].hypot(d[1]) / (header.points[a] - 1) as f64;
-            }
+        if result.drift.is_none() {
+            unmeasured.get_or_insert((name.clone(), 0)).1 += 1;
         }
-        if self.stray.share > STRAY_TOLD {
-            warnings.push(Warning::StrayLight { share: self.stray.share });
+        bright.extend(result.lit.iter().map(|l| l.albedo).filter(|a| *a > 1.0));
+        let sd_mm = scene.registration.position_sd_mm.hypot(result.drift.map_or(0.0, |d| d.sd_px / scene.px_per_mm));
+        for lit in &result.lit {
+            let row = capture.manifest.grid.row_index(lit.dot);
+            header.lit_mm[row] = lit.center_mm;
+            header.position_sd_mm[row] = sd_mm;
+            header.shot_of[row] = Some(number);
         }
-        if let Some(PointSpread { psf_px, .. }) = self.registration.point_spread.filter(|p| p.psf_px > STRONG_BLUR_PX) {
-            warnings.push(Warning::StronglyBlurred { psf_px });
-        }
-        match self.registration.point_spread {
-            None => warnings.push(Warning::PointSpreadUnmeasured),
-            Some(PointSpread { psf_px, range_px, .. }) if range_px[1] - range_px[0] > SPREAD_VARIES_PX => {
-                warnings.push(Warning::PointSpreadVaries { psf_px, range_px });
-            }
-            Some(_) => {}
-        }
-        if let Some(outside_mm) = self.outside_board() {
-            warnings.push(Warning::BoardTooSmall { outside_mm });
+        let drift_px = result.drift.map_or([0.0; 2], |d| d.camera_px);
+        // The dots are seen against a camera whose own movement has its uncertainty.
+        let camera_sd = result.camera.filter(CameraMotion::is_sure).map_or(0.0, |m| m.sd_px);
+        header.shots.push(ShotRecord { name, drift_px, drift_sd_px: result.drift.map(|d| d.sd_px.hypot(camera_sd)) });
+    }
+    warnings.extend(saturated.map(|(first, shots, samples)| Warning::SaturatedSamples { first, shots, samples }));
+    warnings.extend(unmeasured.map(|(first, shots)| Warning::DriftUnmeasured { first, shots }));
+    warnings.extend(jumps(results, &header));
+    warnings.extend(camera_moved(results, &header));
+    if clipped.0 > 0 {
+        warnings.push(Warning::ClippedWindow { rows: clipped.0, samples: clipped.1 });
+    }
+    if let Some(largest) = bright.iter().copied().reduce(f64::max) {
+        warnings.push(Warning::AlbedoAboveOne { rows: bright.len(), largest });
+    }
+    if capture.manifest.reference_dots.is_none() {
+        warnings.push(Warning::DriftFromLatticeDots);
+    }
+    let remaining = results.iter().map(|r| r.flicker_variance).sum::<f64>() / results.len().max(1) as f64;
+    warnings.extend(found.light.flicker.as_ref().map(|f| f.warning(remaining)));
+    complete(scene, found.light, &mut header, &mut warnings);
+    warnings.extend(crosstalk.as_ref().and_then(CrossTalk::warning));
+    header.camera_px_per_mm = Some(scene.px_per_mm);
+    header.provenance = provenance(scene, found, crosstalk.as_ref(), remaining)?;
+    header.warnings = warnings.clone();
+    let report = BuildReport {
+        registration: scene.registration.clone(),
+        noise: found.noise.noise.clone(),
+        sensor: scene.photographs.sensor.clone(),
+        shots: header.shots.clone(),
+        crosstalk,
+        warnings,
+        photographs: capture.photographs(),
+        points: header.points,
+        window: header.window,
+        overview: overview(scene, &header)?,
+        secs,
+    };
+    Ok((header, report))
+}
+
+/// Places of unlit points, the lit pitch, and the findings that need all shots together.
+fn complete(scene: &Scene<'_>, light: &Light, header: &mut MatrixHeader, warnings: &mut Vec<Warning>) {
+    let [nx, ny] = header.points;
+    let unlit: Vec<usize> = (0..nx * ny).filter(|&r| header.shot_of[r].is_none()).collect();
+    for &row in &unlit {
+        header.lit_mm[row] = scene.nominal_mm([row % nx, row / nx]);
+    }
+    if !unlit.is_empty() {
+        warnings.push(Warning::UnlitPoints { rows: unlit.len() });
+    }
+    let ends = |dot: [usize; 2]| scene.nominal_mm(dot);
+    let far = [ends([nx - 1, 0]), ends([0, ny - 1])];
+    let first = ends([0, 0]);
+    for a in 0..2 {
+        if header.points[a] > 1 {
+            let d = [far[a][0] - first[0], far[a][1] - first[1]];
+            header.lit_pitch_mm[a] = d[0].hypot(d[1]) / (header.points[a] - 1) as f64;
         }
     }
-
-    /// The smallest distance between dots of one shot, in outgoing samples; `None` for single dots.
-    pub(super) fn smallest_spacing(&self) -> Option<f64> {
-        self.lattice().iter().filter_map(|&shot| self.shot_spacing(shot)).reduce(f64::min)
+    if light.stray.share > STRAY_TOLD {
+        warnings.push(Warning::StrayLight { share: light.stray.share });
     }
-
-    /// The smallest distance (larger of the two axes) between dots of a shot, in outgoing samples; `None` for a single dot.
-    pub(super) fn shot_spacing(&self, shot: usize) -> Option<f64> {
-        let grid = &self.shots.capture.manifest.grid;
-        let first = self.nominal_mm([0, 0]);
-        let step = self.nominal_mm([1.min(grid.points[0] - 1), 1.min(grid.points[1] - 1)]);
-        let pitch = self.shots.capture.manifest.window.pitch_mm;
-        let samples: Point = std::array::from_fn(|a| (step[a] - first[a]).abs() / pitch);
-        let mut dots = self.dots(shot).to_vec();
-        dots.sort_unstable();
-        // In sorted order a dot's nearest neighbour is near; looking at 64 finds it on any lattice.
-        let gap =
-            |a: [usize; 2], b: [usize; 2]| (0..2).map(|k| a[k].abs_diff(b[k]) as f64 * samples[k]).fold(0.0, f64::max);
-        let pairs = dots.iter().enumerate().flat_map(|(i, &a)| dots[i + 1..].iter().take(64).map(move |&b| gap(a, b)));
-        pairs.reduce(f64::min)
+    if let Some(PointSpread { psf_px, .. }) = scene.registration.point_spread.filter(|p| p.psf_px > STRONG_BLUR_PX) {
+        warnings.push(Warning::StronglyBlurred { psf_px });
     }
-
-    /// How far the slab reaches beyond the board's corners, mm; `None` when it does not by more than a square.
-    fn outside_board(&self) -> Option<f64> {
-        // The frame's marks are all around the slab.
-        if !self.shots.capture.shots(|p| matches!(p, Pattern::Frame)).is_empty() {
-            return None;
+    match scene.registration.point_spread {
+        None => warnings.push(Warning::PointSpreadUnmeasured),
+        Some(PointSpread { psf_px, range_px, .. }) if range_px[1] - range_px[0] > SPREAD_VARIES_PX => {
+            warnings.push(Warning::PointSpreadVaries { psf_px, range_px });
         }
-        let board = self.shots.capture.rig.board.as_ref()?;
-        let far = board.corner_mm([board.inner_corners[0] - 1, board.inner_corners[1] - 1]);
-        let size = self.shots.capture.manifest.slab.size_mm;
-        let outside = (0..2).map(|a| board.origin_mm[a].max(size[a] - far[a])).fold(0.0, f64::max);
-        (outside > board.square_mm).then_some(outside)
+        Some(_) => {}
     }
-
-    fn provenance(&self, crosstalk: Option<&CrossTalk>, flicker_variance: f64) -> Result<serde_json::Value> {
-        let capture = self.shots.capture;
-        let hash_file =
-            |p: &Path| Ok::<_, Error>(blake3::hash(&std::fs::read(p).map_err(Error::io("read", p))?).to_string());
-        let mut all = blake3::Hasher::new();
-        for hash in self.shots.hashes.lock().map_err(Error::internal)?.values() {
-            all.update(hash.as_bytes());
-        }
-        let found = &self.shots.noise;
-        let noise = serde_json::json!({
-            "used": found.noise,
-            "source": if found.from_rig { "rig.toml" } else { "photographs" },
-            "estimate": found.estimate,
-        });
-        let registration = serde_json::to_value(&self.registration).map_err(Error::internal)?;
-        Ok(serde_json::json!({
-            "program": format!("acquire {}", env!("CARGO_PKG_VERSION")),
-            "capture": capture.manifest.name,
-            "photographs": capture.photographs(),
-            "capture_toml_blake3": hash_file(&capture.manifest_path())?,
-            "rig_toml_blake3": hash_file(&capture.rig_path)?,
-            "photographs_blake3": all.finalize().to_string(),
-            "noise": noise,
-            "radiometry": self.shots.radiometry.record,
-            "flicker": self.flicker.as_ref().map(|f| f.record(flicker_variance)),
-            "registration": registration,
-            "stray_light": serde_json::to_value(&self.stray).map_err(Error::internal)?,
-            "crosstalk": serde_json::to_value(crosstalk).map_err(Error::internal)?,
-        }))
+    if let Some(outside_mm) = outside_board(scene) {
+        warnings.push(Warning::BoardTooSmall { outside_mm });
     }
+}
 
-    fn overview(&self, header: &MatrixHeader) -> Result<Overview> {
-        let manifest = &self.shots.capture.manifest;
-        let lattice = self.lattice();
-        // The shot with most dots, the middle one of these: something to see.
-        let most = lattice.iter().map(|&s| self.dots(s).len()).max().unwrap_or(0);
-        let full: Vec<usize> = (0..lattice.len()).filter(|&k| self.dots(lattice[k]).len() == most).collect();
-        let shot = lattice[full[full.len() / 2]];
-        let camera = |p: Point| self.registration.view.camera_from_slab(p);
-        let half: Point = std::array::from_fn(|a| manifest.window.samples[a] as f64 * manifest.window.pitch_mm / 2.0);
-        let corners = |c: Point| {
-            [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
-                .map(|s| camera([c[0] + s[0] * half[0], c[1] + s[1] * half[1]]))
-        };
-        let lit: Vec<Point> = self.dots(shot).iter().map(|&d| header.lit_mm[manifest.grid.row_index(d)]).collect();
-        let [w, h] = manifest.slab.size_mm;
-        let [nx, ny] = manifest.grid.points;
-        Ok(Overview {
-            shot: manifest.shots[shot].name.clone(),
-            radiance: self.shots.merge_whole(shot)?,
-            exposures: self.shots.capture.brackets[shot].len(),
-            grid_px: (0..nx * ny).map(|r| camera(self.nominal_mm([r % nx, r / nx]))).collect(),
-            lit_px: lit.iter().map(|&p| camera(p)).collect(),
-            windows_px: lit.iter().map(|&p| corners(p)).collect(),
-            reference_dots_px: self.reference_mm().into_iter().map(camera).collect(),
-            slab_px: [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(camera),
-        })
+/// How far the slab reaches beyond the board's corners, mm; `None` when it does not by more than a square.
+fn outside_board(scene: &Scene<'_>) -> Option<f64> {
+    // The frame's marks are all around the slab.
+    if !scene.capture.shots(|p| matches!(p, Pattern::Frame)).is_empty() {
+        return None;
+    }
+    let board = scene.capture.rig.board.as_ref()?;
+    let far = board.corner_mm([board.inner_corners[0] - 1, board.inner_corners[1] - 1]);
+    let size = scene.capture.manifest.slab.size_mm;
+    let outside = (0..2).map(|a| board.origin_mm[a].max(size[a] - far[a])).fold(0.0, f64::max);
+    (outside > board.square_mm).then_some(outside)
+}
+
+fn provenance(
+    scene: &Scene<'_>,
+    stages: &Stages<'_>,
+    crosstalk: Option<&CrossTalk>,
+    flicker_variance: f64,
+) -> Result<serde_json::Value> {
+    let capture = scene.capture;
+    let hash_file =
+        |p: &Path| Ok::<_, Error>(blake3::hash(&std::fs::read(p).map_err(Error::io("read", p))?).to_string());
+    let found = stages.noise;
+    let noise = serde_json::json!({
+        "used": found.noise,
+        "source": if found.from_rig { "rig.toml" } else { "photographs" },
+        "estimate": found.estimate,
+    });
+    let registration = serde_json::to_value(scene.registration).map_err(Error::internal)?;
+    Ok(serde_json::json!({
+        "program": format!("acquire {}", env!("CARGO_PKG_VERSION")),
+        "capture": capture.manifest.name,
+        "photographs": capture.photographs(),
+        "capture_toml_blake3": hash_file(&capture.manifest_path())?,
+        "rig_toml_blake3": hash_file(&capture.rig_path)?,
+        "photographs_blake3": scene.photographs.hash()?.to_string(),
+        "noise": noise,
+        "radiometry": stages.radiometry.record,
+        "flicker": stages.light.flicker.as_ref().map(|f| f.record(flicker_variance)),
+        "registration": registration,
+        "stray_light": serde_json::to_value(&stages.light.stray).map_err(Error::internal)?,
+        "crosstalk": serde_json::to_value(crosstalk).map_err(Error::internal)?,
+    }))
+}
+
+fn overview(scene: &Scene<'_>, header: &MatrixHeader) -> Result<Overview> {
+    let manifest = &scene.capture.manifest;
+    let lattice = scene.lattice();
+    // The shot with most dots, the middle one of these: something to see.
+    let most = lattice.iter().map(|&s| scene.dots(s).len()).max().unwrap_or(0);
+    let full: Vec<usize> = (0..lattice.len()).filter(|&k| scene.dots(lattice[k]).len() == most).collect();
+    let shot = lattice[full[full.len() / 2]];
+    let camera = |p: Point| scene.registration.view.camera_from_slab(p);
+    let half: Point = std::array::from_fn(|a| manifest.window.samples[a] as f64 * manifest.window.pitch_mm / 2.0);
+    let corners = |c: Point| {
+        [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
+            .map(|s| camera([c[0] + s[0] * half[0], c[1] + s[1] * half[1]]))
+    };
+    let lit: Vec<Point> = scene.dots(shot).iter().map(|&d| header.lit_mm[manifest.grid.row_index(d)]).collect();
+    let [w, h] = manifest.slab.size_mm;
+    let [nx, ny] = manifest.grid.points;
+    Ok(Overview {
+        shot: manifest.shots[shot].name.clone(),
+        radiance: scene.photographs.merge_whole(shot)?,
+        exposures: scene.photographs.brackets[shot].len(),
+        grid_px: (0..nx * ny).map(|r| camera(scene.nominal_mm([r % nx, r / nx]))).collect(),
+        lit_px: lit.iter().map(|&p| camera(p)).collect(),
+        windows_px: lit.iter().map(|&p| corners(p)).collect(),
+        reference_dots_px: scene.reference_mm().into_iter().map(camera).collect(),
+        slab_px: [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(camera),
+    })
+}
+
+/// The header before any row is measured.
+pub(super) fn unmeasured(m: &Manifest) -> MatrixHeader {
+    MatrixHeader {
+        points: m.grid.points,
+        window: m.window.samples,
+        pitch_mm: m.window.pitch_mm,
+        lit_pitch_mm: [m.window.pitch_mm; 2],
+        lit_mm: vec![[0.0; 2]; m.grid.len()],
+        position_sd_mm: vec![0.0; m.grid.len()],
+        shot_of: vec![None; m.grid.len()],
+        shots: vec![],
+        camera_px_per_mm: None,
+        warnings: vec![],
+        provenance: serde_json::Value::Null,
     }
 }
 

@@ -6,7 +6,7 @@
 //! - a stack against the other stacks, from the light of the reference dots on the opaque frame;
 //! - the white reference against the Gray-code shots, each of which adds up with its inverse to the same white.
 
-use super::lattice::{Prepared, STILL};
+use super::scene::{STILL, Scene};
 use crate::capture::Rect;
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance, Sensor, evenly, solve, stack_scales};
@@ -15,7 +15,7 @@ use crate::{Result, Warning};
 use rayon::prelude::*;
 
 /// Flicker of a capture.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Flicker {
     /// Standard deviation of a photograph's light, relative.
     sd: f64,
@@ -25,7 +25,7 @@ pub(super) struct Flicker {
 }
 
 /// The light of the reference dots, over some shots.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 struct Level {
     /// Mean light of each dot and channel; `None` where it was not measured.
     mean: Vec<Option<f64>>,
@@ -48,21 +48,21 @@ const FLICKER_SIGMA: f64 = 5.0;
 
 impl Flicker {
     /// Looks at the reference dots of some lattice shots; `None` when the stacks showed no flicker.
-    pub fn measure(prepared: &Prepared) -> Result<Option<Self>> {
-        let Some(sd) = prepared.shots.radiometry.flicker_sd else { return Ok(None) };
+    pub fn measure(scene: &Scene<'_>, flicker_sd: Option<f64>) -> Result<Option<Self>> {
+        let Some(sd) = flicker_sd else { return Ok(None) };
         // Unknown, the white reference deviates as any photograph does.
-        let white_variance = prepared.white_variance.unwrap_or(sd * sd);
+        let white_variance = scene.references.white_variance.unwrap_or(sd * sd);
         let mut flicker = Self { sd, level: None, white_variance };
-        if prepared.reference_mm().is_empty() {
+        if scene.reference_mm().is_empty() {
             return Ok(Some(flicker));
         }
-        let shots: Vec<usize> = evenly(&prepared.lattice(), SHOTS).collect();
+        let shots: Vec<usize> = evenly(&scene.lattice(), SHOTS).collect();
         let lights: Vec<Option<DotLight>> = shots
             .par_iter()
             .map(|&shot| {
-                let mut seen = prepared.shots.decode(shot, &prepared.reference_rects(shot)?)?;
-                flicker.steady_stack(&prepared.shots.sensor, seen.iter_mut().collect());
-                Ok(prepared.reference_light(&seen))
+                let mut seen = scene.photographs.decode(shot, &scene.reference_rects(shot)?)?;
+                flicker.steady_stack(&scene.photographs.sensor, seen.iter_mut().collect());
+                Ok(reference_light(scene, &seen))
             })
             .collect::<Result<_>>()?;
         flicker.level = Level::of(&lights.into_iter().flatten().collect::<Vec<_>>());
@@ -70,10 +70,10 @@ impl Flicker {
     }
 
     /// Takes what can be taken out of a shot's exposure times; returns the relative variance that remains, common to its rows.
-    pub fn steady(&self, prepared: &Prepared, references: &mut [Bracket], windows: &mut [Bracket]) -> f64 {
+    pub fn steady(&self, scene: &Scene<'_>, references: &mut [Bracket], windows: &mut [Bracket]) -> f64 {
         let both = references.iter_mut().chain(windows.iter_mut()).collect();
-        let [common, own] = self.steady_stack(&prepared.shots.sensor, both);
-        let light = self.level.as_ref().and_then(|level| Some((level, prepared.reference_light(references)?)));
+        let [common, own] = self.steady_stack(&scene.photographs.sensor, both);
+        let light = self.level.as_ref().and_then(|level| Some((level, reference_light(scene, references)?)));
         let found = light.and_then(|(level, light)| level.scale_of(&light));
         let Some((log_level, left)) = found else { return common + own + self.white_variance };
         for bracket in references.iter_mut().chain(windows) {
@@ -177,49 +177,47 @@ impl Level {
     }
 }
 
-impl Prepared<'_> {
-    /// Light of the reference dots where the drift has put them.
-    fn reference_light(&self, seen: &[Bracket]) -> Option<DotLight> {
-        let pictures: Vec<(Point, Radiance)> =
-            self.reference_mm().into_iter().zip(seen).map(|(p, b)| (p, self.picture(b, b.rect(), STILL))).collect();
-        let moved = measure_drift(&pictures, &self.registration, self.dot_radius_px())?.slab_mm;
-        let reach = self.dot_radius_px() + 2.0;
-        let light = |(p, picture): &(Point, Radiance)| {
-            let at = self.registration.view.camera_from_slab([p[0] + moved[0], p[1] + moved[1]]);
-            self.light_around(picture, at, reach)
-        };
-        Some(pictures.iter().flat_map(light).collect())
-    }
+/// Light of the reference dots where the drift has put them.
+fn reference_light(scene: &Scene<'_>, seen: &[Bracket]) -> Option<DotLight> {
+    let pictures: Vec<(Point, Radiance)> =
+        scene.reference_mm().into_iter().zip(seen).map(|(p, b)| (p, scene.picture(b, b.rect(), STILL))).collect();
+    let moved = measure_drift(&pictures, scene.registration, scene.dot_radius_px())?.slab_mm;
+    let reach = scene.dot_radius_px() + 2.0;
+    let light = |(p, picture): &(Point, Radiance)| {
+        let at = scene.registration.view.camera_from_slab([p[0] + moved[0], p[1] + moved[1]]);
+        light_around(scene, picture, at, reach)
+    };
+    Some(pictures.iter().flat_map(light).collect())
+}
 
-    /// Light within a square of half side `reach`, its border pixels by their share, so that it does not jump when a dot moves.
-    fn light_around(&self, picture: &Radiance, at: Point, reach: f64) -> [Option<[f64; 2]>; 3] {
-        let Rect { x, y, width, height } = picture.rect;
-        let mut sum = [Some([0.0; 2]); 3];
-        let share = |pixel: usize, center: f64| (reach + 0.5 - (pixel as f64 - center).abs()).clamp(0.0, 1.0);
-        let inside = |a: usize, first: usize, size: usize| {
-            at[a] - reach >= first as f64 && at[a] + reach <= (first + size - 1) as f64
-        };
-        if !inside(0, x, width) || !inside(1, y, height) {
-            return [None; 3];
-        }
-        for py in y..y + height {
-            for px in x..x + width {
-                let share = share(px, at[0]) * share(py, at[1]);
-                if share == 0.0 {
-                    continue;
-                }
-                let weight = share * f64::from(self.irradiance.sensitivity().inverse_at(px, py));
-                let k = picture.at(px, py);
-                for (c, sum) in sum.iter_mut().enumerate() {
-                    *sum = sum.filter(|_| picture.used[k + c] > 0).map(|[light, variance]| {
-                        let value = f64::from(picture.value[k + c]);
-                        [light + weight * value, variance + weight * weight * f64::from(picture.variance[k + c])]
-                    });
-                }
+/// Light within a square of half side `reach`, its border pixels by their share, so that it does not jump when a dot moves.
+fn light_around(scene: &Scene<'_>, picture: &Radiance, at: Point, reach: f64) -> [Option<[f64; 2]>; 3] {
+    let Rect { x, y, width, height } = picture.rect;
+    let mut sum = [Some([0.0; 2]); 3];
+    let share = |pixel: usize, center: f64| (reach + 0.5 - (pixel as f64 - center).abs()).clamp(0.0, 1.0);
+    let inside = |a: usize, first: usize, size: usize| {
+        at[a] - reach >= first as f64 && at[a] + reach <= (first + size - 1) as f64
+    };
+    if !inside(0, x, width) || !inside(1, y, height) {
+        return [None; 3];
+    }
+    for py in y..y + height {
+        for px in x..x + width {
+            let share = share(px, at[0]) * share(py, at[1]);
+            if share == 0.0 {
+                continue;
+            }
+            let weight = share * f64::from(scene.references.irradiance.sensitivity().inverse_at(px, py));
+            let k = picture.at(px, py);
+            for (c, sum) in sum.iter_mut().enumerate() {
+                *sum = sum.filter(|_| picture.used[k + c] > 0).map(|[light, variance]| {
+                    let value = f64::from(picture.value[k + c]);
+                    [light + weight * value, variance + weight * weight * f64::from(picture.variance[k + c])]
+                });
             }
         }
-        sum
     }
+    sum
 }
 
 #[cfg(test)]

@@ -6,8 +6,12 @@ mod findings;
 mod flicker;
 mod lattice;
 mod noise;
+mod photographs;
 mod radiometry;
-mod shots;
+mod references;
+mod register;
+mod scene;
+mod sink;
 mod stray;
 
 use crate::capture::{Capture, ExposureFrom, Noise};
@@ -18,8 +22,15 @@ use crate::registration::Registration;
 use crate::transport::{MatrixHeader, MatrixWriter, ShotRecord};
 use crate::{Result, Warning};
 pub use crosstalk::CrossTalk;
-use shots::Shots;
+use drift::Movements;
+use findings::{Stages, unmeasured};
+use flicker::Flicker;
+use lattice::Light;
+use photographs::Photographs;
+use scene::Scene;
+use sink::{HeldRows, RowSink};
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// Settings of [`build_matrix`].
 #[derive(Debug, Clone, Default)]
@@ -56,6 +67,17 @@ pub struct BuildReport {
     pub window: [usize; 2],
     /// The picture of one lattice shot with what was found in it.
     pub overview: Overview,
+    /// What it took.
+    pub secs: BuildSecs,
+}
+
+/// Seconds that a build took, reading the capture and writing the matrix left out.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct BuildSecs {
+    /// Once a capture: radiometry, registration, references.
+    pub once: f64,
+    /// For its lattice shots.
+    pub lattice: f64,
 }
 
 /// One merged lattice shot and the registration drawn over it, for people to look at.
@@ -87,20 +109,21 @@ pub struct Overview {
 /// Those of [`Capture::open`], of decoding and registration; [`crate::Error::DotOutsideSlab`], [`crate::Error::DotSaturated`]; [`crate::Error::Io`] for `out`.
 /// Nothing appears at `out` then.
 pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &Progress) -> Result<BuildReport> {
-    let mut capture = {
+    let capture = {
         let stage = progress.stage("read", 1);
         let capture = Capture::open_with(dir, options.calibration.as_deref(), options.exposure_from)?;
         stage.advance(1);
         capture
     };
-    let mut writer = MatrixWriter::create(out, empty_header(&capture))?;
-    let mut report = measure(&mut capture, options, &mut writer, progress)?;
+    let mut rows = MatrixWriter::create(out, unmeasured(&capture.manifest))?;
+    let (mut header, mut report) = measure(&capture, options, &rows, progress)?;
     let stage = progress.stage("write", 1);
     // Here, so that neither a check nor a capture that cannot be built replaces an earlier curve.
     let not_saved = radiometry::save_curve(&capture, &report.sensor);
-    writer.header_mut().warnings.extend(not_saved.clone());
+    header.warnings.extend(not_saved.clone());
     report.warnings.extend(not_saved);
-    writer.finish()?;
+    *rows.header_mut() = header;
+    rows.finish()?;
     stage.advance(1);
     Ok(report)
 }
@@ -109,48 +132,37 @@ pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &P
 ///
 /// # Errors
 /// Those of [`build_matrix`] after [`Capture::open`].
-pub fn try_build(mut capture: Capture, options: &BuildOptions, progress: &Progress) -> Result<BuildReport> {
-    let temporary = std::env::temp_dir();
-    let scratch = crate::output::ScratchFolder::new(&temporary, ".acquire-try-", &temporary)?;
-    let mut writer = MatrixWriter::create(&scratch.path().join("try.rd.zarr"), empty_header(&capture))?;
-    measure(&mut capture, options, &mut writer, progress)
+pub fn try_build(capture: &Capture, options: &BuildOptions, progress: &Progress) -> Result<BuildReport> {
+    measure(capture, options, &HeldRows::default(), progress).map(|(_, report)| report)
 }
 
-/// Everything between an opened capture and a complete writer.
+/// The way of the photographs: each stage takes what the ones before it gave, and changes none of it.
 fn measure(
-    capture: &mut Capture,
+    capture: &Capture,
     options: &BuildOptions,
-    writer: &mut MatrixWriter,
+    rows: &impl RowSink,
     progress: &Progress,
-) -> Result<BuildReport> {
+) -> Result<(MatrixHeader, BuildReport)> {
+    let start = Instant::now();
     let noise = noise::find(capture)?;
     let radiometry = radiometry::calibrate(capture, &noise.noise, options, progress)?;
-    let shots = Shots::new(capture, noise, radiometry);
-    let (registration, found) = shots.register(progress)?;
-    let mut prepared = shots.prepare(registration, found, progress)?;
-    prepared.flicker = flicker::Flicker::measure(&prepared)?;
-    let mut result = prepared.extract(writer, progress)?;
+    let photographs = Photographs::new(capture, &radiometry);
+    let registered = register::register(&photographs, progress)?;
+    let references = references::references(&photographs, &registered, radiometry.flicker_sd, progress)?;
+    let scene = Scene::new(&photographs, &registered, &references);
+    lattice::check_dots(&scene)?;
+    let light =
+        Light { stray: stray::measure(&scene, progress)?, flicker: Flicker::measure(&scene, radiometry.flicker_sd)? };
+    let movements = Movements::prepare(&scene)?;
+    let prepared = Instant::now();
+    let mut shots = lattice::extract(&scene, &light, &movements, rows, progress)?;
     let crosstalk = match options.keep_crosstalk {
         true => None,
-        false => prepared.separate(&mut result, writer, progress)?,
+        false => crosstalk::separate(&scene, &mut shots, rows, progress)?,
     };
-    prepared.finish(result, crosstalk, writer.header_mut())
-}
-
-fn empty_header(capture: &Capture) -> MatrixHeader {
-    let m = &capture.manifest;
-    MatrixHeader {
-        points: m.grid.points,
-        window: m.window.samples,
-        pitch_mm: m.window.pitch_mm,
-        lit_pitch_mm: [m.window.pitch_mm; 2],
-        lit_mm: vec![[0.0; 2]; m.grid.len()],
-        position_sd_mm: vec![0.0; m.grid.len()],
-        shot_of: vec![None; m.grid.len()],
-        shots: vec![],
-        warnings: vec![],
-        provenance: serde_json::Value::Null,
-    }
+    let stages = Stages { noise: &noise, radiometry: &radiometry, registered: &registered, light: &light };
+    let secs = BuildSecs { once: (prepared - start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
+    findings::summarize(&scene, &stages, &shots, crosstalk, secs)
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use crate::{Error, Result, Warning};
 use rayon::prelude::*;
 
 /// The noise that the merge uses, and where it comes from.
-#[derive(Debug)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct FoundNoise {
     pub(super) noise: Noise,
     /// What the photographs say; `None` when the rig says it and they cannot be asked.

@@ -11,12 +11,18 @@ use crate::radiance::{
 };
 use crate::{Error, Result, Warning};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
-/// The sensor as it was found to be, and what was found on the way.
-#[derive(Debug)]
+/// The sensor and the exposures as they were found to be, and what was found on the way.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Radiometry {
-    pub sensor: Sensor,
+    noise: Noise,
+    /// What turned light to code values; `None` when they are in proportion to it.
+    curve: Option<Curve>,
+    file: FileNoise,
+    /// Photographs of each shot with their actual exposure times, shortest first.
+    pub brackets: Vec<Vec<Photograph>>,
     /// Standard deviation of a photograph's light about its setting's, when there is any beyond noise.
     pub flicker_sd: Option<f64>,
     pub warnings: Vec<Warning>,
@@ -48,12 +54,19 @@ const CODE_NOISE: f64 = 1.0;
 /// The estimated curve's file, beside `rig.toml`.
 const CURVE_FILE: &str = "response.toml";
 
-/// Looks at some shots, estimates what is to be estimated, and corrects the capture's `effective_secs` when asked to.
+impl Radiometry {
+    /// What turns code values to light.
+    pub fn sensor(&self) -> Sensor {
+        Sensor::with_curve(&self.noise, self.curve.clone(), self.file)
+    }
+}
+
+/// Looks at some shots, estimates what is to be estimated, and corrects the photographs' `effective_secs` when asked to.
 ///
 /// # Errors
 /// Those of decoding; [`Error::Field`] for a curve file that cannot be read and a curve that cannot be estimated.
 pub(super) fn calibrate(
-    capture: &mut Capture,
+    capture: &Capture,
     noise: &Noise,
     options: &BuildOptions,
     progress: &Progress,
@@ -62,12 +75,12 @@ pub(super) fn calibrate(
     let chosen = choose_shots(capture, &settings);
     let stage = progress.stage("radiometry", chosen.len() + 1);
     let file = file_noise(capture)?;
-    let first_curve = match &capture.rig.camera.response {
+    let mut response = match &capture.rig.camera.response {
         ResponseCurve::Linear => None,
         ResponseCurve::Srgb | ResponseCurve::Estimate => Some(Curve::srgb()),
         ResponseCurve::File(name) => Some(Curve::read(&capture.rig_path.with_file_name(name))?),
     };
-    let mut sensor = Sensor::with_curve(noise, first_curve, file);
+    let mut sensor = Sensor::with_curve(noise, response.clone(), file);
     let stacks: Vec<Stack> = chosen
         .par_iter()
         .map(|&shot| {
@@ -83,7 +96,8 @@ pub(super) fn calibrate(
     let mut estimate = None;
     if capture.rig.camera.response == ResponseCurve::Estimate {
         let found = curve(capture, noise, &stacks, &settings, &sensor, file, options)?;
-        sensor = Sensor::with_curve(noise, Some(found.curve.clone()), file);
+        response = Some(found.curve.clone());
+        sensor = Sensor::with_curve(noise, response.clone(), file);
         estimate = Some(found);
     }
     let scales: Vec<_> =
@@ -91,12 +105,14 @@ pub(super) fn calibrate(
     let mut fit = fit_exposures(&scales, settings.secs.len());
     fit.flicker_sd = fit.flicker_sd.filter(|sd| !file.is_compressed() || *sd > LEAST_COMPRESSED_FLICKER);
     warnings.extend(judge(&fit, &settings, options, file));
+    let mut brackets = capture.brackets.clone();
     if options.exposure_from == ExposureFrom::Estimate {
-        settings.apply(&fit, capture);
+        settings.apply(&fit, &mut brackets);
     }
     stage.advance(1);
     let record = record(&fit, &settings, file, estimate.as_ref(), options);
-    Ok(Radiometry { sensor, flicker_sd: fit.flicker_sd, warnings, record })
+    let (noise, flicker_sd) = (noise.clone(), fit.flicker_sd);
+    Ok(Radiometry { noise, curve: response, file, brackets, flicker_sd, warnings, record })
 }
 
 /// The distinct nominal exposures of a capture, shortest first.
@@ -116,8 +132,8 @@ impl Settings {
         self.secs.partition_point(|s| s * SAME <= photograph.effective_secs).min(self.secs.len() - 1)
     }
 
-    fn apply(&self, fit: &ExposureFit, capture: &mut Capture) {
-        for bracket in &mut capture.brackets {
+    fn apply(&self, fit: &ExposureFit, brackets: &mut [Vec<Photograph>]) {
+        for bracket in brackets {
             for photograph in bracket.iter_mut() {
                 photograph.effective_secs *= fit.log_scale[self.index(photograph)].exp();
             }
@@ -382,7 +398,7 @@ mod tests {
             group: vec![0; 3],
             flicker_sd: None,
         };
-        settings.apply(&fit, &mut capture);
+        settings.apply(&fit, &mut capture.brackets);
         let secs = |k: usize| capture.brackets[k].iter().map(|p| p.effective_secs).collect::<Vec<_>>();
         let close = |found: Vec<f64>, expected: &[f64]| {
             found.len() == expected.len() && found.iter().zip(expected).all(|(f, e)| (f / e - 1.0).abs() < 1e-6)

@@ -1,6 +1,6 @@
 //! Looking for the camera's halo where no light falls: on the opaque frame.
 
-use super::lattice::{DRIFT_SEARCH_PX, Prepared};
+use super::scene::{DRIFT_SEARCH_PX, Scene};
 use crate::Result;
 use crate::geometry::Point;
 use crate::progress::Progress;
@@ -13,48 +13,46 @@ const RIM_PX: f64 = 4.0;
 /// Places of the mask are decided in squares of so many pixels.
 const MASK_PX: usize = 4;
 
-impl Prepared<'_> {
-    /// The halo in some lattice shots, spread over the sweep; nothing when the photographs show too little of the frame.
-    pub(super) fn measure_stray(&self, progress: &Progress) -> Result<StrayLight> {
-        let lattice = self.lattice();
-        let dark = self.dark_pixels();
-        if !dark.contains(&true) {
-            return Ok(StrayLight::default());
-        }
-        let stage = progress.stage("stray light", SHOTS.min(lattice.len()));
-        let picture = |shot: usize| -> Result<Radiance> {
-            let mut picture = self.shots.merge_whole(shot)?;
-            picture.subtract(&self.ambient);
-            stage.advance(1);
-            Ok(picture)
-        };
-        let pictures: Vec<Radiance> = evenly(&lattice, SHOTS).map(picture).collect::<Result<_>>()?;
-        Ok(StrayLight::estimate(&pictures, &dark).unwrap_or_default())
+/// The halo in some lattice shots, spread over the sweep; nothing when the photographs show too little of the frame.
+pub(super) fn measure(scene: &Scene<'_>, progress: &Progress) -> Result<StrayLight> {
+    let lattice = scene.lattice();
+    let dark = dark_pixels(scene);
+    if !dark.contains(&true) {
+        return Ok(StrayLight::default());
     }
+    let stage = progress.stage("stray light", SHOTS.min(lattice.len()));
+    let picture = |shot: usize| -> Result<Radiance> {
+        let mut picture = scene.photographs.merge_whole(shot)?;
+        picture.subtract(&scene.references.ambient);
+        stage.advance(1);
+        Ok(picture)
+    };
+    let pictures: Vec<Radiance> = evenly(&lattice, SHOTS).map(picture).collect::<Result<_>>()?;
+    Ok(StrayLight::estimate(&pictures, &dark).unwrap_or_default())
+}
 
-    /// Pixels that see the frame or what is around it, away from its reference dots wherever they have drifted to.
-    fn dark_pixels(&self) -> Vec<bool> {
-        let [width, height] = self.shots.capture.rig.camera.size_px;
-        let size_mm = self.shots.capture.manifest.slab.size_mm;
-        let rim_mm = (RIM_PX + MASK_PX as f64) / self.px_per_mm;
-        let camera = |p: Point| self.registration.view.camera_from_slab(p);
-        let dots: Vec<Point> = self.reference_mm().into_iter().map(camera).collect();
-        let reach = self.dot_radius_px() + DRIFT_SEARCH_PX + RIM_PX + MASK_PX as f64;
-        let mut dark = vec![false; width * height];
-        for y in (0..height).step_by(MASK_PX) {
-            for x in (0..width).step_by(MASK_PX) {
-                let q = [x as f64, y as f64];
-                let Some(p) = self.registration.view.slab_from_camera(q) else { continue };
-                let on_sample = (0..2).all(|a| p[a] > -rim_mm && p[a] < size_mm[a] + rim_mm);
-                let near_dot = dots.iter().any(|d| (d[0] - q[0]).abs().max((d[1] - q[1]).abs()) < reach);
-                if on_sample || near_dot {
-                    continue;
-                }
-                for j in y..(y + MASK_PX).min(height) {
-                    dark[j * width + x..j * width + (x + MASK_PX).min(width)].fill(true);
-                }
+/// Pixels that see the frame or what is around it, away from its reference dots wherever they have drifted to.
+fn dark_pixels(scene: &Scene<'_>) -> Vec<bool> {
+    let [width, height] = scene.capture.rig.camera.size_px;
+    let size_mm = scene.capture.manifest.slab.size_mm;
+    let rim_mm = (RIM_PX + MASK_PX as f64) / scene.px_per_mm;
+    let camera = |p: Point| scene.registration.view.camera_from_slab(p);
+    let dots: Vec<Point> = scene.reference_mm().into_iter().map(camera).collect();
+    let reach = scene.dot_radius_px() + DRIFT_SEARCH_PX + RIM_PX + MASK_PX as f64;
+    let mut dark = vec![false; width * height];
+    for y in (0..height).step_by(MASK_PX) {
+        for x in (0..width).step_by(MASK_PX) {
+            let q = [x as f64, y as f64];
+            let Some(p) = scene.registration.view.slab_from_camera(q) else { continue };
+            let on_sample = (0..2).all(|a| p[a] > -rim_mm && p[a] < size_mm[a] + rim_mm);
+            let near_dot = dots.iter().any(|d| (d[0] - q[0]).abs().max((d[1] - q[1]).abs()) < reach);
+            if on_sample || near_dot {
+                continue;
+            }
+            for j in y..(y + MASK_PX).min(height) {
+                dark[j * width + x..j * width + (x + MASK_PX).min(width)].fill(true);
             }
         }
-        dark
     }
+    dark
 }

@@ -14,12 +14,12 @@ pub const CODES: usize = 256;
 pub const FULL: f64 = 255.0;
 
 /// Linear light of each 8-bit code value, per channel, from 0 to `FULL`; between codes it is interpolated.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Curve {
     channels: Vec<Channel>,
 }
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 struct Channel {
     linear: Vec<f64>,
     /// Slope at each code, for a monotone cubic.

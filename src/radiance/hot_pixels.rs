@@ -3,7 +3,7 @@
 use super::Radiance;
 
 /// A photosite (of one channel) that shows light in the dark.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct HotPixel {
     /// Column, row and channel.
     pub at: [usize; 3],

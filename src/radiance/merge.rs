@@ -13,7 +13,7 @@ pub struct Exposure {
 }
 
 /// Linear radiance of a rectangle of pixels, in code values per second, R G B interleaved.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Radiance {
     /// Where in the photograph.
     pub rect: Rect,

@@ -20,7 +20,7 @@ const LEVEL_ERROR_DN: f64 = 0.02;
 const LINEAR_UP_TO: f64 = 0.98;
 
 /// A noise model from photographs, with standard deviations.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct NoiseEstimate {
     /// The model.
     pub noise: Noise,

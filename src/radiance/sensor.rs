@@ -19,7 +19,7 @@ pub struct Sensor {
 }
 
 /// What the files do to code values after the curve: both add to the variance.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct FileNoise {
     /// Whether code values have 16 bits.
     pub sixteen_bit: bool,

@@ -24,6 +24,7 @@ pub(super) fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
                 drift_sd_px: (i != 2).then_some(0.02),
             })
             .collect(),
+        camera_px_per_mm: None,
         warnings: vec![Warning::DriftUnmeasured { first: "lattice <2>".into(), shots: 1 }],
         provenance: serde_json::json!({"version": "0.1.0", "options": {"note": "</pre><script>"}}),
     }

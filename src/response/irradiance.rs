@@ -5,7 +5,7 @@ use crate::geometry::Point;
 use crate::radiance::Radiance;
 
 /// Light per area under a full white pattern, seen as the camera would see it, vignetting taken out.
-#[derive(Debug)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Irradiance {
     white: Radiance,
     sensitivity: Sensitivity,
@@ -15,7 +15,7 @@ pub struct Irradiance {
 }
 
 /// Relative sensitivity of each pixel (vignetting), inverted once.
-#[derive(Debug)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Sensitivity {
     width: usize,
     inverse: Vec<f32>,

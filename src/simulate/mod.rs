@@ -226,7 +226,7 @@ fn refuse_full(dir: &Path, force: bool) -> Result<()> {
         Err(e) => return Err(Error::io("read", dir)(e)),
     };
     if full && !force {
-        return refuse("a new or empty folder, or leave to replace it", format!("{} with files in it", dir.display()));
+        return Err(Error::NotEmpty { path: dir.to_path_buf() });
     }
     // Whatever else lies there is not ours to remove: a lab's photographs above all.
     if full && !dir.join(TRUTH_FILE).is_file() {
@@ -291,6 +291,7 @@ fn header(options: &Options, bench: &Bench, plan: &Plan) -> Result<MatrixHeader>
         lit_mm,
         shot_of,
         shots: plan.lattices.iter().map(record).collect(),
+        camera_px_per_mm: Some(options.camera_px_per_sample / options.pitch_mm),
         warnings: Vec::new(),
         provenance: serde_json::json!({
             "source": "acquire simulate: the truth of a simulated capture",

@@ -8,7 +8,7 @@ use super::{
     bench::Bench,
     camera::photograph::{ExposureTime, PhotographWriter},
     camera::{hot_pixels::hot_pixels, psf, sensor::Sensor},
-    light::diffusion::Domain,
+    light::domain::Domain,
     light::dots::Glow,
     light::field::Field,
     mix_seed, plan,

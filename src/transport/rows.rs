@@ -112,6 +112,7 @@ mod tests {
                 position_sd_mm: vec![0.0; rows],
                 shot_of: vec![None; rows],
                 shots: Vec::new(),
+                camera_px_per_mm: None,
                 warnings: Vec::new(),
                 provenance: serde_json::Value::Null,
             };
@@ -211,6 +212,7 @@ mod tests {
             position_sd_mm: vec![0.0; 150],
             shot_of: vec![None; 150],
             shots: Vec::new(),
+            camera_px_per_mm: None,
             warnings: Vec::new(),
             provenance: serde_json::Value::Null,
         };

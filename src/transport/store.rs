@@ -12,11 +12,11 @@
 //!
 //! Everything else is in the group's attributes, see [`MatrixHeader`].
 
+use super::positioned;
 use crate::{Error, Result, Warning, geometry::Point, output::ScratchFolder};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
-use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use zarrs::array::codec::ZstdCodec;
@@ -65,6 +65,9 @@ pub struct MatrixHeader {
     pub shot_of: Vec<Option<usize>>,
     /// The lattice shots, with their drift.
     pub shots: Vec<ShotRecord>,
+    /// Camera pixels in a mm at the slab's centre; `None` when no camera has seen it.
+    #[serde(default)]
+    pub camera_px_per_mm: Option<f64>,
     /// Findings of the measurement.
     pub warnings: Vec<Warning>,
     /// Version, options, input hashes, seed: how this matrix came to be.
@@ -227,7 +230,8 @@ impl MatrixWriter {
             bytes.extend_from_slice(&value.to_le_bytes());
         }
         bytes.extend(row.valid.iter().map(|&v| u8::from(v)));
-        self.scratch.write_all_at(&bytes, (index * n * 9) as u64).map_err(Error::io("write", &self.path))?;
+        positioned::write_all_at(&self.scratch, &bytes, (index * n * 9) as u64)
+            .map_err(Error::io("write", &self.path))?;
         self.written.lock().map_err(Error::internal)?[index] = true;
         Ok(())
     }
@@ -305,7 +309,7 @@ impl MatrixWriter {
         let mut block = RowBlock::zeros(rows.clone(), n);
         let mut bytes = vec![0u8; n * 9];
         for (k, row) in rows.enumerate().filter(|&(_, row)| written(row)) {
-            self.scratch.read_exact_at(&mut bytes, (row * n * 9) as u64)?;
+            positioned::read_exact_at(&self.scratch, &mut bytes, (row * n * 9) as u64)?;
             let (values, valid) = bytes.split_at(n * 8);
             let floats = values.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
             for (i, value) in floats.enumerate() {

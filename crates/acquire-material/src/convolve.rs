@@ -3,8 +3,8 @@
 //! Without a colour polynomial the exitance is Σ_j (Σ_i Φ_i g_j f_j(i) δ(x_i)) ∗ h_j. Impulses are spread over the four nearest samples
 //! as rows are; offset factors are cut to the window that rows of one shift have measured. All terms are summed before the one transform back.
 
+use crate::exitance::{Canvas, Exitance, Shape};
 use crate::parallel::*;
-use crate::relight::{Canvas, Exitance, Shape};
 use crate::response::Responses;
 use crate::{CHANNELS, Error, Material, Result};
 use realfft::num_complex::Complex;

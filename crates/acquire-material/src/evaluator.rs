@@ -1,11 +1,8 @@
 //! Point queries for a renderer: R̂_d at one pair of points, without allocation.
 
 use crate::color::{Colors, Interval, colors};
-use crate::sampling::{Sampled, Tree};
+use crate::sampling::{LANES, Sampled, Tree};
 use crate::{CHANNELS, Layout, Material, Point, Result, offset_plane};
-
-/// Terms that are multiplied together.
-pub(crate) const LANES: usize = 4;
 
 /// A material rearranged so that a query touches a few contiguous pieces of memory.
 ///

@@ -5,8 +5,10 @@
 //! probability of a sample is the product of those choices, whatever the sums were: it is known exactly where rows are cut by their shifts
 //! and where negative samples cancel, only less close to the response.
 
-use crate::evaluator::LANES;
 use crate::{Layout, Material, offset_plane};
+
+/// Terms that are multiplied together.
+pub(crate) const LANES: usize = 4;
 
 /// Share of the draws that are uniform over the window.
 const UNIFORM: f64 = 0.01;

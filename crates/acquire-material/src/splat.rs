@@ -1,7 +1,7 @@
 //! Rows added to images where they leave the slab.
 
+use crate::exitance::{Canvas, Exitance, Shape};
 use crate::parallel::*;
-use crate::relight::{Canvas, Exitance, Shape};
 
 /// Bands of lines into which an image is divided, for as many threads.
 const BANDS: usize = 8;

@@ -9,7 +9,6 @@ mod deflation;
 mod dense;
 mod randomized;
 
-use super::rows::Rows;
 use crate::{Error, Result};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatRef, Side, get_global_parallelism};
@@ -39,6 +38,18 @@ impl std::fmt::Display for Backend {
             Self::Deflation => "deflation",
         })
     }
+}
+
+/// A matrix of f32 that comes in blocks of consecutive rows, the same each time.
+pub trait Rows {
+    /// Number of rows and columns.
+    fn shape(&self) -> (usize, usize);
+
+    /// Calls `each(first_row, block)`, blocks row-major, in order.
+    ///
+    /// # Errors
+    /// Those of the source and of `each`.
+    fn for_each(&self, each: &mut dyn FnMut(usize, &[f32]) -> Result<()>) -> Result<()>;
 }
 
 /// Leading singular triplets without their left vectors, which a second pass gives.

@@ -174,7 +174,7 @@ fn goals_choose_among_all_terms_and_degrees() {
     (bare.header.degree, bare.color_coefficients) = (None, Vec::new());
     let survey = super::super::survey::survey(
         &matrix.reader,
-        super::super::rows::Content::Intensity,
+        super::super::content::Content::Intensity,
         [0, 0],
         None,
         &Progress::silent(),

@@ -1,6 +1,7 @@
 use super::super::test_matrices::{Stored, stored};
 use super::*;
 use crate::transport::Row;
+use crate::transport::rows::RowView;
 
 const WINDOW: [usize; 2] = [5, 3];
 const SHIFTS: [[i16; 2]; 6] = [[0, 0], [1, 0], [0, 1], [-1, 0], [0, -1], [0, 0]];

@@ -1,6 +1,6 @@
 //! The light of one projector dot as it arrives on the slab.
 
-use super::diffusion::Domain;
+use super::domain::Domain;
 use crate::geometry::Point;
 use crate::simulate::scene::render::{GAUSS_6, soft_box};
 use rand::RngExt;

@@ -1,18 +1,6 @@
 //! The slab on the solver's grid: its layers, and the mean coefficients of its voxels.
 
-use super::diffusion::{Domain, Slab};
-use crate::simulate::slab::Volume;
-
-/// The first layer is at most this part of a voxel's width and of the shortest mean free path, but no less than [`THINNEST`] of the width.
-const FIRST_OF_VOXEL: f64 = 1.0 / 3.0;
-const FIRST_OF_PATH: f64 = 0.5;
-const THINNEST: f64 = 0.01;
-/// Layers grow by a quarter to this many widths of a voxel, and again below [`DEEP`] widths, in proportion to their depth: light that comes
-/// back from there is spread wider than that.
-const THICKEST: f64 = 1.4;
-const DEEP: f64 = 32.0;
-/// Extinction below which a medium is taken to have this much, mm⁻¹: a mean free path of 10 m is as good as none.
-const LEAST_EXTINCTION_PER_MM: f64 = 1e-4;
+use super::domain::{Domain, LEAST_EXTINCTION_PER_MM, Slab};
 
 /// σ'_s and σ_a (mm⁻¹) of one channel on the solver's voxels.
 #[derive(Debug)]
@@ -91,38 +79,4 @@ fn depths(slab: &Slab) -> Vec<Vec<(usize, f64)>> {
         slab.volume.depth_shares(above - dz, above)
     });
     shares.collect()
-}
-
-/// The solver's layers from the top, mm, for voxels `voxel_mm` wide: thin at the top, ending where the material's layers end (unless
-/// these are thinner than half a layer).
-pub(crate) fn layers_mm(volume: &Volume, voxel_mm: f64) -> Vec<f64> {
-    let path = 1.0 / volume.largest_extinction_per_mm().max(LEAST_EXTINCTION_PER_MM);
-    let first = (FIRST_OF_VOXEL * voxel_mm).min(FIRST_OF_PATH * path).max(THINNEST * voxel_mm);
-    let most = |depth: f64| THICKEST * voxel_mm * (depth / (DEEP * voxel_mm)).max(1.0);
-    let thickness = volume.thickness_mm();
-    let mut layers = Vec::new();
-    let (mut top, mut end) = (0.0, 0.0);
-    for (n, material) in volume.layers_mm.iter().enumerate() {
-        end += material;
-        let next = (first + 0.25 * top).min(most(top));
-        let last = n + 1 == volume.layers_mm.len();
-        if !last && (end - top < 0.5 * next || thickness - end < 0.5 * next) {
-            continue;
-        }
-        fill(&mut layers, end - top, next, |depth| most(top + depth));
-        top = end;
-    }
-    layers
-}
-
-/// Layers that grow by a quarter from `next` to at most `most`, scaled to fill `thickness`.
-fn fill(layers: &mut Vec<f64>, thickness: f64, mut next: f64, most: impl Fn(f64) -> f64) {
-    let begin = layers.len();
-    let mut sum = 0.0;
-    while sum < thickness {
-        layers.push(next);
-        sum += next;
-        next = (1.25 * next).min(most(sum));
-    }
-    layers[begin..].iter_mut().for_each(|t| *t *= thickness / sum);
 }

@@ -1,7 +1,7 @@
 //! Slabs whose coefficients vary with depth, and slabs at the ends of every range.
 
-use super::coefficients::layers_mm;
-use super::diffusion::{Domain, Slab};
+use super::domain::layers_mm;
+use super::domain::{Domain, Slab};
 use super::multigrid::{Columns, Multigrid};
 use crate::simulate::slab::{Beyond, Optics, Volume, boundary_factor, normal_reflectance, table};
 

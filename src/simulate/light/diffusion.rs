@@ -33,13 +33,14 @@
 //!
 //! [`dEonIrving2011`]: https://doi.org/10.1145/1964921.1964951
 
-use super::coefficients::{Coefficients, layers_mm};
+use super::coefficients::Coefficients;
+use super::domain::{Domain, Slab};
 use super::first_flights::{Flights, Flown};
 use super::last_flight::Lit;
 use super::multigrid::{Columns, Convergence, Multigrid};
 use super::solution::Solution;
-use crate::simulate::slab::{Volume, boundary_factor, normal_reflectance};
-use crate::{Error, Result, geometry::Point};
+use crate::simulate::slab::{boundary_factor, normal_reflectance};
+use crate::{Error, Result};
 
 /// A solve takes 6 to 9 iterations, some tens when coefficients jump a thousandfold; one that takes this many has failed.
 const MOST_ITERATIONS: usize = 400;
@@ -49,80 +50,10 @@ const MOST_REFINEMENTS: usize = 6;
 const FAILED_ABOVE: f64 = 1e-3;
 /// What a refinement lessens the residual by.
 const REFINEMENT: f64 = 1e-3;
-/// The most voxels of a box: 40 to 90 bytes each.
-const MOST_VOXELS: usize = 1 << 26;
 /// Channels as messages name them.
 pub(crate) const CHANNEL_NAMES: [char; 3] = ['R', 'G', 'B'];
 
-/// Flights that light scattered by the beam makes before it diffuses. 2: a third of the error of none in clear media, three quarters of it in
-/// marble, for about the time of the solve; in cream, the densest, more flights make it worse.
-const FLIGHTS: usize = 2;
-
-/// A box of voxels in slab coordinates.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Domain {
-    /// The box's first corner, mm.
-    pub corner_mm: Point,
-    /// Side of a voxel over the plane, mm.
-    pub voxel_mm: f64,
-    /// Voxels along x and y.
-    pub voxels: [usize; 2],
-}
-
-impl Domain {
-    /// First corner of voxel `[x, y]`, mm.
-    pub fn voxel_corner_mm(&self, voxel: [usize; 2]) -> Point {
-        std::array::from_fn(|a| self.corner_mm[a] + voxel[a] as f64 * self.voxel_mm)
-    }
-
-    /// Number of columns.
-    pub fn columns(&self) -> usize {
-        self.voxels[0] * self.voxels[1]
-    }
-
-    /// What enters per mm² of a column at which a unit of flux arrives.
-    pub fn entering_per_mm2(&self, refractive_index: f64) -> f64 {
-        (1.0 - normal_reflectance(refractive_index)) / self.voxel_mm.powi(2)
-    }
-}
-
-/// The slab as the solver sees it.
-#[derive(Debug, Clone)]
-pub(crate) struct Slab {
-    pub volume: Volume,
-    /// Thickness of the solver's layers from the top, mm.
-    pub layers_mm: Vec<f64>,
-    /// When to stop: residual over first residual.
-    pub tolerance: f64,
-    /// Flights before light diffuses.
-    pub flights: usize,
-}
-
 impl Slab {
-    /// The slab for a solver whose voxels are `voxel_mm` wide.
-    pub fn new(volume: Volume, voxel_mm: f64, tolerance: f64) -> Self {
-        let volume = volume.merged();
-        Self { layers_mm: layers_mm(&volume, voxel_mm), volume, tolerance, flights: FLIGHTS }
-    }
-
-    /// Refuses a box of more voxels than memory is meant for.
-    ///
-    /// # Errors
-    /// [`Error::Setting`] naming `voxels_per_sample`.
-    pub fn check_size(&self, domain: &Domain) -> Result<()> {
-        let voxels = domain.columns().saturating_mul(self.layers_mm.len());
-        match voxels <= MOST_VOXELS {
-            true => Ok(()),
-            false => Err(Error::Setting {
-                setting: "voxels_per_sample",
-                expected: format!(
-                    "a sample of at most {MOST_VOXELS} voxels (a smaller grid or window, or fewer voxels per sample)"
-                ),
-                found: format!("{} × {} × {} voxels", domain.voxels[0], domain.voxels[1], self.layers_mm.len()),
-            }),
-        }
-    }
-
     /// Solves for `flux` arriving at the columns (row-major).
     ///
     /// # Errors

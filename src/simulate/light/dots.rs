@@ -2,7 +2,7 @@
 
 use super::{
     beam::Beam,
-    diffusion::{Domain, Slab},
+    domain::{Domain, Slab},
     field::Field,
     monte_carlo::{self, BATCHES, Medium, Outcome, Setup, Window},
 };

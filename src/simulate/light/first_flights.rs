@@ -6,7 +6,7 @@
 //! leaves in every voxel what collides there, expected (no roulette), is reflected by the faces after Fresnel, and keeps all energy.
 
 use super::coefficients::Coefficients;
-use super::diffusion::{Domain, Slab};
+use super::domain::{Domain, Slab};
 use super::fresnel;
 use std::f64::consts::PI;
 

@@ -2,7 +2,7 @@
 
 use super::beam::Beam;
 use super::coefficients::Coefficients;
-use super::diffusion::{Domain, Slab};
+use super::domain::{Domain, Slab};
 use super::field::Field;
 use super::last_flight::Lit;
 use super::monte_carlo::{self, Medium, Setup, Window};

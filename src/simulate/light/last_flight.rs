@@ -9,7 +9,7 @@
 //! Left out: what reaches the eye by way of the bottom face (F of it, some percent of the little that gets there).
 
 use super::coefficients::Coefficients;
-use super::diffusion::Domain;
+use super::domain::Domain;
 use super::sight::Sight;
 
 /// A shift of fewer voxels than this is not seen.

@@ -5,6 +5,7 @@ pub(crate) mod coefficients;
 #[cfg(test)]
 mod depth_tests;
 pub(crate) mod diffusion;
+pub(crate) mod domain;
 pub(crate) mod dots;
 pub(crate) mod field;
 mod first_flights;

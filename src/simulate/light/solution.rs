@@ -1,7 +1,7 @@
 //! A solved slab: what it shows, and where its light went.
 
 use super::coefficients::Coefficients;
-use super::diffusion::Domain;
+use super::domain::Domain;
 use super::first_flights::Flown;
 use super::last_flight::Lit;
 use crate::simulate::slab::boundary_factor;
@@ -69,7 +69,7 @@ impl Solution {
         self.shown(eye_mm, &|i| self.flux[i] * enters)
     }
 
-    /// The same without what is scattered towards the eye the first time: see [`super::diffusion::Slab::first_radiance`].
+    /// The same without what is scattered towards the eye the first time: see [`super::domain::Slab::first_radiance`].
     pub fn radiance_but_first(&self, eye_mm: [f64; 3]) -> Vec<f32> {
         self.shown(eye_mm, &|_| 0.0)
     }

@@ -1,7 +1,7 @@
 //! The transport solver against an analytic solution, and the laws that it must keep.
 
 use super::beam::Beam;
-use super::diffusion::{Domain, Slab};
+use super::domain::{Domain, Slab};
 use super::field::Field;
 use super::multigrid::{Columns, Multigrid};
 use super::solution::Balance;

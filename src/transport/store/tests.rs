@@ -11,6 +11,7 @@ fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
         position_sd_mm: vec![0.01; rows],
         shot_of: (0..rows).map(|r| (r > 0).then_some(0)).collect(),
         shots: vec![ShotRecord { name: "a".into(), drift_px: [0.1, 0.2], drift_sd_px: None }],
+        camera_px_per_mm: None,
         warnings: vec![Warning::UnlitPoints { rows: 1 }],
         provenance: serde_json::json!({"seed": 1}),
     }
@@ -81,6 +82,7 @@ fn uneven() -> MatrixHeader {
         position_sd_mm: (0..6).map(|r| 0.01 * f64::from(r)).collect(),
         shot_of: [Some(1), None, Some(0), Some(1), Some(0), None].to_vec(),
         shots: ["a", "b"].map(|n| ShotRecord { name: n.into(), drift_px: [0.1, 0.2], drift_sd_px: Some(0.3) }).to_vec(),
+        camera_px_per_mm: None,
         warnings: Vec::new(),
         provenance: serde_json::Value::Null,
     }

@@ -4,7 +4,7 @@ use super::{
     Window,
     medium::{Local, Medium},
     phase::density,
-    walk::Photon,
+    photon::Photon,
 };
 use crate::geometry::Point;
 use crate::simulate::light::sight::Sight;

@@ -21,6 +21,7 @@
 mod eye;
 mod medium;
 mod phase;
+mod photon;
 mod tally;
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,6 @@
 //! One photon's way through the slab.
 
-use super::{Rings, Window, eye::Eye, medium::Medium, phase::scatter, tally::Tally};
+use super::{Rings, Window, eye::Eye, medium::Medium, phase::scatter, photon::Photon, tally::Tally};
 use crate::geometry::Point;
 use crate::simulate::light::beam::Beam;
 use crate::simulate::light::fresnel::{Passage, face};
@@ -24,15 +24,6 @@ pub(super) struct Walk<'a> {
     pub eye: Option<Eye<'a>>,
     pub exitance: bool,
     pub extent_mm: [Point; 2],
-}
-
-/// Where a photon is, where it goes, and what it is worth.
-pub(super) struct Photon {
-    pub p: [f64; 3],
-    pub d: [f64; 3],
-    pub layer: usize,
-    pub weight: f64,
-    scattered: bool,
 }
 
 /// What ends a straight flight.

@@ -1,0 +1,93 @@
+//! Decoded code values, and where in its pixel each was measured.
+
+/// Decoded code values, R G B interleaved.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pixels {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// 3 · width · height code values.
+    pub samples: Samples,
+    /// Where in its pixel each channel was measured.
+    pub sampling: Sampling,
+    /// BLAKE3 of the file.
+    pub hash: blake3::Hash,
+}
+
+/// Where in its pixel, and over how much of it, each channel (R, G, B) was measured.
+///
+/// All of it, unless the photograph is a mosaic that was read at half size: then R and B were measured by one photosite of four.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sampling {
+    /// Centre of the light that was measured, from the pixel's centre, px (x right, y down).
+    pub offset_px: [[f64; 2]; 3],
+    /// Side of the square over which it was averaged, px. The two G of a block, corner to corner, count as the whole of it.
+    pub aperture_px: [f64; 3],
+    /// Variance over that of one photosite with the same code value: ½ for a mean of two.
+    pub variance_share: [f32; 3],
+}
+
+impl Sampling {
+    /// Every channel over the whole pixel.
+    pub const WHOLE: Self = Self { offset_px: [[0.0; 2]; 3], aperture_px: [1.0; 3], variance_share: [1.0; 3] };
+}
+
+/// Code values in the file's own type.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Samples {
+    /// 8-bit.
+    U8(Vec<u8>),
+    /// 16-bit (or fewer bits in 16).
+    U16(Vec<u16>),
+    /// Floating point, linear.
+    F32(Vec<f32>),
+}
+
+/// A rectangle of camera pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Rect {
+    /// First column.
+    pub x: usize,
+    /// First row.
+    pub y: usize,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+impl Rect {
+    /// Number of pixels.
+    pub fn area(&self) -> usize {
+        self.width * self.height
+    }
+}
+
+impl Samples {
+    /// Number of code values.
+    #[allow(clippy::len_without_is_empty)]
+    pub fn len(&self) -> usize {
+        match self {
+            Self::U8(v) => v.len(),
+            Self::U16(v) => v.len(),
+            Self::F32(v) => v.len(),
+        }
+    }
+
+    /// A copy of the code values in `part` of the rectangle `whole` that these are; `part` must lie inside.
+    pub fn crop(&self, whole: Rect, part: Rect) -> Self {
+        fn rows<T: Copy>(v: &[T], whole: Rect, part: Rect) -> Vec<T> {
+            let mut out = Vec::with_capacity(3 * part.area());
+            for y in part.y - whole.y..part.y - whole.y + part.height {
+                out.extend_from_slice(&v[3 * (y * whole.width + part.x - whole.x)..][..3 * part.width]);
+            }
+            out
+        }
+        match self {
+            Self::U8(v) => Self::U8(rows(v, whole, part)),
+            Self::U16(v) => Self::U16(rows(v, whole, part)),
+            Self::F32(v) => Self::F32(rows(v, whole, part)),
+        }
+    }
+}

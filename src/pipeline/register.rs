@@ -1,0 +1,174 @@
+//! Slab, camera and projector related to each other: by the board or the frame's marks, and by the Gray code.
+
+use super::photographs::Photographs;
+use crate::capture::{Board, Capture, Pattern, Surface};
+use crate::geometry::{CameraView, Lens, Point};
+use crate::progress::{Progress, Stage};
+use crate::radiance::Radiance;
+use crate::registration::{
+    BitPair, FrameFit, LensChoice, Pairs, PointSpread, Registration, StripeSurface, ViewFit, find_board,
+    fit_lens_of_views, marks_moved, measure_point_spread, register_frame, register_projector,
+};
+use crate::{Error, Result, Warning};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// What [`register`] found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Registered {
+    pub registration: Registration,
+    /// Light of each Gray-code pattern and its inverse together, every [`SUM_STEP`]th pixel: white, but for the lamp.
+    pub sums: Vec<Vec<f32>>,
+    pub warnings: Vec<Warning>,
+}
+
+/// A few thousand pixels tell the lamp's change to a hundredth of a per cent.
+pub(super) const SUM_STEP: usize = 13;
+
+/// Camera from the board, projector from the Gray code.
+///
+/// # Errors
+/// [`Error::Registration`] naming the shot; those of decoding.
+pub(super) fn register(photographs: &Photographs<'_>, progress: &Progress) -> Result<Registered> {
+    let codes = photographs.capture.shots(|p| matches!(p, Pattern::GrayCode { .. }));
+    let stage = progress.stage("register", 1 + codes.len());
+    // Finding the board's corners runs on one core: the other decodes stripes meanwhile.
+    let (camera, pairs) = rayon::join(
+        || {
+            let found = camera_view(photographs);
+            stage.advance(1);
+            found
+        },
+        || bit_pairs(photographs, &codes, &stage),
+    );
+    let ((camera, choice, point_spread, warnings), pairs) = (camera?, pairs?);
+    let sum = |p: &BitPair| p.pattern.iter().zip(&p.inverse).step_by(SUM_STEP).map(|(a, b)| a + b).collect();
+    let sums = pairs.iter().map(sum).collect();
+    let first = codes[0];
+    let rig = &photographs.capture.rig;
+    // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
+    let lens = Lens::ideal(rig.projector.lens_center_px(), rig.projector.size_px[0] as f64);
+    let surface = stripe_surface(photographs, &codes)?;
+    let projector = register_projector(&pairs, rig.camera.size_px, &camera.view, surface, lens)
+        .map_err(photographs.failed(first))?;
+    let size_mm = photographs.capture.manifest.slab.size_mm;
+    Registration::new(&camera, choice, point_spread, &projector, size_mm)
+        .map(|registration| Registered { registration, sums, warnings })
+        .ok_or_else(|| photographs.failed(first)("the projector's map cannot be inverted".into()))
+}
+
+/// The board gives a plane, the frame's marks the plane as the sample really lies; the lens is fitted to all of them together, and to
+/// boards in other poses where there are any.
+fn camera_view(photographs: &Photographs<'_>) -> Result<(ViewFit, LensChoice, Option<PointSpread>, Vec<Warning>)> {
+    let rig = &photographs.capture.rig;
+    let camera = &rig.camera;
+    let mut warnings = Vec::new();
+    let (mut planes, mut has_board): (Vec<Pairs>, bool) = (Vec::new(), false);
+    let mut sharp: Option<(Radiance, &Board)> = None;
+    for calibrating in [false, true] {
+        let kind = |p: &Pattern| if calibrating { *p == Pattern::CalibrationBoard } else { *p == Pattern::Board };
+        for shot in photographs.capture.shots(kind) {
+            let Some(board) = &rig.board else { continue };
+            let picture = photographs.merge_whole(shot)?;
+            planes.push(find_board(&picture, board, camera).map_err(photographs.failed(shot))?);
+            sharp.get_or_insert((picture, board));
+            has_board |= !calibrating;
+        }
+    }
+    let lens_of = |planes: &[Pairs]| fit_lens_of_views(planes, camera.principal_px, camera.focal_px);
+    let mut fits = lens_of(&planes);
+    let prior = fits.as_ref().filter(|_| has_board).map(|(fits, _)| fits[0].view);
+    let mut first: Option<FrameFit> = None;
+    for shot in photographs.capture.shots(|p| *p == Pattern::Frame) {
+        let Some(marks) = &rig.frame else { continue };
+        let picture = photographs.merge_whole(shot)?;
+        let found = register_frame(&picture, marks, prior.as_ref(), camera).map_err(photographs.failed(shot))?;
+        let name = photographs.capture.manifest.shots[shot].name.clone();
+        match &first {
+            None => {
+                planes.insert(0, found.pairs(marks));
+                fits = lens_of(&planes);
+                first = Some(found);
+            }
+            Some(before) => {
+                let moved = marks_moved(before, &found);
+                let beyond = |(m, sd): &(Point, f64)| m[0].hypot(m[1]) > (5.0 * sd).max(0.05);
+                let told = |(moved_px, sd_px)| Warning::FrameMoved { shot: name, moved_px, sd_px };
+                warnings.extend(moved.filter(beyond).map(told));
+            }
+        }
+    }
+    let (fits, choice) = fits.ok_or_else(|| {
+        Error::field(
+            &photographs.capture.rig_path,
+            "board or frame.marks_mm",
+            "points that span a plane",
+            "too few or on a line",
+        )
+    })?;
+    if first.is_some() && has_board {
+        warnings.extend(board_elsewhere(photographs.capture, &fits[1].view, &fits[0]));
+    }
+    // Boards come after the frame; the first of them, in the sample's plane if there is one, tells how sharp the picture is.
+    let seen = &fits[usize::from(first.is_some() && fits.len() > 1)].view;
+    let point_spread = sharp.and_then(|(picture, board)| measure_point_spread(&picture, board, seen));
+    Ok((fits[0], choice, point_spread, warnings))
+}
+
+/// Whether board and frame disagree about where the slab's corners are seen.
+fn board_elsewhere(capture: &Capture, board: &CameraView, frame: &ViewFit) -> Option<Warning> {
+    let [w, h] = capture.manifest.slab.size_mm;
+    let off = |p: Point| {
+        let (a, b) = (board.camera_from_slab(p), frame.view.camera_from_slab(p));
+        (a[0] - b[0]).hypot(a[1] - b[1])
+    };
+    let largest_px = [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(off).into_iter().fold(0.0, f64::max);
+    (largest_px > (5.0 * frame.sd_px).max(0.2)).then_some(Warning::BoardElsewhere { largest_px })
+}
+
+/// What the Gray code was projected on: all of it on the same.
+fn stripe_surface(photographs: &Photographs<'_>, codes: &[usize]) -> Result<StripeSurface> {
+    let manifest = &photographs.capture.manifest;
+    let of = |s: usize| match manifest.shots[s].pattern {
+        Pattern::GrayCode { on, .. } => on,
+        _ => Surface::default(),
+    };
+    if let Some(&other) = codes.iter().find(|&&s| of(s) != of(codes[0])) {
+        let (field, first) = (format!("shots \"{}\": on", manifest.shots[other].name), &manifest.shots[codes[0]].name);
+        let expected = format!("the surface of shot \"{first}\": one for the whole Gray code");
+        return Err(Error::field(photographs.capture.manifest_path(), field, expected, "another"));
+    }
+    Ok(match of(codes[0]) {
+        Surface::WhiteReference => StripeSurface::White,
+        Surface::Frame => StripeSurface::Frame(manifest.slab.size_mm),
+    })
+}
+
+fn bit_pairs(photographs: &Photographs<'_>, codes: &[usize], stage: &Stage<'_>) -> Result<Vec<BitPair>> {
+    let mut pairs: BTreeMap<(usize, u32), [Option<usize>; 2]> = BTreeMap::new();
+    for &s in codes {
+        if let Pattern::GrayCode { axis, bit, inverse, .. } = photographs.capture.manifest.shots[s].pattern {
+            let slot = &mut pairs.entry((axis as usize, bit)).or_default()[usize::from(inverse)];
+            if slot.replace(s).is_some() {
+                return Err(photographs.failed(s)("this bit of the Gray code was shot twice".into()));
+            }
+        }
+    }
+    let pairs: Vec<_> = pairs.into_iter().collect();
+    pairs
+        .into_par_iter()
+        .map(|((axis, bit), shots)| {
+            let [Some(pattern), Some(inverse)] = shots else {
+                let shot = shots.into_iter().flatten().next().unwrap_or(codes[0]);
+                return Err(photographs.failed(shot)("each bit of the Gray code needs its inverse".into()));
+            };
+            let (pattern, inverse) = (photographs.merge_whole(pattern)?, photographs.merge_whole(inverse)?);
+            let used = pattern.used.as_chunks::<3>().0.iter().zip(inverse.used.as_chunks::<3>().0);
+            let valid = used.map(|(a, b)| !a.contains(&0) && !b.contains(&0)).collect();
+            let pair = BitPair { axis, bit, pattern: pattern.luminance(), inverse: inverse.luminance(), valid };
+            stage.advance(2);
+            Ok(pair)
+        })
+        .collect()
+}
