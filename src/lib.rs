@@ -2,6 +2,7 @@
 //!
 //! The modules stand in the order in which the photographs pass them; each depends only on those above it.
 
+mod cholesky;
 mod error;
 mod output;
 mod warning;

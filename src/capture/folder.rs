@@ -129,7 +129,8 @@ fn read_heads(
     let mut heads = Vec::new();
     for entry in &shot.photographs {
         let path = dir.join(&entry.file);
-        let mut photograph = Photograph { path, shot: shot.name.clone(), exposure_secs: 0.0, effective_secs: 0.0 };
+        let mut photograph =
+            Photograph { path, shot: shot.name.clone(), exposure_secs: 0.0, effective_secs: 0.0, reduction: None };
         let found = photograph.size_px()?;
         if found != size_px {
             let size = |s: [usize; 2]| format!("{} × {} px", s[0], s[1]);
@@ -322,7 +323,7 @@ mod tests {
     }
 
     fn head(name: &str, effective_secs: f64) -> Head {
-        let photograph = Photograph { path: name.into(), shot: "s".into(), exposure_secs: 2.0, effective_secs };
+        let photograph = Photograph { path: name.into(), shot: "s".into(), exposure_secs: 2.0, effective_secs, reduction: None };
         Head { name: name.into(), photograph, exif: ExifExposure::default() }
     }
 

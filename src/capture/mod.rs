@@ -7,6 +7,7 @@ mod manifest;
 mod photograph;
 #[cfg(feature = "raw")]
 mod raw;
+mod reduction;
 mod rig;
 mod samples;
 mod settings;
@@ -19,6 +20,7 @@ pub use manifest::{
 };
 pub use photograph::Photograph;
 pub(crate) use photograph::{check_exr_size, check_jpeg_end};
+pub use reduction::Reduction;
 pub use rig::{Board, Camera, FrameMarks, Noise, Projector, ResponseCurve, Rig, WhiteReference};
 pub use samples::{Pixels, Rect, Samples, Sampling};
 pub use settings::CameraSettings;

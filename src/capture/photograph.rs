@@ -2,6 +2,7 @@
 
 #[cfg(feature = "raw")]
 use super::raw;
+use super::reduction::Reduction;
 use super::samples::{Pixels, Rect, Samples, Sampling};
 use crate::{Error, Result};
 use std::io::Cursor;
@@ -18,6 +19,8 @@ pub struct Photograph {
     pub exposure_secs: f64,
     /// Exposure in seconds of the first photograph's aperture and ISO: what code values are proportional to.
     pub effective_secs: f64,
+    /// What becomes of its pixels as they are decoded; `None`: they stay.
+    pub reduction: Option<Reduction>,
 }
 
 impl Photograph {
@@ -42,10 +45,14 @@ impl Photograph {
             }
             None => return Err(broken(UNKNOWN_ENDING.into())),
         };
-        Ok(Pixels { width, height, samples, sampling, hash })
+        let pixels = Pixels { width, height, samples, sampling, hash };
+        Ok(match self.reduction {
+            Some(by) => pixels.reduced(by),
+            None => pixels,
+        })
     }
 
-    /// Width and height from the file's head, without decoding it.
+    /// Width and height from the file's head, without decoding or reducing it.
     ///
     /// # Errors
     /// As [`Self::decode`].

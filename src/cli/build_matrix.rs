@@ -45,8 +45,15 @@ pub fn summary(report: &BuildReport) -> String {
     let drift = report.shots.iter().map(|s| s.drift_px[0].powi(2) + s.drift_px[1].powi(2)).sum::<f64>();
     let drift_rms = (drift / (2 * report.shots.len().max(1)) as f64).sqrt();
     let r = &report.registration;
+    let working = match (report.working.factor, report.working.px_per_sample) {
+        (2.., Some(px)) => {
+            let n = report.working.factor;
+            format!("; photographs of {px:.1} px a sample reduced to {:.1} (blocks of {n}×{n})", px / n as f64)
+        }
+        _ => String::new(),
+    };
     format!(
-        "R_d of {}×{} points, {}×{} window from {} photographs; registration RMS {:.3} px camera, {:.3} px projector; drift RMS {drift_rms:.2} px",
+        "R_d of {}×{} points, {}×{} window from {} photographs; registration RMS {:.3} px camera, {:.3} px projector; drift RMS {drift_rms:.2} px{working}",
         report.points[0],
         report.points[1],
         report.window[0],

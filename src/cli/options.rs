@@ -1,9 +1,10 @@
 //! The options of the library's stages as they are typed.
 
-use super::values::{pair_of, secs, whole};
+use super::values::{pair_of, resolution, secs, whole};
 use crate::capture::ExposureFrom;
 use crate::geometry::Point;
 use crate::patterns::{PatternsOptions, SpacingOptions};
+use crate::pipeline::Resolution;
 use crate::simulate::{FileFormat, Material, Options, Response, RigResponse, SensorKind, Transport};
 use std::path::PathBuf;
 
@@ -31,6 +32,10 @@ typed!(Build => crate::pipeline::BuildOptions {
     /// Leave the light of a shot's other dots in the rows, to see what it does.
     #[arg(long)]
     keep_crosstalk: bool,
+    /// Photographs are reduced while they are decoded: `auto`, to 8 camera pixels or more across an outgoing sample, as few as the windows require;
+    /// `full`, not at all; or the least number of pixels across a sample.
+    #[arg(long, value_name = "PX", default_value = "auto", value_parser = resolution)]
+    resolution: Resolution,
     /// Where exposure times come from. capture.toml comes before all; `estimate` measures the actual times behind EXIF's from the
     /// photographs.
     #[arg(long, value_enum, default_value = "exif", value_name = "SOURCE")]

@@ -1,6 +1,7 @@
 //! How values of the library's types are spelled on the command line.
 
 use crate::material::{Model, Precision};
+use crate::pipeline::Resolution;
 use crate::simulate::Cause;
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -125,6 +126,15 @@ values!(crate::simulate::RigResponse {
     Srgb = "srgb", "The sRGB curve";
     Estimate = "estimate", "Not known: to be estimated";
 });
+
+/// `auto`, `full`, or camera pixels across a sample.
+pub fn resolution(text: &str) -> Result<Resolution, String> {
+    match text {
+        "auto" => Ok(Resolution::Auto),
+        "full" => Ok(Resolution::Full),
+        px => px.parse().map(Resolution::PxPerSample).map_err(|_| "auto, full, or a number of pixels".into()),
+    }
+}
 
 /// One number for both axes, or two as 30x20.
 pub fn pair_of<T: std::str::FromStr + Copy>(text: &str) -> Result<[T; 2], String> {

@@ -10,9 +10,9 @@
 //! coefficients of 1e8 that cancel to 1 fit well in f64 and are useless as f32. What rounding a coefficient to f32 will add is therefore
 //! part of the least squares, as a ridge: rounding is uniform within half a unit in the last place, and |L_p| ≤ 1.
 
-use super::fill::Cholesky;
 use super::noise::F32_ROUNDING;
 use super::vector::{axpy_in, dot, dot_in};
+use crate::cholesky::Cholesky;
 use crate::material::legendre::MOST_DEGREE;
 use pulp::{Arch, NullaryFnOnce};
 
@@ -94,7 +94,7 @@ impl PolynomialBasis {
             }
         }
         let mut shares = along[..n].to_vec();
-        if !Cholesky::new(normal, n).solve(&mut shares) {
+        if !Cholesky::dropping(normal, n).solve(&mut shares) {
             shares.fill(0.0);
         }
         let mut sum = [0.0; MOST];

@@ -7,6 +7,7 @@
 
 use super::backend::{LowRank, product};
 use super::vector::dot;
+use crate::cholesky::Cholesky;
 use faer::MatRef;
 use rayon::prelude::*;
 
@@ -107,7 +108,7 @@ impl PreparedBasis<'_> {
         for (j, ridge) in self.basis.ridge.iter().enumerate() {
             normal[j * k + j] += ridge;
         }
-        Cholesky::new(normal, k)
+        Cholesky::dropping(normal, k)
     }
 
     /// Replaces the samples that were not measured in a block of rows; a row without any measured sample stays as it is.
@@ -179,41 +180,6 @@ impl Gap<'_> {
             filled.iter_mut().zip(profile).for_each(|(v, p)| *v += amount * p);
         }
         filled.iter().zip(self.columns).for_each(|(&v, &d)| row[d as usize] = v as f32);
-    }
-}
-
-/// The lower triangular factor of a symmetric positive definite matrix; a pivot that is not positive, or not finite, drops its unknown.
-pub(super) struct Cholesky {
-    lower: Vec<f64>,
-    k: usize,
-}
-
-impl Cholesky {
-    /// From the lower half of a row-major \[k, k\] matrix.
-    pub fn new(mut a: Vec<f64>, k: usize) -> Self {
-        for j in 0..k {
-            let pivot = a[j * k + j] - (0..j).map(|p| a[j * k + p] * a[j * k + p]).sum::<f64>();
-            let usable = pivot.is_finite() && pivot > 1e-14 * a[j * k + j];
-            let root = if usable { pivot.sqrt() } else { f64::INFINITY };
-            a[j * k + j] = root;
-            for i in j + 1..k {
-                let dot: f64 = (0..j).map(|p| a[i * k + p] * a[j * k + p]).sum();
-                a[i * k + j] = (a[i * k + j] - dot) / root;
-            }
-        }
-        Self { lower: a, k }
-    }
-
-    /// Whether the solution, in place of `b`, is finite.
-    pub fn solve(&self, b: &mut [f64]) -> bool {
-        let (a, k) = (&self.lower, self.k);
-        for i in 0..k {
-            b[i] = (b[i] - (0..i).map(|p| a[i * k + p] * b[p]).sum::<f64>()) / a[i * k + i];
-        }
-        for i in (0..k).rev() {
-            b[i] = (b[i] - (i + 1..k).map(|p| a[p * k + i] * b[p]).sum::<f64>()) / a[i * k + i];
-        }
-        b.iter().all(|v| v.is_finite())
     }
 }
 
@@ -387,29 +353,6 @@ mod tests {
                 assert!((found - value(i, d)).abs() < 1e-6, "row {i} column {d}: {found} {}", value(i, d));
             }
         }
-    }
-
-    #[test]
-    fn a_cholesky_factor_solves_and_drops_what_is_not_determined() {
-        // A = L Lᵀ with L = [[2], [1, 3], [-1, 4, 5]]; only the lower half is read.
-        let nan = f64::NAN;
-        let a = vec![4.0, nan, nan, 2.0, 10.0, nan, -2.0, 11.0, 42.0];
-        let mut b = vec![4.0 - 4.0 - 6.0, 2.0 - 20.0 + 33.0, -2.0 - 22.0 + 126.0]; // A (1, −2, 3)
-        assert!(Cholesky::new(a.clone(), 3).solve(&mut b));
-        assert!(b.iter().zip([1.0, -2.0, 3.0]).all(|(a, b)| (a - b).abs() < 1e-13), "rounding: {b:?}");
-        let mut b = vec![2.0, 2.0];
-        assert!(Cholesky::new(vec![1.0, nan, 1.0, 1.0], 2).solve(&mut b));
-        assert_eq!(b, [2.0, 0.0], "the second is the first once more");
-        // A pivot of 1e-10 is small and known: (1, 1; 1, 1 + 1e-10) (1, 2) to eps / 1e-10.
-        let mut b = vec![3.0, 3.0 + 2e-10];
-        assert!(Cholesky::new(vec![1.0, nan, 1.0, 1.0 + 1e-10], 2).solve(&mut b));
-        assert!((b[0] - 1.0).abs() < 1e-5 && (b[1] - 2.0).abs() < 1e-5, "{b:?}");
-        // One of 4e-15 is the rounding of what was subtracted.
-        let mut b = vec![3.0, 3.0 + 8e-15];
-        assert!(Cholesky::new(vec![1.0, nan, 1.0, 1.0 + 4e-15], 2).solve(&mut b));
-        assert_eq!(b, [3.0, 0.0]);
-        assert!(!Cholesky::new(a, 3).solve(&mut [1.0, nan, 0.0]));
-        assert!(!Cholesky::new(vec![4.0], 1).solve(&mut [f64::INFINITY]));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use super::noise::FoundNoise;
 use super::radiometry::Radiometry;
 use super::register::Registered;
 use super::scene::Scene;
-use super::{BuildReport, BuildSecs, CrossTalk, Overview};
+use super::{BuildReport, BuildSecs, CrossTalk, Overview, Working};
 use crate::capture::{Manifest, Pattern};
 use crate::geometry::Point;
 use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps};
@@ -25,6 +25,7 @@ const STRAY_TOLD: f64 = 0.005;
 /// What the stages before the lattice shots found.
 pub(super) struct Stages<'a> {
     pub noise: &'a FoundNoise,
+    pub working: Working,
     pub radiometry: &'a Radiometry,
     pub registered: &'a Registered,
     pub light: &'a Light,
@@ -40,6 +41,8 @@ pub(super) fn summarize(
 ) -> Result<(MatrixHeader, BuildReport)> {
     let (capture, hot) = (scene.capture, &scene.references.hot);
     let mut header = unmeasured(&capture.manifest);
+    // Pixels of the photographs in one of the working resolution.
+    let full = found.working.factor as f64;
     let mut warnings = capture.warnings.clone();
     warnings.extend(found.registered.warnings.iter().cloned());
     warnings.extend(found.noise.warnings.clone());
@@ -74,15 +77,19 @@ pub(super) fn summarize(
             header.position_sd_mm[row] = sd_mm;
             header.shot_of[row] = Some(number);
         }
-        let drift_px = result.drift.map_or([0.0; 2], |d| d.camera_px);
+        let drift_px = result.drift.map_or([0.0; 2], |d| d.camera_px.map(|v| full * v));
         // The dots are seen against a camera whose own movement has its uncertainty.
         let camera_sd = result.camera.filter(CameraMotion::is_sure).map_or(0.0, |m| m.sd_px);
-        header.shots.push(ShotRecord { name, drift_px, drift_sd_px: result.drift.map(|d| d.sd_px.hypot(camera_sd)) });
+        header.shots.push(ShotRecord {
+            name,
+            drift_px,
+            drift_sd_px: result.drift.map(|d| full * d.sd_px.hypot(camera_sd)),
+        });
     }
     warnings.extend(saturated.map(|(first, shots, samples)| Warning::SaturatedSamples { first, shots, samples }));
     warnings.extend(unmeasured.map(|(first, shots)| Warning::DriftUnmeasured { first, shots }));
-    warnings.extend(jumps(results, &header));
-    warnings.extend(camera_moved(results, &header));
+    warnings.extend(jumps(results, &header, full));
+    warnings.extend(camera_moved(results, &header, full));
     if clipped.0 > 0 {
         warnings.push(Warning::ClippedWindow { rows: clipped.0, samples: clipped.1 });
     }
@@ -96,7 +103,7 @@ pub(super) fn summarize(
     warnings.extend(found.light.flicker.as_ref().map(|f| f.warning(remaining)));
     complete(scene, found.light, &mut header, &mut warnings);
     warnings.extend(crosstalk.as_ref().and_then(CrossTalk::warning));
-    header.camera_px_per_mm = Some(scene.px_per_mm);
+    header.camera_px_per_mm = Some(full * scene.px_per_mm);
     header.provenance = provenance(scene, found, crosstalk.as_ref(), remaining)?;
     header.warnings = warnings.clone();
     let report = BuildReport {
@@ -106,6 +113,7 @@ pub(super) fn summarize(
         shots: header.shots.clone(),
         crosstalk,
         warnings,
+        working: found.working,
         photographs: capture.photographs(),
         points: header.points,
         window: header.window,
@@ -189,6 +197,7 @@ fn provenance(
         "rig_toml_blake3": hash_file(&capture.rig_path)?,
         "photographs_blake3": scene.photographs.hash()?.to_string(),
         "noise": noise,
+        "working_resolution": stages.working,
         "radiometry": stages.radiometry.record,
         "flicker": stages.light.flicker.as_ref().map(|f| f.record(flicker_variance)),
         "registration": registration,
@@ -243,19 +252,20 @@ pub(super) fn unmeasured(m: &Manifest) -> MatrixHeader {
 }
 
 /// Shots before which the pattern has jumped.
-fn jumps(results: &[ShotResult], header: &MatrixHeader) -> Option<Warning> {
+fn jumps(results: &[ShotResult], header: &MatrixHeader, full: f64) -> Option<Warning> {
     let path: Vec<_> = results.iter().map(|r| r.drift.map(|d| (d.camera_px, d.sd_px))).collect();
     let found = find_jumps(&path);
-    let named = |j: &Jump| header.shots.get(j.at).map(|s| DriftJump { shot: s.name.clone(), length_px: j.length_px });
+    let named =
+        |j: &Jump| header.shots.get(j.at).map(|s| DriftJump { shot: s.name.clone(), length_px: full * j.length_px });
     (!found.is_empty()).then(|| Warning::DriftJumps { jumps: found.iter().filter_map(named).collect() })
 }
 
 /// Shots in which the camera's picture has moved; all were corrected.
-fn camera_moved(results: &[ShotResult], header: &MatrixHeader) -> Option<Warning> {
+fn camera_moved(results: &[ShotResult], header: &MatrixHeader, full: f64) -> Option<Warning> {
     let length = |r: &ShotResult| r.camera.filter(CameraMotion::is_sure).map(|m| m.camera_px[0].hypot(m.camera_px[1]));
     let moved: Vec<(usize, f64)> = results.iter().enumerate().filter_map(|(k, r)| Some((k, length(r)?))).collect();
     let first = header.shots.get(moved.first()?.0)?.name.clone();
-    let largest_px = moved.iter().map(|m| m.1).fold(0.0, f64::max);
+    let largest_px = full * moved.iter().map(|m| m.1).fold(0.0, f64::max);
     let measured = results.iter().filter(|r| r.camera.is_some()).count();
     Some(Warning::CameraMoved { first, shots: moved.len(), measured, largest_px })
 }

@@ -8,8 +8,9 @@
 
 use super::scene::{STILL, Scene};
 use crate::capture::Rect;
+use crate::cholesky::solve;
 use crate::geometry::Point;
-use crate::radiance::{Bracket, Radiance, Sensor, evenly, solve, stack_scales};
+use crate::radiance::{Bracket, Radiance, Sensor, evenly, stack_scales};
 use crate::registration::measure_drift;
 use crate::{Result, Warning};
 use rayon::prelude::*;

@@ -10,11 +10,12 @@ mod photographs;
 mod radiometry;
 mod references;
 mod register;
+mod resolution;
 mod scene;
 mod sink;
 mod stray;
 
-use crate::capture::{Capture, ExposureFrom, Noise};
+use crate::capture::{Capture, ExposureFrom, Noise, Reduction};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Radiance, Sensor};
@@ -27,6 +28,7 @@ use findings::{Stages, unmeasured};
 use flicker::Flicker;
 use lattice::Light;
 use photographs::Photographs;
+pub use resolution::{Resolution, Working};
 use scene::Scene;
 use sink::{HeldRows, RowSink};
 use std::path::{Path, PathBuf};
@@ -39,6 +41,8 @@ pub struct BuildOptions {
     pub calibration: Option<PathBuf>,
     /// Leave the light of a shot's other dots in the rows, to see what it does.
     pub keep_crosstalk: bool,
+    /// How photographs are reduced while they are decoded.
+    pub resolution: Resolution,
     /// Where exposure times come from. capture.toml comes before all; `estimate` measures the actual times behind EXIF's from the
     /// photographs.
     pub exposure_from: ExposureFrom,
@@ -59,6 +63,9 @@ pub struct BuildReport {
     pub crosstalk: Option<CrossTalk>,
     /// Findings.
     pub warnings: Vec<Warning>,
+    /// At what resolution photographs were worked on. Figures in camera px are of it, but for the drift, the camera's movement and
+    /// `camera_px_per_mm` of the header, which are of the photographs as they are.
+    pub working: Working,
     /// Number of photographs.
     pub photographs: usize,
     /// Lit points.
@@ -145,6 +152,10 @@ fn measure(
 ) -> Result<(MatrixHeader, BuildReport)> {
     let start = Instant::now();
     let noise = noise::find(capture)?;
+    let working = resolution::choose(capture, &noise.noise, options, progress)?;
+    // From here on the camera is one of that resolution.
+    let by = Reduction { factor: working.factor, saturation_dn: noise.noise.saturation_dn };
+    let capture = &capture.reduced(by);
     let radiometry = radiometry::calibrate(capture, &noise.noise, options, progress)?;
     let photographs = Photographs::new(capture, &radiometry);
     let registered = register::register(&photographs, progress)?;
@@ -160,7 +171,7 @@ fn measure(
         true => None,
         false => crosstalk::separate(&scene, &mut shots, rows, progress)?,
     };
-    let stages = Stages { noise: &noise, radiometry: &radiometry, registered: &registered, light: &light };
+    let stages = Stages { noise: &noise, working, radiometry: &radiometry, registered: &registered, light: &light };
     let secs = BuildSecs { once: (prepared - start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
     findings::summarize(&scene, &stages, &shots, crosstalk, secs)
 }

@@ -21,6 +21,8 @@ pub(super) struct Radiometry {
     /// What turned light to code values; `None` when they are in proportion to it.
     curve: Option<Curve>,
     file: FileNoise,
+    /// Pixels along each side of the blocks that photographs are averaged over.
+    factor: usize,
     /// Photographs of each shot with their actual exposure times, shortest first.
     pub brackets: Vec<Vec<Photograph>>,
     /// Standard deviation of a photograph's light about its setting's, when there is any beyond noise.
@@ -57,7 +59,7 @@ const CURVE_FILE: &str = "response.toml";
 impl Radiometry {
     /// What turns code values to light.
     pub fn sensor(&self) -> Sensor {
-        Sensor::with_curve(&self.noise, self.curve.clone(), self.file)
+        Sensor::with_curve(&self.noise, self.curve.clone(), self.file).averaged(self.factor)
     }
 }
 
@@ -80,7 +82,8 @@ pub(super) fn calibrate(
         ResponseCurve::Srgb | ResponseCurve::Estimate => Some(Curve::srgb()),
         ResponseCurve::File(name) => Some(Curve::read(&capture.rig_path.with_file_name(name))?),
     };
-    let mut sensor = Sensor::with_curve(noise, response.clone(), file);
+    let factor = capture.brackets.iter().flatten().find_map(|p| p.reduction).map_or(1, |by| by.factor);
+    let mut sensor = Sensor::with_curve(noise, response.clone(), file).averaged(factor);
     let stacks: Vec<Stack> = chosen
         .par_iter()
         .map(|&shot| {
@@ -97,7 +100,7 @@ pub(super) fn calibrate(
     if capture.rig.camera.response == ResponseCurve::Estimate {
         let found = curve(capture, noise, &stacks, &settings, &sensor, file, options)?;
         response = Some(found.curve.clone());
-        sensor = Sensor::with_curve(noise, response.clone(), file);
+        sensor = Sensor::with_curve(noise, response.clone(), file).averaged(factor);
         estimate = Some(found);
     }
     let scales: Vec<_> =
@@ -112,7 +115,7 @@ pub(super) fn calibrate(
     stage.advance(1);
     let record = record(&fit, &settings, file, estimate.as_ref(), options);
     let (noise, flicker_sd) = (noise.clone(), fit.flicker_sd);
-    Ok(Radiometry { noise, curve: response, file, brackets, flicker_sd, warnings, record })
+    Ok(Radiometry { noise, curve: response, file, factor, brackets, flicker_sd, warnings, record })
 }
 
 /// The distinct nominal exposures of a capture, shortest first.
@@ -324,7 +327,13 @@ mod tests {
     use super::*;
 
     fn photograph(secs: f64) -> Photograph {
-        Photograph { path: "a.png".into(), shot: "white".into(), exposure_secs: 9.0, effective_secs: secs }
+        Photograph {
+            path: "a.png".into(),
+            shot: "white".into(),
+            exposure_secs: 9.0,
+            effective_secs: secs,
+            reduction: None,
+        }
     }
 
     #[test]

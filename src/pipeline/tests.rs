@@ -1,5 +1,7 @@
 //! What the tests of several stages need.
 
+use super::noise::FoundNoise;
+use super::*;
 use crate::capture::{
     Camera, Capture, Grid, Manifest, Noise, Pattern, Photograph, Projector, ResponseCurve, Rig, Shot, Slab,
     WhiteReference, Window,
@@ -30,6 +32,7 @@ pub(super) fn capture(shots: &[(Pattern, &[f64])]) -> Capture {
         shot: name(k),
         exposure_secs: secs,
         effective_secs: secs,
+        reduction: None,
     };
     let of = |(k, (pattern, _)): (usize, &(Pattern, &[f64]))| Shot {
         name: name(k),
@@ -61,4 +64,37 @@ pub(super) fn capture(shots: &[(Pattern, &[f64])]) -> Capture {
             .collect(),
         warnings: vec![],
     }
+}
+
+/// What a stage gave, saved and loaded.
+fn saved<T: serde::Serialize + serde::de::DeserializeOwned + PartialEq>(output: &T) -> T {
+    serde_json::from_slice(&serde_json::to_vec(output).unwrap()).unwrap()
+}
+
+#[test]
+fn stages_that_go_on_from_saved_outputs_give_the_same_rows_to_the_last_bit() {
+    let capture = Capture::open(std::path::Path::new("captures"), None).unwrap();
+    let (options, silent) = (BuildOptions::default(), Progress::silent());
+    let rows = [false, true].map(|through_files| {
+        let kept = |noise: FoundNoise| if through_files { saved(&noise) } else { noise };
+        let noise = kept(noise::find(&capture).unwrap());
+        let found = radiometry::calibrate(&capture, &noise.noise, &options, &silent).unwrap();
+        let radiometry = if through_files { saved(&found) } else { found };
+        let photographs = Photographs::new(&capture, &radiometry);
+        let found = register::register(&photographs, &silent).unwrap();
+        let registered = if through_files { saved(&found) } else { found };
+        let found = references::references(&photographs, &registered, radiometry.flicker_sd, &silent).unwrap();
+        let references = if through_files { saved(&found) } else { found };
+        let scene = Scene::new(&photographs, &registered, &references);
+        let found =
+            (stray::measure(&scene, &silent).unwrap(), Flicker::measure(&scene, radiometry.flicker_sd).unwrap());
+        let (stray, flicker) = if through_files { saved(&found) } else { found };
+        let (light, sink) = (Light { stray, flicker }, HeldRows::default());
+        let movements = Movements::prepare(&scene).unwrap();
+        lattice::extract(&scene, &light, &movements, &sink, &silent).unwrap();
+        let row = |index: usize| sink.row(index).unwrap();
+        (0..capture.manifest.grid.len()).map(row).collect::<Vec<_>>()
+    });
+    assert_eq!(rows[0].len(), 63);
+    assert_eq!(rows[0], rows[1]);
 }

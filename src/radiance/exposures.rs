@@ -1,9 +1,9 @@
 //! How much light each photograph of a stack really took: the shutter's actual times, and a lamp that flickers.
 
-use super::cholesky::{log_determinant, solve};
 use super::merge::BLOCK;
 use super::{Exposure, Sensor};
 use crate::capture::Samples;
+use crate::cholesky::{log_determinant, solve};
 
 /// Some pixels of one shot in all its photographs.
 #[derive(Debug, Clone)]

@@ -1,6 +1,5 @@
 //! Merge: the exposures of one shot to linear radiance, its variance and a validity mask.
 
-mod cholesky;
 mod curve;
 mod exposures;
 mod hot_pixels;
@@ -10,7 +9,6 @@ mod sensor;
 mod shot;
 mod stray;
 
-pub(crate) use cholesky::solve;
 pub use curve::{Curve, CurveEstimate, CurveOptions, LightSum, estimate_curve};
 pub use exposures::{ExposureFit, Stack, StackScales, fit_exposures, pick_pixels, stack_scales};
 pub(crate) use exposures::{evenly, take};

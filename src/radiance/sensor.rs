@@ -73,6 +73,12 @@ impl Sensor {
         }
     }
 
+    /// The same sensor read by means of blocks of `factor` × `factor` pixels: their noise is independent.
+    pub fn averaged(self, factor: usize) -> Self {
+        let share = 1.0 / (factor.max(1) * factor.max(1)) as f32;
+        Self { gain: self.gain * share, read: self.read * share, coding: self.coding * share, ..self }
+    }
+
     /// Linear code values above black of `samples[first..]`, as many as `out` holds; saturated ones as +∞, what is no measurement as NaN.
     /// `first` must be a multiple of 3.
     pub(super) fn linearize(&self, samples: &Samples, first: usize, out: &mut [f32]) {

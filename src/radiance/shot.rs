@@ -164,7 +164,7 @@ mod tests {
         picture.save(&path).unwrap();
         // What counts is the exposure at the first photograph's aperture and ISO, four times the shutter's here.
         let secs = f64::from(add);
-        Photograph { path, shot: "lattice-3".into(), exposure_secs: secs, effective_secs: 4.0 * secs }
+        Photograph { path, shot: "lattice-3".into(), exposure_secs: secs, effective_secs: 4.0 * secs, reduction: None }
     }
 
     #[test]

@@ -5,8 +5,8 @@
 //! every lattice shot; the difference is the camera's (or the sample's) movement in the picture.
 
 use super::drift::median;
-use super::small::solve;
 use crate::capture::Rect;
+use crate::cholesky::solve_small;
 use crate::geometry::{CameraView, Point};
 use crate::radiance::Radiance;
 
@@ -177,7 +177,7 @@ fn settle(pixels: &[Pixel], start: f64, softness_px: f64) -> Option<(RimPlace, f
             square += p.light * p.light;
             noise += p.variance;
         }
-        let (x, inverse) = solve(matrix, right)?;
+        let (x, inverse) = solve_small(matrix, right)?;
         let [height, moved, ..] = x;
         let count = pixels.len() as f64;
         let left = (square - x.iter().zip(&right).map(|(a, b)| a * b).sum::<f64>()).max(0.0) / count;
@@ -243,7 +243,7 @@ pub fn camera_motion(
                 right[i] += normal[i] * offset / (sd * sd);
             }
         }
-        (moved, inverse) = solve(matrix, right)?;
+        (moved, inverse) = solve_small(matrix, right)?;
         // The mean glow of the segments that tell the movement along an axis: an error that they have in common.
         let told = |a: usize| kept.iter().map(move |(n, _, sd, glow)| ((n[a] / sd).powi(2), *glow));
         glow = [0, 1].map(|a| told(a).map(|(w, g)| w * g).sum::<f64>() / told(a).map(|(w, _)| w).sum::<f64>());

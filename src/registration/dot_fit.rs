@@ -1,6 +1,6 @@
 //! The sharp core of a projected dot, found on a translucent sample whose glow is not symmetric.
 
-use super::small::solve;
+use crate::cholesky::solve_small;
 use crate::geometry::Point;
 use crate::radiance::Radiance;
 
@@ -99,7 +99,7 @@ impl DotShape {
         let mut last = None;
         for _ in 0..STEPS {
             let (matrix, right, sums) = self.equations(template, window, at)?;
-            let solved = solve(matrix, right)?;
+            let solved = solve_small(matrix, right)?;
             let [core, sx, sy, ..] = solved.0;
             if !(core > 0.0) {
                 return None;

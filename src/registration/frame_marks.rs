@@ -5,8 +5,8 @@ use super::blobs::{Blob, find_blobs};
 use super::camera_motion::softened;
 use super::drift::median;
 use super::fit::{Observation, ViewFit, fit_homography, fit_view};
-use super::small::solve;
 use crate::capture::{Camera, FrameMarks};
+use crate::cholesky::solve_small;
 use crate::geometry::{CameraView, Homography, Lens, Point};
 use crate::radiance::Radiance;
 use std::collections::BTreeSet;
@@ -230,7 +230,7 @@ fn settle(
             square += light * light;
             noise += variance;
         }
-        let (x, inverse) = solve(matrix, right)?;
+        let (x, inverse) = solve_small(matrix, right)?;
         let count = pixels.len() as f64;
         let left = (square - x.iter().zip(&right).map(|(a, b)| a * b).sum::<f64>()).max(0.0) / count;
         let variance = (noise / count).max(left);

@@ -16,7 +16,6 @@ mod pictures;
 mod projector_fit;
 mod sample_drift;
 mod sharpness;
-mod small;
 
 pub use board::find_board;
 pub use camera_motion::{CameraMotion, RimPlace, RimSegment, camera_motion, locate_rim, rim_segments};

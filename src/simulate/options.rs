@@ -356,7 +356,7 @@ impl Options {
         range("camera_drift_px", self.camera_drift_px, 0.0, 20.0)?;
         range("camera_jump_px", self.camera_jump_px, 0.0, 20.0)?;
         range("camera_jumps", self.camera_jumps as f64, 1.0, 1e4)?;
-        range("camera_px_per_sample", self.camera_px_per_sample, 1.0, 50.0)?;
+        range("camera_px_per_sample", self.camera_px_per_sample, 1.0, 200.0)?;
         range("anisotropy", self.anisotropy.unwrap_or(0.0), -0.99, 0.99)?;
         range("thickness_mm", self.thickness_mm(), 1e-2, 1e3)?;
         range("voxels_per_sample", self.voxels_per_sample as f64, 1.0, 8.0)?;

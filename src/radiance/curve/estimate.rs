@@ -2,7 +2,7 @@
 
 use super::{CODES, Curve, FULL};
 use crate::capture::{Noise, Samples};
-use crate::radiance::cholesky::solve;
+use crate::cholesky::solve;
 use crate::radiance::exposures::{Here, Stack};
 use crate::radiance::merge::BLOCK;
 use crate::radiance::{FileNoise, Sensor};
