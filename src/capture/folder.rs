@@ -323,7 +323,8 @@ mod tests {
     }
 
     fn head(name: &str, effective_secs: f64) -> Head {
-        let photograph = Photograph { path: name.into(), shot: "s".into(), exposure_secs: 2.0, effective_secs, reduction: None };
+        let photograph =
+            Photograph { path: name.into(), shot: "s".into(), exposure_secs: 2.0, effective_secs, reduction: None };
         Head { name: name.into(), photograph, exif: ExifExposure::default() }
     }
 

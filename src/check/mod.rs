@@ -90,8 +90,6 @@ pub struct CheckReport {
     pub stopped_by: Option<Error>,
 }
 
-/// The farthest drift that the pipeline follows, camera px: its search less the two that a centroid needs.
-const DRIFT_FOLLOWED_PX: f64 = 6.0;
 /// Blur over more than this share of an outgoing sample (as a standard deviation) spreads much of the peak into its neighbours.
 const BLUR_SHARE: f64 = 1.0 / 3.0;
 
@@ -251,8 +249,8 @@ impl CheckReport {
         let Some(shot) = tried.shots.iter().max_by(|a, b| length(a).total_cmp(&length(b))) else { return };
         let drift_px = length(shot);
         self.figures.drift_most_px = Some(drift_px);
-        if drift_px > 0.5 * DRIFT_FOLLOWED_PX {
-            let most_px = DRIFT_FOLLOWED_PX;
+        let most_px = tried.drift_followed_px;
+        if drift_px > 0.5 * most_px {
             self.findings.push(Finding::LargeDrift { shot: shot.name.clone(), drift_px, most_px });
         }
     }

@@ -1,6 +1,6 @@
 //! How far the pattern of a lattice shot has moved: from dots on the frame, or without any from the dots on the sample.
 
-use super::scene::{DRIFT_SEARCH_PX, STILL, Scene, overlap, part, square};
+use super::scene::{STILL, Scene, overlap, part, square};
 use crate::capture::Rect;
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
@@ -126,7 +126,7 @@ fn drift_source(scene: &Scene<'_>) -> Result<DriftSource> {
 
 /// How far dots of a shot are searched, px: further than half the way to the next, one would be taken for the other.
 fn search_px(scene: &Scene<'_>, shot: usize) -> f64 {
-    half_spacing_px(scene, shot).min(DRIFT_SEARCH_PX)
+    half_spacing_px(scene, shot).min(scene.drift_search_px())
 }
 
 fn half_spacing_px(scene: &Scene<'_>, shot: usize) -> f64 {
@@ -191,8 +191,8 @@ fn lost(scene: &Scene<'_>, shot: usize, windows: &[Bracket], references: usize) 
             return saturated;
         }
     }
-    let reach = DRIFT_SEARCH_PX - 2.0;
+    let reach = scene.drift_followed_px();
     scene.photographs.failed(shot)(format!(
-        "less than half of its {references} reference dots were found within {reach} px of where the pattern puts them"
+        "less than half of its {references} reference dots were found within {reach:.1} px of where the pattern puts them"
     ))
 }

@@ -114,6 +114,7 @@ pub(super) fn summarize(
         crosstalk,
         warnings,
         working: found.working,
+        drift_followed_px: full * scene.drift_followed_px(),
         photographs: capture.photographs(),
         points: header.points,
         window: header.window,

@@ -2,7 +2,7 @@
 
 use super::drift::Movements;
 use super::flicker::Flicker;
-use super::scene::{DRIFT_SEARCH_PX, STILL, Scene, grown, overlap};
+use super::scene::{STILL, Scene, grown, overlap};
 use super::sink::RowSink;
 use crate::capture::{Sampling, Window};
 use crate::geometry::Point;
@@ -105,7 +105,7 @@ fn extract_shot(
     for &dot in dots {
         let grid = WindowGrid::new(&manifest.window, scene.nominal_mm(dot), &scene.registration.view);
         let rect = window_rect(&grid, size_px).ok_or_else(|| scene.outside_picture(shot))?;
-        rects.push(grown(rect, DRIFT_SEARCH_PX as usize, size_px));
+        rects.push(grown(rect, scene.drift_search_px() as usize, size_px));
     }
     rects.extend(movements.rim_rects());
     let mut references_seen = scene.photographs.decode(shot, &rects)?;

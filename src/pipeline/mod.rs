@@ -66,6 +66,8 @@ pub struct BuildReport {
     /// At what resolution photographs were worked on. Figures in camera px are of it, but for the drift, the camera's movement and
     /// `camera_px_per_mm` of the header, which are of the photographs as they are.
     pub working: Working,
+    /// The farthest drift that is measured, camera px as those of `shots`; more is refused.
+    pub drift_followed_px: f64,
     /// Number of photographs.
     pub photographs: usize,
     /// Lit points.

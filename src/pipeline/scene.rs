@@ -9,8 +9,11 @@ use crate::radiance::{Bracket, Radiance, mend};
 use crate::registration::Registration;
 use crate::{Error, Result};
 
-/// Pixels around a reference dot's expected place in which it is searched; drift of up to two less is measured, more is refused.
-pub(super) const DRIFT_SEARCH_PX: f64 = 8.0;
+/// Outgoing samples around a dot's expected place in which it is searched, and pixels at the least: what a bench that was touched moves by.
+const DRIFT_SEARCH_SAMPLES: f64 = 8.0 / 3.0;
+const LEAST_SEARCH_PX: f64 = 8.0;
+/// What a centroid needs around a dot, px.
+const CENTROID_PX: f64 = 2.0;
 
 /// A camera that has not moved, px.
 pub(super) const STILL: Point = [0.0; 2];
@@ -72,7 +75,7 @@ impl<'a> Scene<'a> {
 
     /// Where the reference dots are looked for.
     pub(super) fn reference_rects(&self, shot: usize) -> Result<Vec<Rect>> {
-        let reach_px = self.dot_radius_px() + DRIFT_SEARCH_PX;
+        let reach_px = self.dot_radius_px() + self.drift_search_px();
         let around = |p: Point| {
             let at = self.registration.view.camera_from_slab(p);
             square(at, reach_px, self.capture.rig.camera.size_px).ok_or_else(|| self.outside_picture(shot))
@@ -117,6 +120,16 @@ impl<'a> Scene<'a> {
             }),
             _ => Ok(()),
         }
+    }
+
+    /// How far around its expected place a dot is searched.
+    pub(super) fn drift_search_px(&self) -> f64 {
+        (DRIFT_SEARCH_SAMPLES * self.cell_px).max(LEAST_SEARCH_PX)
+    }
+
+    /// The farthest drift that is measured; more is refused.
+    pub(super) fn drift_followed_px(&self) -> f64 {
+        self.drift_search_px() - CENTROID_PX
     }
 
     pub(super) fn dot_radius_px(&self) -> f64 {

@@ -1,6 +1,6 @@
 //! Looking for the camera's halo where no light falls: on the opaque frame.
 
-use super::scene::{DRIFT_SEARCH_PX, Scene};
+use super::scene::Scene;
 use crate::Result;
 use crate::geometry::Point;
 use crate::progress::Progress;
@@ -38,7 +38,7 @@ fn dark_pixels(scene: &Scene<'_>) -> Vec<bool> {
     let rim_mm = (RIM_PX + MASK_PX as f64) / scene.px_per_mm;
     let camera = |p: Point| scene.registration.view.camera_from_slab(p);
     let dots: Vec<Point> = scene.reference_mm().into_iter().map(camera).collect();
-    let reach = scene.dot_radius_px() + DRIFT_SEARCH_PX + RIM_PX + MASK_PX as f64;
+    let reach = scene.dot_radius_px() + scene.drift_search_px() + RIM_PX + MASK_PX as f64;
     let mut dark = vec![false; width * height];
     for y in (0..height).step_by(MASK_PX) {
         for x in (0..width).step_by(MASK_PX) {
