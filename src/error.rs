@@ -66,6 +66,19 @@ pub enum Error {
         /// The decoder's message.
         reason: String,
     },
+    /// A photograph is not of the size that the rig says.
+    #[error(
+        "{}: size: expected {} × {} px (camera.size_px in rig.toml), found {} × {} px",
+        path.display(), expected[0], expected[1], found[0], found[1]
+    )]
+    PhotographSize {
+        /// The file.
+        path: PathBuf,
+        /// Columns and rows that the rig says.
+        expected: [usize; 2],
+        /// Those that the file has.
+        found: [usize; 2],
+    },
     /// Neither EXIF nor the manifest gives an exposure time.
     #[error("{}: exposure_secs: expected an exposure time in EXIF (ExposureTime or ShutterSpeedValue) or in capture.toml, found neither", path.display())]
     NoExposure {

@@ -133,9 +133,7 @@ fn read_heads(
             Photograph { path, shot: shot.name.clone(), exposure_secs: 0.0, effective_secs: 0.0, reduction: None };
         let found = photograph.size_px()?;
         if found != size_px {
-            let size = |s: [usize; 2]| format!("{} × {} px", s[0], s[1]);
-            let expected = format!("{} (camera.size_px in rig.toml)", size(size_px));
-            return Err(Error::field(&photograph.path, "size", expected, size(found)));
+            return Err(Error::PhotographSize { path: photograph.path, expected: size_px, found });
         }
         let exif =
             exif::read(&photograph.path, &entry.file, &mut warnings).map_err(Error::io("read", &photograph.path))?;

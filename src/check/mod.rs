@@ -265,8 +265,11 @@ impl CheckReport {
     fn stop(&mut self, error: Error) {
         let told = matches!(
             error,
-            Error::MissingPhotograph { .. } | Error::BrokenPhotograph { .. } | Error::NoExposure { .. }
-        ) || matches!(&error, Error::Field { field, .. } if field == "size");
+            Error::MissingPhotograph { .. }
+                | Error::BrokenPhotograph { .. }
+                | Error::NoExposure { .. }
+                | Error::PhotographSize { .. }
+        );
         let errors = self.findings.iter().any(|f| f.severity() == Severity::Error);
         if !(told && errors) {
             self.findings.push(Finding::WouldNotBuild { reason: error.to_string(), topic: topic_of(&error) });

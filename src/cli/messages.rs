@@ -43,6 +43,9 @@ pub fn hint(error: &Error) -> Option<String> {
         Error::Field { .. } => "docs/captures.md lists every field with its unit and range",
         Error::MissingPhotograph { .. } => "copy the photograph back, or remove the shot from capture.toml",
         Error::BrokenPhotograph { .. } => "the copy from the camera may have been cut short; copy it again",
+        Error::PhotographSize { .. } => {
+            "name the rig of this camera with --calibration DIR, or correct camera.size_px in rig.toml"
+        }
         Error::NoExposure { .. } => "write exposure_secs = … for this photograph in capture.toml",
         Error::SameExposure { .. } => "correct exposure_secs in capture.toml, or remove one of the two photographs",
         Error::DotOutsideSlab { .. } => "check [grid] and [slab] in capture.toml against the projected patterns",

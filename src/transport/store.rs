@@ -192,9 +192,11 @@ impl MatrixWriter {
             let reason = "the path of a matrix must be UTF-8";
             return Err(Error::io("create", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
         }
-        if path.symlink_metadata().is_ok() && !path.join("zarr.json").is_file() {
-            let expected = "a new path, or an older matrix to replace".into();
-            return Err(Error::Setting { setting: "out", expected, found: path.display().to_string() });
+        if path.symlink_metadata().is_ok()
+            && let Err(found) = only_a_matrix(path)
+        {
+            let expected = "a new path, or an older matrix with nothing else in its folder to replace".into();
+            return Err(Error::Setting { setting: "out", expected, found });
         }
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let folder = ScratchFolder::new(parent, ".acquire-matrix-", path)?;
@@ -367,6 +369,27 @@ fn subset(header: &MatrixHeader, rows: std::ops::Range<usize>) -> ArraySubset {
     let (y, x) = ((rows.start / nx) as u64, (rows.start % nx) as u64);
     let n = rows.len() as u64;
     ArraySubset::new_with_ranges(&[y..y + 1, x..x + n, 0..wy as u64, 0..wx as u64, 0..CHANNELS as u64])
+}
+
+/// Everything that a store has in its folder.
+const ENTRIES: [&str; 10] =
+    ["dx", "dy", "position_sd_mm", "response", "shot", "valid", "variance", "x_i_mm", "y_i_mm", "zarr.json"];
+
+/// Whether a folder is a store of this program and holds nothing that is not; what it is or holds otherwise.
+fn only_a_matrix(path: &Path) -> std::result::Result<(), String> {
+    let other = || path.display().to_string();
+    let text = std::fs::read(path.join("zarr.json")).map_err(|_| other())?;
+    let group: serde_json::Value = serde_json::from_slice(&text).map_err(|_| other())?;
+    if group.pointer("/attributes/acquire_format").is_none() {
+        return Err(format!("{}, a Zarr store of another program", other()));
+    }
+    for entry in std::fs::read_dir(path).map_err(|_| other())? {
+        let name = entry.map_err(|_| other())?.file_name();
+        if !ENTRIES.iter().any(|known| name == *known) {
+            return Err(path.join(name).display().to_string());
+        }
+    }
+    Ok(())
 }
 
 /// The attributes of an array: its unit, and what else there is to say.

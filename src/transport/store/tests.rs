@@ -293,6 +293,17 @@ fn a_folder_that_is_no_whole_matrix_is_refused() {
     assert!(matches!(MatrixReader::open(&folder.path().join("none")), Err(Error::Io { .. })));
     // Whatever else is there is not overwritten.
     std::fs::create_dir(folder.path().join("other")).unwrap();
-    let other = MatrixWriter::create(&folder.path().join("other"), uneven());
-    assert!(matches!(other, Err(Error::Setting { .. })));
+    let refused = |path: &Path| match MatrixWriter::create(path, uneven()) {
+        Err(Error::Setting { setting: "out", found, .. }) => found,
+        other => panic!("{other:?}"),
+    };
+    let other = folder.path().join("other");
+    assert_eq!(refused(&other), other.display().to_string());
+    let group = r#"{"zarr_format": 3, "node_type": "group", "attributes": {"made by": "a lab"}}"#;
+    std::fs::write(other.join("zarr.json"), group).unwrap();
+    assert!(refused(&other).contains("another program"));
+    after(&|_| ());
+    std::fs::write(path.join("notes.txt"), "keep").unwrap();
+    assert!(refused(&path).ends_with("notes.txt"));
+    assert!(path.join("notes.txt").is_file() && path.join("zarr.json").is_file());
 }
