@@ -207,6 +207,12 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
     },
+    /// What would be replaced was not made by this program.
+    #[error("{}: not replaced, it is not of an earlier output of this program", path.display())]
+    NotOurs {
+        /// The file, or the folder that has no record of such an output.
+        path: PathBuf,
+    },
     /// A value that must be finite is not.
     #[error("{}: {field}: expected finite numbers, found {found} at {at}", path.display())]
     NotFinite {

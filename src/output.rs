@@ -42,12 +42,11 @@ pub(crate) struct NewFolder {
 }
 
 impl NewFolder {
-    /// Checks that `target` may be made, before any work: a new or empty folder or, with `force`, an earlier output, known by its file `mark`.
+    /// Checks that `target` may be made, before any work: a new or empty folder or, with `force`, an earlier output that holds nothing else.
     ///
     /// # Errors
-    /// [`Error::NotEmpty`]; [`Error::Setting`] naming `out`; [`Error::Io`].
-    pub(crate) fn create(target: &Path, force: bool, mark: &str) -> Result<Self> {
-        let refuse = |expected: String, found: String| Err(Error::Setting { setting: "out", expected, found });
+    /// [`Error::NotEmpty`], [`Error::NotOurs`], [`Error::Io`].
+    pub(crate) fn create(target: &Path, force: bool) -> Result<Self> {
         let full = match std::fs::read_dir(target) {
             Ok(mut entries) => entries.next().is_some(),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound && target.symlink_metadata().is_err() => false,
@@ -56,9 +55,8 @@ impl NewFolder {
         if full && !force {
             return Err(Error::NotEmpty { path: target.to_path_buf() });
         }
-        // Whatever else lies there is not ours to remove.
-        if full && !target.join(mark).is_file() {
-            return refuse(format!("a folder with {mark} to replace"), format!("{} without it", target.display()));
+        if full {
+            only_an_output(target)?;
         }
         let target = std::path::absolute(target).map_err(Error::io("create", target))?;
         let parent = target.parent().unwrap_or(&target).to_path_buf();
@@ -75,16 +73,56 @@ impl NewFolder {
         self.scratch.path().join("new")
     }
 
-    /// Puts the folder into its place; an earlier one leaves with the scratch folder.
+    /// Lists the folder's files in [`RECORD`] and puts it into its place; an earlier one leaves with the scratch folder.
     ///
     /// # Errors
     /// [`Error::Io`].
     pub(crate) fn finish(self) -> Result<()> {
+        let files = files(&self.path())?;
+        let record = serde_json::json!({"program": concat!("acquire ", env!("CARGO_PKG_VERSION")), "files": files});
+        let path = self.path().join(RECORD);
+        std::fs::write(&path, record.to_string()).map_err(Error::io("write", &path))?;
         if self.target.exists() {
             std::fs::rename(&self.target, self.scratch.path().join("old"))
                 .map_err(Error::io("rename", &self.target))?;
         }
         std::fs::rename(self.path(), &self.target).map_err(Error::io("rename", &self.target))
+    }
+}
+
+/// What a folder that this program has made holds: what of it may be replaced.
+pub(crate) const RECORD: &str = ".acquire-output.json";
+
+/// The files of a folder and of those in it, by their names from there, sorted.
+fn files(folder: &Path) -> Result<BTreeSet<String>> {
+    let mut found = BTreeSet::new();
+    let mut folders = vec![(folder.to_path_buf(), String::new())];
+    while let Some((path, name)) = folders.pop() {
+        for entry in std::fs::read_dir(&path).map_err(Error::io("read", &path))? {
+            let entry = entry.map_err(Error::io("read", &path))?;
+            let name = format!("{name}{}", entry.file_name().to_string_lossy());
+            // A link to a folder is a link.
+            match entry.file_type().map_err(Error::io("read", entry.path()))?.is_dir() {
+                true => folders.push((entry.path(), name + "/")),
+                false => drop(found.insert(name)),
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// Refuses a folder that this program has not made, or that holds a file which it has not.
+fn only_an_output(folder: &Path) -> Result<()> {
+    #[derive(serde::Deserialize)]
+    struct Record {
+        files: BTreeSet<String>,
+    }
+    let record = std::fs::read(folder.join(RECORD)).ok();
+    let record = record.and_then(|text| serde_json::from_slice::<Record>(&text).ok());
+    let Some(Record { files: ours }) = record else { return Err(Error::NotOurs { path: folder.to_path_buf() }) };
+    match files(folder)?.into_iter().find(|name| name != RECORD && !ours.contains(name)) {
+        Some(other) => Err(Error::NotOurs { path: folder.join(other) }),
+        None => Ok(()),
     }
 }
 
@@ -187,5 +225,36 @@ mod tests {
         assert!(path.is_dir() && list().contains(&path));
         drop(scratch);
         assert!(!path.exists() && !list().contains(&path));
+    }
+
+    #[test]
+    fn an_earlier_output_is_replaced_when_asked_and_only_when_nothing_else_is_in_it() {
+        let parent = tempfile::tempdir().unwrap();
+        let out = parent.path().join("a/out");
+        let make = |force: bool, text: &str| {
+            let new = NewFolder::create(&out, force)?;
+            std::fs::create_dir(new.path().join("deep")).unwrap();
+            std::fs::write(new.path().join("deep/one.txt"), text).unwrap();
+            new.finish()
+        };
+        let text = || std::fs::read_to_string(out.join("deep/one.txt")).unwrap();
+        drop(NewFolder::create(&out, false).unwrap());
+        assert_eq!(std::fs::read_dir(parent.path().join("a")).unwrap().count(), 0, "a stopped run leaves nothing");
+        make(false, "1").unwrap();
+        assert!(matches!(make(false, "2"), Err(Error::NotEmpty { path }) if path == out));
+        make(true, "3").unwrap();
+        assert_eq!(text(), "3");
+        // A file beside them, at any depth; then the same folder without the record.
+        for other in ["deep/notes.txt", "IMG_0001.ARW"] {
+            std::fs::write(out.join(other), "keep").unwrap();
+            assert!(matches!(make(true, "4"), Err(Error::NotOurs { path }) if path == out.join(other)));
+            std::fs::remove_file(out.join(other)).unwrap();
+        }
+        std::fs::remove_file(out.join(RECORD)).unwrap();
+        assert!(matches!(make(true, "5"), Err(Error::NotOurs { path }) if path == out));
+        assert_eq!(text(), "3");
+        assert_eq!(std::fs::read_dir(parent.path().join("a")).unwrap().count(), 1);
+        std::fs::write(parent.path().join("file"), "keep").unwrap();
+        assert!(matches!(NewFolder::create(&parent.path().join("file"), true), Err(Error::Io { .. })));
     }
 }

@@ -334,11 +334,18 @@ fn a_simulation_replaces_simulations_only() {
         |dir: &str| ["simulate", dir, "--grid", "1", "--window", "3", "--exposures", "1", "--force"].map(str::to_owned);
     for dir in [photographs.to_str().unwrap(), "..", "."] {
         let args = simulate(dir);
-        bench.fails(&args.each_ref().map(String::as_str), &["DIR"]);
+        bench.fails(&args.each_ref().map(String::as_str), &["not replaced"]);
     }
     assert_eq!(std::fs::read(photographs.join("capture.toml")).unwrap(), b"years of work");
-    let args = simulate(bench.path("capture").to_str().unwrap());
-    assert_eq!(acquire(&args.each_ref().map(String::as_str)).0, 0);
+    let args = simulate(bench.path("simulated").to_str().unwrap());
+    for _ in 0..2 {
+        assert_eq!(acquire(&args.each_ref().map(String::as_str)).0, 0);
+    }
+    // A photograph that somebody put beside the simulated ones.
+    let precious = bench.path("simulated/photos/IMG_0001.ARW");
+    std::fs::write(&precious, b"years of work").unwrap();
+    bench.fails(&args.each_ref().map(String::as_str), &["IMG_0001.ARW", "not replaced"]);
+    assert!(precious.is_file());
 }
 
 #[test]

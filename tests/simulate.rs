@@ -116,9 +116,15 @@ fn a_folder_is_replaced_only_when_asked_and_only_an_earlier_simulation() {
     let force = Options { force: true, ..options };
     simulate(&force, &path, &Progress::silent()).unwrap_err();
     assert!(path.join("precious.txt").exists(), "a folder that is no simulation is somebody's work");
-    std::fs::write(path.join("truth.toml"), "").unwrap();
+    // A simulation, and the same file beside it.
+    std::fs::remove_file(path.join("precious.txt")).unwrap();
     simulate(&force, &path, &Progress::silent()).unwrap();
-    assert!(path.join("capture.toml").exists() && !path.join("precious.txt").exists());
+    std::fs::write(path.join("precious.txt"), "keep").unwrap();
+    let error = simulate(&force, &path, &Progress::silent()).unwrap_err();
+    assert!(matches!(error, acquire::Error::NotOurs { path: file } if file == path.join("precious.txt")));
+    std::fs::remove_file(path.join("precious.txt")).unwrap();
+    simulate(&force, &path, &Progress::silent()).unwrap();
+    assert!(path.join("capture.toml").exists());
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "nothing is left beside the capture");
 }
 
@@ -210,7 +216,8 @@ fn the_truth_alone_is_that_of_the_capture_and_is_no_capture() {
             .unwrap()
             .map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned())
             .collect();
-        assert!(names.len() == 2 && names.iter().all(|name| name.starts_with("truth.")), "{names:?}");
+        let known = |name: &String| name.starts_with("truth.") || name == ".acquire-output.json";
+        assert!(names.len() == 3 && names.iter().all(known), "{names:?}");
         let [a, b] = [&whole, &alone].map(|p| MatrixReader::open(&p.join("truth.rd.zarr")).unwrap());
         assert_eq!((&a.header().lit_mm, &a.header().shots), (&b.header().lit_mm, &b.header().shots));
         assert_eq!(a.read(0..a.header().rows()).unwrap(), b.read(0..b.header().rows()).unwrap());

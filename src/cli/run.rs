@@ -3,7 +3,7 @@ use crate::capture::Manifest;
 use crate::evaluate::evaluate;
 use crate::factor::{Factored, Options, factor};
 use crate::material::{self, Precision, Responses, Source, export_exr, export_npz};
-use crate::output::ScratchFolder;
+use crate::output::NewFolder;
 use crate::pipeline::{BuildReport, build_matrix};
 use crate::report::{self, Comparison, MaterialSummary, ReportInput, Survey};
 use crate::simulate::TRUTH_MATRIX;
@@ -46,11 +46,12 @@ const MEASURES: &str = "measures.json";
 pub fn run(args: Args, context: &Context) -> Result<()> {
     let factoring = Options { terms: args.terms, degree: args.degree, ..Options::default() };
     factoring.check()?;
-    let results = Results::prepare(&args.out, args.force)?;
+    let results = NewFolder::create(&args.out, args.force)?;
+    let folder = results.path();
     let manifest = Manifest::read(&args.capture)?;
     check_truth(&args.capture, &manifest)?;
     let title = manifest.name;
-    let at = |name: &str| results.folder.join(name);
+    let at = |name: &str| folder.join(name);
 
     let build = build_matrix(&args.capture, &args.build.into(), &at(MATRIX), &context.progress)?;
     build.warnings.iter().for_each(|w| context.warn(w));
@@ -63,8 +64,8 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     export_exr(&factored.material, &at("material.exr"))?;
     export_npz(&factored.material, &at("material.npz"))?;
 
-    let comparisons = compare(&args.capture, &results.folder, context)?;
-    write_report(&title, &build, &matrix, &factored, &comparisons, &results.folder, context)?;
+    let comparisons = compare(&args.capture, &folder, context)?;
+    write_report(&title, &build, &matrix, &factored, &comparisons, &folder, context)?;
     results.finish()?;
     for c in &comparisons {
         context.done(closing_line(c));
@@ -158,77 +159,4 @@ fn closing_line(c: &Comparison) -> String {
     let psnr = c.value("psnr_db").map(|v| format!("psnr {v:.1} dB"));
     let parts: Vec<String> = percent.into_iter().chain(psnr).collect();
     format!("{}: {}", c.title, parts.join(", "))
-}
-
-/// The results folder under another name until it is complete.
-struct Results {
-    /// Where the files go for now.
-    folder: PathBuf,
-    /// Removed when the run stops.
-    scratch: ScratchFolder,
-    target: PathBuf,
-}
-
-impl Results {
-    /// Checks that `target` may be made, before any work.
-    fn prepare(target: &Path, force: bool) -> Result<Self> {
-        let refuse =
-            |expected: &str, found: String| Err(Error::Setting { setting: "out", expected: expected.into(), found });
-        let entries = match std::fs::read_dir(target) {
-            Ok(mut entries) => entries.next().is_some(),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound && target.symlink_metadata().is_err() => false,
-            Err(e) => return Err(Error::io("create", target)(e)),
-        };
-        if entries && !force {
-            return refuse("a folder that is empty or not there, or --force", format!("files in {}", target.display()));
-        }
-        // Whatever else lies there is not ours to remove.
-        if entries && !target.join(MEASURES).is_file() {
-            return refuse("earlier results to replace", format!("{} without {MEASURES}", target.display()));
-        }
-        let target = std::path::absolute(target).map_err(Error::io("create", target))?;
-        let parent = target.parent().unwrap_or(&target).to_path_buf();
-        std::fs::create_dir_all(&parent).map_err(Error::io("create", &parent))?;
-        let scratch = ScratchFolder::new(&parent, ".acquire-run-", &target)?;
-        let folder = scratch.path().join("results");
-        std::fs::create_dir(&folder).map_err(Error::io("create", &folder))?;
-        Ok(Self { folder, scratch, target })
-    }
-
-    /// Puts the folder into its place; earlier results leave with the scratch folder.
-    fn finish(self) -> Result<()> {
-        if self.target.exists() {
-            let old = self.scratch.path().join("old");
-            std::fs::rename(&self.target, old).map_err(Error::io("rename", &self.target))?;
-        }
-        std::fs::rename(&self.folder, &self.target).map_err(Error::io("rename", &self.target))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn results_appear_when_they_are_whole_and_nothing_else_is_replaced() {
-        let dir = tempfile::tempdir().unwrap();
-        let out = dir.path().join("a/results");
-        let put = |r: &Results, text: &str| std::fs::write(r.folder.join(MEASURES), text).unwrap();
-        drop(Results::prepare(&out, false).unwrap());
-        assert_eq!(std::fs::read_dir(dir.path().join("a")).unwrap().count(), 0, "a stopped run leaves nothing");
-
-        for (force, text) in [(false, "1"), (true, "2")] {
-            let results = Results::prepare(&out, force).unwrap();
-            put(&results, text);
-            results.finish().unwrap();
-            assert_eq!(std::fs::read_to_string(out.join(MEASURES)).unwrap(), text);
-            assert_eq!(std::fs::read_dir(dir.path().join("a")).unwrap().count(), 1);
-        }
-        assert!(Results::prepare(&out, false).is_err());
-
-        let photographs = dir.path().join("photographs");
-        std::fs::create_dir(&photographs).unwrap();
-        std::fs::write(photographs.join("a.jpg"), "x").unwrap();
-        assert!(Results::prepare(&photographs, true).is_err(), "--force replaces results only");
-    }
 }

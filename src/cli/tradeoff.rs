@@ -43,7 +43,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         let name = args.matrix.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         PathBuf::from(format!("{}-tradeoff", name.trim_end_matches(".zarr").trim_end_matches(".rd")))
     });
-    let folder = NewFolder::create(&out, args.force, JSON)?;
+    let folder = NewFolder::create(&out, args.force)?;
     let options = Options { quick: args.quick, memory_bytes: args.memory };
     let found = tradeoff(&reader, &options, &context.progress)?;
     let json = serde_json::to_string_pretty(&found).map_err(Error::internal)?;

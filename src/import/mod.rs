@@ -92,7 +92,7 @@ pub fn import(
     };
     same_settings(&photographs, &plan)?;
 
-    let new = NewFolder::create(out, options.force, "capture.toml")?;
+    let new = NewFolder::create(out, options.force)?;
     let sources = by_shot(&photographs, &plan);
     try_open(&plan, &sources, &rig_path, believed)?;
     write(&new.path(), &plan, &sources, &rig_path, believed, options.link, progress)?;

@@ -189,7 +189,7 @@ pub fn patterns(
 ) -> Result<Patterns> {
     let rig = Rig::read(rig_path)?;
     let written = plan(options, &rig, probe)?;
-    let folder = NewFolder::create(out, force, PLAN_FILE)?;
+    let folder = NewFolder::create(out, force)?;
     let dir = folder.path();
     let make = |path: PathBuf| std::fs::create_dir(&path).map_err(Error::io("create", &path));
     make(dir.join("pictures"))?;

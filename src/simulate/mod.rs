@@ -38,7 +38,7 @@ pub use slab::{Beyond, Material, Optics, SlabRecord, Volume};
 use crate::{
     Error, Result, Warning,
     geometry::{CameraView, Homography, Lens, Point},
-    output::ScratchFolder,
+    output::NewFolder,
     progress::Progress,
     transport::{MatrixHeader, MatrixWriter, ShotRecord},
 };
@@ -125,13 +125,8 @@ pub struct ShotTruth {
 /// [`Error::Setting`] for options out of range or a `dir` that is not empty (unless `options.force`); [`Error::Io`].
 pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Summary> {
     options.check()?;
-    refuse_full(dir, options.force)?;
-    let parent = dir.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    std::fs::create_dir_all(parent).map_err(Error::io("create", parent))?;
-    let scratch = ScratchFolder::new(parent, ".acquire-simulate-", dir)?;
-    // One folder deeper, for the permissions of an ordinary folder.
-    let work = scratch.path().join("capture");
-    create_folder(&work)?;
+    let new = NewFolder::create(dir, options.force)?;
+    let work = new.path();
     let bench = Bench::new(options, progress)?;
     let options = &Options { voxels_blake3: bench.record.voxels_blake3.clone(), ..options.clone() };
     let summary = match options.truth_only {
@@ -139,11 +134,7 @@ pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Su
         false => write_capture(options, Studio::new(options, bench)?, &work, progress)?,
     };
 
-    if dir.exists() {
-        // Leaves with the scratch folder: nothing is lost should the next step fail.
-        std::fs::rename(dir, scratch.path().join("older")).map_err(Error::io("replace", dir))?;
-    }
-    std::fs::rename(&work, dir).map_err(Error::io("rename", dir))?;
+    new.finish()?;
     Ok(summary)
 }
 
@@ -212,27 +203,6 @@ fn summary(bench: Bench, plan: &Plan) -> Summary {
         photon_noise: bench.photon_noise(),
         warnings: bench.warnings,
     }
-}
-
-fn refuse_full(dir: &Path, force: bool) -> Result<()> {
-    let refuse =
-        |expected: &str, found: String| Err(Error::Setting { setting: "DIR", expected: expected.into(), found });
-    if dir.file_name().is_none() {
-        return refuse("a folder by its name, to be put into its place", dir.display().to_string());
-    }
-    let full = match std::fs::read_dir(dir) {
-        Ok(mut entries) => entries.next().is_some(),
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => false,
-        Err(e) => return Err(Error::io("read", dir)(e)),
-    };
-    if full && !force {
-        return Err(Error::NotEmpty { path: dir.to_path_buf() });
-    }
-    // Whatever else lies there is not ours to remove: a lab's photographs above all.
-    if full && !dir.join(TRUTH_FILE).is_file() {
-        return refuse("an earlier simulation to replace", format!("{} without {TRUTH_FILE}", dir.display()));
-    }
-    Ok(())
 }
 
 /// What can be known of the truth without a camera's sensor.
