@@ -29,13 +29,12 @@ enum Format {
 }
 
 pub fn run(args: Args, context: &Context) -> Result<()> {
-    let out = args.out.unwrap_or_else(|| {
-        args.material.with_extension(match args.to {
-            Format::Exr => "exr",
-            Format::Npz => "npz",
-        })
-    });
-    super::check_output(&out, &[&args.material])?;
+    let ending = match args.to {
+        Format::Exr => "exr",
+        Format::Npz => "npz",
+    };
+    let out = args.out.unwrap_or_else(|| args.material.with_extension(ending));
+    super::check_output(&out, &[&args.material], &[ending])?;
     let material = material::load(&args.material)?;
     match args.to {
         Format::Exr => export_exr(&material, &out)?,

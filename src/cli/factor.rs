@@ -106,7 +106,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     let coded = out.extension().is_some_and(|e| e == "acq");
     let precision = args.precision.unwrap_or(if coded { Precision::Coded } else { Precision::F32 });
     check(&args, &out, precision)?;
-    super::check_output(&out, &[&args.matrix])?;
+    super::check_output(&out, &[&args.matrix], &super::MATERIALS)?;
     let reader = MatrixReader::open(&args.matrix)?;
     let options = Options {
         model: args.model,

@@ -122,8 +122,12 @@ fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Refuses an output file that would fail or harm only after the work: a folder, a device, a file without a folder, one of `inputs`.
-fn check_output(out: &Path, inputs: &[&Path]) -> Result<()> {
+/// Endings of material files.
+const MATERIALS: [&str; 2] = ["safetensors", "acq"];
+
+/// Refuses an output file that would fail or harm only after the work: a folder, a device, a file without a folder, one of `inputs`, a name
+/// that ends in none of `endings`, and a file there that is called a material and is none of this program.
+fn check_output(out: &Path, inputs: &[&Path], endings: &[&str]) -> Result<()> {
     let refuse = |expected: &str| {
         Err(Error::Setting { setting: "out", expected: expected.into(), found: out.display().to_string() })
     };
@@ -139,6 +143,13 @@ fn check_output(out: &Path, inputs: &[&Path]) -> Result<()> {
     let inputs: Vec<_> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();
     if places.iter().flatten().any(|place| inputs.iter().any(|input| place.starts_with(input))) {
         return refuse("another file than the input");
+    }
+    let ending = out.extension().and_then(|e| e.to_str()).unwrap_or_default();
+    if !endings.contains(&ending) {
+        return refuse(&format!("a name that ends in .{}", endings.join(" or .")));
+    }
+    if MATERIALS.contains(&ending) && out.exists() && crate::material::load(out).is_err() {
+        return Err(Error::NotOurs { path: out.to_path_buf() });
     }
     Ok(())
 }
@@ -185,14 +196,17 @@ mod tests {
         #[cfg(unix)]
         std::os::unix::fs::symlink(&input, folder.path().join("link")).unwrap();
         let inputs = [input.as_path(), store.as_path()];
-        let refused = |name: &str| check_output(&folder.path().join(name), &inputs).is_err();
+        let refused = |name: &str| check_output(&folder.path().join(name), &inputs, &MATERIALS).is_err();
         for name in ["m.safetensors", "./m.safetensors", "m.rd.zarr", "m.rd.zarr/zarr.json", "m.rd.zarr/new"] {
             assert!(refused(name), "{name}");
         }
         #[cfg(unix)]
         assert!(refused("link"));
         assert!(refused("") && refused("..") && refused("nowhere/x"));
-        assert!(check_output(Path::new("/dev/null"), &[]).is_err(), "a rename would replace the device");
-        assert!(!refused("new.safetensors"));
+        assert!(check_output(Path::new("/dev/null"), &[], &[""]).is_err(), "a rename would replace the device");
+        assert!(!refused("new.safetensors") && !refused("new.acq"));
+        assert!(refused("notes.txt") && refused("new"), "other names are of other files");
+        std::fs::write(folder.path().join("model.safetensors"), "somebody's weights").unwrap();
+        assert!(refused("model.safetensors"), "no material of this program");
     }
 }

@@ -32,8 +32,12 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         });
     }
     let inputs = [args.source.as_path(), Path::new(&args.light)];
-    super::check_output(&args.out, &inputs)?;
-    super::check_output(&png, &inputs)?;
+    super::check_output(&args.out, &inputs, &["exr"])?;
+    super::check_output(&png, &inputs, &["png"])?;
+    // The picture of an earlier relighting lies beside its exitance.
+    if png.exists() && !args.out.exists() {
+        return Err(Error::NotOurs { path: png });
+    }
     let light = parse_light(&args.light)?;
     let source = Source::open(&args.source)?;
     let flux = light.flux(&source.shape())?;
