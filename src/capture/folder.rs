@@ -432,7 +432,10 @@ mod tests {
         let (found, warnings) = heads(Some(0.5), ExposureFrom::Estimate);
         assert_eq!((secs(&found), warnings.len()), (vec![0.5; 2], 4));
         // A picture that is turned is not the rig's.
-        assert!(matches!(read_heads(folder.path(), &shot(None), [2, 3], ExposureFrom::Exif), Err(Error::Field { .. })));
+        assert!(matches!(
+            read_heads(folder.path(), &shot(None), [2, 3], ExposureFrom::Exif),
+            Err(Error::PhotographSize { expected: [2, 3], .. })
+        ));
     }
 
     fn shot(name: &str, pattern: Pattern) -> super::super::Shot {
