@@ -20,7 +20,7 @@ pub struct Args {
     #[command(flatten)]
     build: options::Build,
     /// Where the matrix goes; an older one there is replaced.
-    #[arg(long, value_name = "X.rd.zarr", default_value = "matrix.rd.zarr")]
+    #[arg(long, short, value_name = "X.rd.zarr", default_value = "matrix.rd.zarr")]
     out: PathBuf,
 }
 
