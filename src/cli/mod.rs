@@ -126,7 +126,7 @@ fn print(text: &str) -> Result<()> {
 const MATERIALS: [&str; 2] = ["safetensors", "acq"];
 
 /// Refuses an output file that would fail or harm only after the work: a folder, a device, a file without a folder, one of `inputs`, a name
-/// that ends in none of `endings`, and a file there that is called a material and is none of this program.
+/// that ends in none of `endings`, an existing .safetensors or .acq file that this program did not write.
 fn check_output(out: &Path, inputs: &[&Path], endings: &[&str]) -> Result<()> {
     let refuse = |expected: &str| {
         Err(Error::Setting { setting: "out", expected: expected.into(), found: out.display().to_string() })

@@ -24,13 +24,6 @@ pub struct Args {
 
 pub fn run(args: Args, context: &Context) -> Result<()> {
     let png = args.out.with_extension("png");
-    if png == args.out {
-        return Err(Error::Setting {
-            setting: "out",
-            expected: "an .exr file; the PNG goes beside it".into(),
-            found: args.out.display().to_string(),
-        });
-    }
     let inputs = [args.source.as_path(), Path::new(&args.light)];
     super::check_output(&args.out, &inputs, &["exr"])?;
     super::check_output(&png, &inputs, &["png"])?;

@@ -21,8 +21,6 @@ pub(super) struct Radiometry {
     /// What turned light to code values; `None` when they are in proportion to it.
     curve: Option<Curve>,
     file: FileNoise,
-    /// Pixels along each side of the blocks that photographs are averaged over.
-    factor: usize,
     /// Photographs of each shot with their actual exposure times, shortest first.
     pub brackets: Vec<Vec<Photograph>>,
     /// Standard deviation of a photograph's light about its setting's, when there is any beyond noise.
@@ -59,7 +57,7 @@ const CURVE_FILE: &str = "response.toml";
 impl Radiometry {
     /// What turns code values to light.
     pub fn sensor(&self) -> Sensor {
-        Sensor::with_curve(&self.noise, self.curve.clone(), self.file).averaged(self.factor)
+        Sensor::with_curve(&self.noise, self.curve.clone(), self.file).averaged(block_px(&self.brackets))
     }
 }
 
@@ -82,7 +80,7 @@ pub(super) fn calibrate(
         ResponseCurve::Srgb | ResponseCurve::Estimate => Some(Curve::srgb()),
         ResponseCurve::File(name) => Some(Curve::read(&capture.rig_path.with_file_name(name))?),
     };
-    let factor = capture.brackets.iter().flatten().find_map(|p| p.reduction).map_or(1, |by| by.factor);
+    let factor = block_px(&capture.brackets);
     let mut sensor = Sensor::with_curve(noise, response.clone(), file).averaged(factor);
     let stacks: Vec<Stack> = chosen
         .par_iter()
@@ -115,7 +113,12 @@ pub(super) fn calibrate(
     stage.advance(1);
     let record = record(&fit, &settings, file, estimate.as_ref(), options);
     let (noise, flicker_sd) = (noise.clone(), fit.flicker_sd);
-    Ok(Radiometry { noise, curve: response, file, factor, brackets, flicker_sd, warnings, record })
+    Ok(Radiometry { noise, curve: response, file, brackets, flicker_sd, warnings, record })
+}
+
+/// Pixels along each side of the blocks that photographs are averaged over, the same for all.
+fn block_px(brackets: &[Vec<Photograph>]) -> usize {
+    brackets.iter().flatten().find_map(|p| p.reduction).map_or(1, |by| by.factor)
 }
 
 /// The distinct nominal exposures of a capture, shortest first.

@@ -1,6 +1,5 @@
 //! What the tests of several stages need.
 
-use super::noise::FoundNoise;
 use super::*;
 use crate::capture::{
     Camera, Capture, Grid, Manifest, Noise, Pattern, Photograph, Projector, ResponseCurve, Rig, Shot, Slab,
@@ -66,9 +65,12 @@ pub(super) fn capture(shots: &[(Pattern, &[f64])]) -> Capture {
     }
 }
 
-/// What a stage gave, saved and loaded.
-fn saved<T: serde::Serialize + serde::de::DeserializeOwned + PartialEq>(output: &T) -> T {
-    serde_json::from_slice(&serde_json::to_vec(output).unwrap()).unwrap()
+/// What a stage gave; when asked, saved and loaded on the way.
+fn passed<T: serde::Serialize + serde::de::DeserializeOwned>(output: T, through_files: bool) -> T {
+    match through_files {
+        true => serde_json::from_slice(&serde_json::to_vec(&output).unwrap()).unwrap(),
+        false => output,
+    }
 }
 
 #[test]
@@ -76,19 +78,16 @@ fn stages_that_go_on_from_saved_outputs_give_the_same_rows_to_the_last_bit() {
     let capture = Capture::open(std::path::Path::new("captures"), None).unwrap();
     let (options, silent) = (BuildOptions::default(), Progress::silent());
     let rows = [false, true].map(|through_files| {
-        let kept = |noise: FoundNoise| if through_files { saved(&noise) } else { noise };
-        let noise = kept(noise::find(&capture).unwrap());
-        let found = radiometry::calibrate(&capture, &noise.noise, &options, &silent).unwrap();
-        let radiometry = if through_files { saved(&found) } else { found };
+        let noise = passed(noise::find(&capture).unwrap(), through_files);
+        let radiometry = radiometry::calibrate(&capture, &noise.noise, &options, &silent).unwrap();
+        let radiometry = passed(radiometry, through_files);
         let photographs = Photographs::new(&capture, &radiometry);
-        let found = register::register(&photographs, &silent).unwrap();
-        let registered = if through_files { saved(&found) } else { found };
-        let found = references::references(&photographs, &registered, radiometry.flicker_sd, &silent).unwrap();
-        let references = if through_files { saved(&found) } else { found };
+        let registered = passed(register::register(&photographs, &silent).unwrap(), through_files);
+        let references = references::references(&photographs, &registered, radiometry.flicker_sd, &silent).unwrap();
+        let references = passed(references, through_files);
         let scene = Scene::new(&photographs, &registered, &references);
-        let found =
-            (stray::measure(&scene, &silent).unwrap(), Flicker::measure(&scene, radiometry.flicker_sd).unwrap());
-        let (stray, flicker) = if through_files { saved(&found) } else { found };
+        let stray = passed(stray::measure(&scene, &silent).unwrap(), through_files);
+        let flicker = passed(Flicker::measure(&scene, radiometry.flicker_sd).unwrap(), through_files);
         let (light, sink) = (Light { stray, flicker }, HeldRows::default());
         let movements = Movements::prepare(&scene).unwrap();
         lattice::extract(&scene, &light, &movements, &sink, &silent).unwrap();

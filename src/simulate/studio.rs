@@ -353,26 +353,10 @@ impl Studio {
 
     /// Sample and frame under the projector's black and the ambient light.
     fn render_dark_sample(&self, options: &Options, pixels: &PixelGrid) -> Picture {
-        let (scene, pixel_mm) = (&self.bench.scene, pixels.pixel_mm());
-        let Some(field) = &self.dark_field else {
-            return pixels.black();
-        };
-        let light = |p: Point| match () {
-            () if scene.on_sample(p) => field.at(p).map(f64::from),
-            () if scene.on_frame_or_sample(p) => self.dark_irradiance(options, p).map(|e| e * scene.frame_albedo(p)),
-            () => [0.0; 3],
-        };
-        let mean = FieldMean::new(pixel_mm, field);
-        pixels.picture_of(|pixel| {
-            let p = pixel.first_corner_mm();
-            match () {
-                () if scene.near_rim(p, pixel_mm) || scene.near_mark(p, 2.0 * pixel_mm) => {
-                    pixel.mean(GAUSS_6, light).map(|v| v as f32)
-                }
-                () if scene.on_sample(p) => mean.on_sample(scene, pixel),
-                () => pixel.mean(GAUSS_1, light).map(|v| v as f32),
-            }
-        })
+        match self.dark_field {
+            Some(_) => self.lit_sample(options, pixels, |_| GAUSS_1, |_| 0.0, |_| 0.0),
+            None => pixels.black(),
+        }
     }
 
     /// Sets the sensitivity so that the brightest of some dots reaches [`BRIGHTEST`] in the shortest exposure.

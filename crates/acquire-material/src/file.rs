@@ -152,9 +152,12 @@ impl Material {
     pub(crate) fn check_values(&self) -> Result<(), String> {
         let lit: Vec<f32> = self.lit_mm.iter().flatten().map(|&v| v as f32).collect();
         let tensors = self.header.shapes().into_iter().zip(self.stored()).map(|((name, _), values)| (name, values));
-        for (name, values) in
-            tensors.chain([("lit_mm", lit.as_slice()), ("offset_factors", &self.offset_factors.all())])
-        {
+        // Sums of shared maps have to fit, too; factors of their own are among the tensors.
+        let sums = match &self.offset_factors {
+            OffsetFactors::Own(_) => Vec::new(),
+            OffsetFactors::Shared(shared) => shared.offset_factors(),
+        };
+        for (name, values) in tensors.chain([("lit_mm", lit.as_slice()), ("offset_factors", sums.as_slice())]) {
             if let Some(at) = values.iter().position(|v| !(v.abs() <= LARGEST)) {
                 return Err(format!("{name}: expected numbers up to {LARGEST:e}, found {} at {at}", values[at]));
             }

@@ -120,8 +120,8 @@ pub struct MaterialHeader {
     pub shared_maps: Option<usize>,
     /// Whether there is a profile that multiplies the terms.
     pub profile: bool,
-    /// P, the degree of the colour polynomial; `None` when there is none: then the planes are R, G and B themselves,
-    /// or the one plane is the response of all three.
+    /// P, the degree of the colour polynomial. `None` without a polynomial: three planes are then R, G and B, and a single plane is the response
+    /// of all three channels.
     pub degree: Option<usize>,
     /// The normalized intensities that the Legendre basis maps to −1 and 1; arguments are clamped to them.
     pub intensity_range: [f32; 2],
