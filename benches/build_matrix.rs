@@ -6,7 +6,7 @@
 use acquire::capture::Capture;
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{Options, simulate};
+use acquire::simulate::{SimulateOptions, simulate};
 use rayon::prelude::*;
 use std::time::Instant;
 
@@ -15,7 +15,11 @@ fn main() -> acquire::Result<()> {
     let named = std::env::args().skip(1).find(|a| !a.starts_with('-')).map(std::path::PathBuf::from);
     let dir = named.clone().unwrap_or_else(|| folder.path().join("capture"));
     if named.is_none() {
-        simulate(&Options { grid: [18, 14], window: [33, 29], ..Options::default() }, &dir, &Progress::silent())?;
+        simulate(
+            &SimulateOptions { grid: [18, 14], window: [33, 29], ..SimulateOptions::default() },
+            &dir,
+            &Progress::silent(),
+        )?;
     }
     let capture = Capture::open(&dir, None)?;
     println!("{} photographs of {:?} px", capture.photographs(), capture.rig.camera.size_px);

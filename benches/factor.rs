@@ -6,7 +6,7 @@
 //! is full, gram, randomized, deflation, or `none` to write the store and no more. Also the rate of the products that
 //! the randomized back end makes, and of square ones, which are as fast as this processor goes.
 
-use acquire::factor::{Options, factor};
+use acquire::factor::{FactorOptions, factor};
 use acquire::progress::Progress;
 use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter};
 use faer::linalg::matmul::matmul;
@@ -55,8 +55,8 @@ fn main() -> acquire::Result<()> {
     let (square, tall, wide) = (rate(2048, 2048, 2048), rate(rows, samples, 23), rate(samples, rows, 23));
     println!("products in f32: {square:.0} GFlop/s square; {tall:.0} and {wide:.0} of {rows} rows with 23 vectors");
     let backend = args.get(3).and_then(|name| serde_json::from_value(name.as_str().into()).ok());
-    let chosen = Options { backend, ..Options::default() };
-    let fixed = Options { terms: Some(15), degree: Some(7), ..chosen.clone() };
+    let chosen = FactorOptions { backend, ..FactorOptions::default() };
+    let fixed = FactorOptions { terms: Some(15), degree: Some(7), ..chosen.clone() };
     for (name, options) in [("T = 15, P = 7", fixed), ("chosen", chosen)] {
         let progress = Progress::silent();
         let factored = factor(&reader, &options, &progress)?;

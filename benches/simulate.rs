@@ -5,7 +5,7 @@
 //! what else the machine does) and their ratios, then the medians.
 
 use acquire::progress::Progress;
-use acquire::simulate::{ExposureTime, FileFormat, Options, PhotographWriter, simulate};
+use acquire::simulate::{ExposureTime, FileFormat, PhotographWriter, SimulateOptions, simulate};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -27,12 +27,12 @@ fn main() -> acquire::Result<()> {
     let folder = tempfile::tempdir().map_err(acquire::Error::io("create", "a temporary folder"))?;
     let typed: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
     let number = |n: usize| typed.get(n).and_then(|a| a.parse::<f64>().ok());
-    let options = Options {
+    let options = SimulateOptions {
         grid: number(0).map_or([18, 14], |n| [n as usize; 2]),
         window: [33, 29],
         camera_px_per_sample: number(1).unwrap_or(3.0),
         format: if typed.get(2).is_some_and(|f| f == "jpeg") { FileFormat::Jpeg } else { FileFormat::Png },
-        ..Options::default()
+        ..SimulateOptions::default()
     };
     let mut ratios = [const { Vec::new() }; 2];
     for round in 0..3 {

@@ -19,10 +19,10 @@ use acquire::evaluate::evaluate;
 use acquire::material::Source;
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{Options, TRUTH_MATRIX, simulate};
+use acquire::simulate::{SimulateOptions, TRUTH_MATRIX, simulate};
 use acquire::transport::MatrixReader;
 use acquire::{Error, Result};
-use chart::{Axis, Chart};
+use chart::{Chart, ChartAxis};
 use std::path::Path;
 
 /// Distances of a shot's dots, in lit points; the last is one dot a shot at the default grid.
@@ -71,13 +71,13 @@ fn main() -> Result<()> {
     for spacing in SPACINGS.map(|s| s.min(grid)) {
         let folder = tempfile::tempdir().map_err(Error::io("create", "a temporary folder"))?;
         let dir = folder.path().join("capture");
-        let pitch_mm = Options::default().pitch_mm;
-        let options = Options {
+        let pitch_mm = SimulateOptions::default().pitch_mm;
+        let options = SimulateOptions {
             material: "chessboard-4x4".parse().map_err(|what| Error::Internal { what })?,
             lit_pitch_mm: Some([SAMPLES_PER_POINT as f64 * pitch_mm; 2]),
             spacing: Some([spacing; 2]),
             exposures: EXPOSURES,
-            ..Options { grid: [grid; 2], window: [window; 2], seed, ..Options::default() }
+            ..SimulateOptions { grid: [grid; 2], window: [window; 2], seed, ..SimulateOptions::default() }
         };
         simulate(&options, &dir, &Progress::silent())?;
         let whole = Manifest::read(&dir)?;
@@ -220,7 +220,7 @@ fn panel(lines: &[Vec<Point>], x: Quantity, y: Quantity) -> String {
     let axis = |(title, of): Quantity| {
         let values = || lines.iter().flatten().map(of).filter(|v| v.is_finite());
         let (min, max) = (0.85 * values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max) / 0.85);
-        let mut axis = Axis::decades(min, max, title);
+        let mut axis = ChartAxis::decades(min, max, title);
         // Ticks are at whole decades, the nearest to either end included: an end may move towards the data by less than half a decade.
         if min.log10().rem_euclid(1.0) > 0.5 {
             axis.min = min;

@@ -8,8 +8,8 @@
 use acquire::evaluate::evaluate;
 use acquire::material::Source;
 use acquire::progress::Progress;
-use acquire::simulate::monte_carlo::{self, Medium, Setup, Window};
-use acquire::simulate::{Cause, Optics, Options, TRUTH_MATRIX, Transport, Volume, simulate};
+use acquire::simulate::monte_carlo::{self, Medium, Setup, TallyWindow};
+use acquire::simulate::{Cause, Optics, SimulateOptions, TRUTH_MATRIX, Transport, Volume, simulate};
 use acquire::transport::MatrixReader;
 use std::time::Instant;
 
@@ -48,14 +48,14 @@ fn photons() -> acquire::Result<()> {
     for (name, photons, n, layers) in slabs {
         let medium = Medium::new(&Volume::layered(&layers, n), 0);
         let totals = Setup::totals(&medium);
-        let window = Some(Window { corner_mm: [-10.0; 2], cell_mm: 0.125, cells: [160; 2] });
+        let window = Some(TallyWindow { corner_mm: [-10.0; 2], cell_mm: 0.125, cells: [160; 2] });
         let camera = Setup { window, eye_mm: Some([5.0, 0.0, -100.0]), ..totals };
         let rate = |setup: &Setup, threads: usize| -> acquire::Result<f64> {
             let pool =
                 rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(acquire::Error::internal)?;
             let mut rates = Vec::new();
             for seed in 0..5 {
-                let options = monte_carlo::Options { photons: photons as u64, seed };
+                let options = monte_carlo::TraceOptions { photons: photons as u64, seed };
                 let start = Instant::now();
                 pool.install(|| monte_carlo::trace(setup, &options, None))?;
                 rates.push(photons / start.elapsed().as_secs_f64());
@@ -81,8 +81,14 @@ fn materials(photons: u64) -> acquire::Result<()> {
         let mut noise = 0.0;
         let path = |transport| folder.path().join(format!("{transport:?}"));
         for transport in [Transport::Diffusion, Transport::Mc] {
-            let mut options =
-                Options { transport, photons, grid: [2, 3], window: [33, 29], force: true, ..Options::default() };
+            let mut options = SimulateOptions {
+                transport,
+                photons,
+                grid: [2, 3],
+                window: [33, 29],
+                force: true,
+                ..SimulateOptions::default()
+            };
             options.material = material.parse().map_err(|_| acquire::Error::internal(material))?;
             options.exposures = 1;
             options.only(&[Cause::Drift]);

@@ -2,7 +2,7 @@
 
 mod common;
 
-use acquire::simulate::Options;
+use acquire::simulate::SimulateOptions;
 use common::{acquire, copy_folder};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 /// A small capture, simulated once for all tests of this file.
 fn original() -> &'static Path {
     static CAPTURE: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
-    let options = Options { grid: [4, 3], window: [7, 5], exposures: 2, ..Options::default() };
+    let options = SimulateOptions { grid: [4, 3], window: [7, 5], exposures: 2, ..SimulateOptions::default() };
     &CAPTURE.get_or_init(|| common::capture(&options)).1
 }
 
@@ -287,12 +287,12 @@ fn numbers_that_make_no_sense_are_refused_by_name() {
 
 #[test]
 fn a_jpeg_cut_in_its_pixels_is_refused() {
-    let options = Options {
+    let options = SimulateOptions {
         grid: [4, 3],
         window: [7, 5],
         exposures: 2,
         format: acquire::simulate::FileFormat::Jpeg,
-        ..Options::default()
+        ..SimulateOptions::default()
     };
     let (folder, dir) = common::capture(&options);
     let bench = Bench { folder };

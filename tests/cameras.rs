@@ -5,7 +5,7 @@ mod common;
 use acquire::Warning;
 use acquire::pipeline::{BuildOptions, Resolution, Working, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{FileFormat, Material, Options};
+use acquire::simulate::{FileFormat, SimulateOptions, SlabMaterial};
 use common::compare;
 
 /// Builds it at a resolution; what was chosen, the comparison with the truth, and the findings.
@@ -16,9 +16,9 @@ fn built(dir: &std::path::Path, resolution: Resolution) -> (Working, common::Com
     (report.working, compare(&out, &dir.join("truth.rd.zarr")), report.warnings)
 }
 
-fn bench(camera_px_per_sample: f64) -> Options {
-    let material = Material::chessboard([3, 2]);
-    Options { material, grid: [4, 3], window: [11, 7], exposures: 3, camera_px_per_sample, ..common::bench() }
+fn bench(camera_px_per_sample: f64) -> SimulateOptions {
+    let material = SlabMaterial::chessboard([3, 2]);
+    SimulateOptions { material, grid: [4, 3], window: [11, 7], exposures: 3, camera_px_per_sample, ..common::bench() }
 }
 
 #[test]
@@ -44,7 +44,7 @@ fn a_camera_of_six_times_the_pixels_gives_the_same_matrix_from_blocks_of_them() 
 
 #[test]
 fn means_are_not_taken_where_code_values_are_a_curve_of_light_or_pixels_are_few() {
-    let (_folder, dir) = common::capture(&Options { format: FileFormat::Jpeg, grid: [2, 2], ..bench(16.5) });
+    let (_folder, dir) = common::capture(&SimulateOptions { format: FileFormat::Jpeg, grid: [2, 2], ..bench(16.5) });
     assert_eq!(built(&dir, Resolution::Auto).0, Working { factor: 1, px_per_sample: None });
     let (_folder, dir) = common::capture(&bench(3.0));
     assert_eq!(built(&dir, Resolution::Auto).0, Working { factor: 1, px_per_sample: None });

@@ -3,7 +3,7 @@
 mod common;
 
 use acquire::capture::{Manifest, Pattern};
-use acquire::simulate::Options;
+use acquire::simulate::SimulateOptions;
 use common::{acquire, copy_folder};
 use exif::{Field, In, Rational, Tag, Value};
 use std::path::{Path, PathBuf};
@@ -12,7 +12,8 @@ use std::sync::OnceLock;
 /// Nine lattice shots of four dots each, simulated once for all tests of this file.
 fn original() -> &'static Path {
     static CAPTURE: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
-    let options = Options { grid: [9, 6], window: [7, 5], spacing: Some([3, 3]), exposures: 3, ..common::bench() };
+    let options =
+        SimulateOptions { grid: [9, 6], window: [7, 5], spacing: Some([3, 3]), exposures: 3, ..common::bench() };
     &CAPTURE.get_or_init(|| common::capture(&options)).1
 }
 
@@ -252,7 +253,7 @@ fn a_white_reference_that_is_saturated_in_all_exposures_is_named_with_its_share(
 #[test]
 fn a_lens_out_of_focus_is_found_and_told() {
     let (_folder, sharp) = copy();
-    let (_other, blurred) = common::capture(&Options {
+    let (_other, blurred) = common::capture(&SimulateOptions {
         grid: [7, 5],
         window: [7, 5],
         spacing: Some([3, 2]),

@@ -4,7 +4,7 @@
 #[path = "common/matrices.rs"]
 mod matrices;
 
-use acquire::factor::{Backend, Factored, Goal, Options, factor};
+use acquire::factor::{Backend, FactorOptions, Factored, Goal, factor};
 use acquire::material::Model;
 use acquire::progress::Progress;
 use acquire::transport::MatrixReader;
@@ -85,8 +85,8 @@ impl Table {
             .collect()
     }
 
-    fn options(&self, backend: Backend) -> Options {
-        Options { peak_shift: false, backend: Some(backend), accuracy: ACCURACY, ..fixed(8, 1) }
+    fn options(&self, backend: Backend) -> FactorOptions {
+        FactorOptions { peak_shift: false, backend: Some(backend), accuracy: ACCURACY, ..fixed(8, 1) }
     }
 
     fn factored(&self, backend: Backend) -> Factored {
@@ -118,7 +118,7 @@ fn joint_has_the_singular_values_of_the_rows_as_they_are_measured() {
     for table in Table::all() {
         for backend in BACKENDS {
             let model = Some(Model::Joint);
-            let options = Options { model, degree: None, ..table.options(backend) };
+            let options = FactorOptions { model, degree: None, ..table.options(backend) };
             // Another response for every channel: 1, 2 and 4 times the row, √21 of its norm.
             let gain = |c: usize| [1.0, 2.0, 4.0][c] * if table.name.contains("1e30") { 0.25 } else { 1.0 };
             let response = |i: usize, d: [f64; 2], c: usize| table.response(i, d) * gain(c) as f32;
@@ -317,7 +317,7 @@ fn more_terms_than_the_rows_have_are_not_made_up() {
 fn repeated_rows_have_the_rank_of_those_that_differ_and_equal_responses() {
     let response = |i: usize, d: [f64; 2], _: usize| profile(d, 1.0 + (i % 3) as f64) as f32;
     for backend in BACKENDS {
-        let options = Options { backend: Some(backend), ..fixed(15, 1) };
+        let options = FactorOptions { backend: Some(backend), ..fixed(15, 1) };
         let f = run(&options, [5, 5], [7, 7], response).unwrap();
         // The Gram matrix cannot tell values below 3e-8 of the largest from zero; they are below what f32 resolves.
         assert_eq!(f.material.header.terms, 3, "{backend:?}: {:?}", f.material.header.singular_values);
@@ -352,7 +352,7 @@ fn a_peak_on_the_rim_is_reported_and_comes_back() {
     assert!(limited.warnings.iter().any(|w| matches!(w, Warning::ShiftLimited { rows: 1, .. })));
     assert_eq!(limited.material.shift[4], [-2, 2], "the brightest within reach");
     // Allowed to go there, it shares a quarter of the common window with the others.
-    let moved = run(&Options { max_shift: Some(4), ..fixed(1, 1) }, [3, 3], [9, 9], response).unwrap();
+    let moved = run(&FactorOptions { max_shift: Some(4), ..fixed(1, 1) }, [3, 3], [9, 9], response).unwrap();
     assert_eq!((moved.material.shift[4], moved.material.header.extended), ([-4, 4], [17, 17]));
     assert!(moved.material.header.warnings.is_empty(), "{:?}", moved.material.header.warnings);
     for i in 0..9 {
@@ -429,7 +429,7 @@ fn extremes_of_shape_and_value_give_finite_materials() {
     ];
     for (name, points, window, response) in cases {
         for (terms, degree) in [(None, None), (Some(1), Some(0)), (Some(100), Some(15))] {
-            let f = run(&Options { terms, degree, ..tucker() }, points, window, response).unwrap();
+            let f = run(&FactorOptions { terms, degree, ..tucker() }, points, window, response).unwrap();
             assert!(f.rel_rmse.is_finite() && f.rel_rmse <= 1.0, "{name} {terms:?}: {}", f.rel_rmse);
             // Three channels of independent noise are no function of one intensity.
             if degree == Some(15) && name != "coloured noise" {
@@ -458,7 +458,7 @@ fn every_model_takes_every_extreme_of_shape() {
     ];
     for (name, points, window, response) in cases {
         for model in [Model::Joint, Model::Peers2006] {
-            let options = Options { model: Some(model), terms: Some(3), ..Options::default() };
+            let options = FactorOptions { model: Some(model), terms: Some(3), ..FactorOptions::default() };
             let f = run(&options, points, window, response).unwrap();
             // All of them are of rank one, with entries that no rule calls negative. Peers2006 iterates to 1e-4 or better.
             let bound = if model == Model::Joint { ONE_TERM } else { 1e-3 };
@@ -478,7 +478,7 @@ fn goals_are_met_with_fewer_rows_than_terms_that_are_tried() {
         [(Model::Tucker, false), (Model::Joint, false), (Model::Peers2006, false), (Model::Peers2006, true)]
     {
         let with = |goal| {
-            let options = Options { model: Some(model), color_regression, goal, ..Options::default() };
+            let options = FactorOptions { model: Some(model), color_regression, goal, ..FactorOptions::default() };
             run(&options, [3, 3], [5, 5], response).unwrap()
         };
         // What terms of peers2006 leave is estimated from singular values: 10 dB for what the estimate may be off by.
@@ -500,7 +500,7 @@ fn a_million_rows_of_rank_one_are_one_term() {
     let response =
         |i: usize, d: [f64; 2], c: usize| (profile(d, 1.0) * (1.0 + (i % 977) as f64) * [1.0, 0.5, 0.25][c]) as f32;
     for backend in [Backend::Gram, Backend::Randomized] {
-        let options = Options { backend: Some(backend), ..fixed(15, 1) };
+        let options = FactorOptions { backend: Some(backend), ..fixed(15, 1) };
         let f = run(&options, [1000, 1000], [3, 3], response).unwrap();
         assert_eq!(f.material.header.terms, 1, "{backend:?}: {:?}", f.material.header.singular_values);
         // A million equal rows of norm ‖h‖: their rounding to f32 is independent and averages out.

@@ -5,7 +5,7 @@ mod common;
 mod matrices;
 
 use acquire::evaluate::evaluate;
-use acquire::factor::{Backend, Factored, Goal, Options, factor};
+use acquire::factor::{Backend, FactorOptions, Factored, Goal, factor};
 use acquire::material::{self, Evaluator, Model, OffsetFactors, Precision, Source};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
@@ -41,7 +41,7 @@ fn a_noisy_homogeneous_slab_is_one_term() {
         let f = factor(&reader, &tucker(), &Progress::silent()).unwrap();
         let found = (f.material.header.terms, f.material.header.degree);
         assert_eq!(found, (1, Some(1)), "sd {sd}, position {position_sd_mm}: {}", f.choice);
-        let joint = factor(&reader, &Options::default(), &Progress::silent()).unwrap();
+        let joint = factor(&reader, &FactorOptions::default(), &Progress::silent()).unwrap();
         assert_eq!(joint.material.header.terms, 1, "sd {sd}, position {position_sd_mm}: {}", joint.choice);
     }
 }
@@ -63,7 +63,7 @@ fn three_clear_terms_in_noise_are_three_terms() {
         },
     )
     .unwrap();
-    let options = Options { peak_shift: false, ..tucker() };
+    let options = FactorOptions { peak_shift: false, ..tucker() };
     let f = factor(&reader, &options, &Progress::silent()).unwrap();
     assert_eq!(f.material.header.terms, 3, "{}", f.choice);
 }
@@ -73,7 +73,7 @@ fn every_back_end_gives_the_same_material() {
     let response = |i: usize, d: [f64; 2], c: usize| {
         (profile(d, 1.0 + (i % 7) as f64 / 3.0) * (1.0 + 0.2 * c as f64 + 0.1 * (i / 7) as f64)) as f32
     };
-    let of = |backend| run(&Options { backend: Some(backend), ..fixed(3, 3) }, [7, 6], [9, 9], response).unwrap();
+    let of = |backend| run(&FactorOptions { backend: Some(backend), ..fixed(3, 3) }, [7, 6], [9, 9], response).unwrap();
     let full = of(Backend::Full);
     for backend in [Backend::Gram, Backend::Randomized] {
         let other = of(backend);
@@ -104,7 +104,7 @@ fn shifted_peaks_come_back_where_they_were_measured() {
     // One profile in nine places: one term once shifted. What the rows miss of the common window is filled by
     // the mean and two rounds of refinement; exact up to f32.
     assert!(f.rel_rmse < 1e-5, "{}", f.rel_rmse);
-    let unshifted = run(&Options { peak_shift: false, ..fixed(1, 1) }, [6, 6], [13, 13], response).unwrap();
+    let unshifted = run(&FactorOptions { peak_shift: false, ..fixed(1, 1) }, [6, 6], [13, 13], response).unwrap();
     assert!(unshifted.rel_rmse > 0.1, "{}", unshifted.rel_rmse);
 }
 
@@ -144,7 +144,7 @@ fn header_rows(reader: &MatrixReader) -> Vec<Row> {
 }
 
 /// The matrix of a simulated capture and what `options` make of it.
-fn simulated(slab: &simulate::Options, options: &Options) -> (tempfile::TempDir, MatrixReader, Factored) {
+fn simulated(slab: &simulate::SimulateOptions, options: &FactorOptions) -> (tempfile::TempDir, MatrixReader, Factored) {
     let (folder, dir) = common::capture(slab);
     let path = folder.path().join("m.rd.zarr");
     build_matrix(&dir, &BuildOptions::default(), &path, &Progress::silent()).unwrap();
@@ -157,8 +157,8 @@ fn simulated(slab: &simulate::Options, options: &Options) -> (tempfile::TempDir,
 #[ignore = "slow: 7 s"]
 fn a_drifted_capture_factors_as_well_as_an_undrifted_one_to_within_one_decibel() {
     let psnr_db = |drift_px: f64| {
-        let slab = simulate::Options {
-            material: simulate::Material::chessboard([4, 3]),
+        let slab = simulate::SimulateOptions {
+            material: simulate::SlabMaterial::chessboard([4, 3]),
             grid: [13, 11],
             window: [17, 13],
             drift_px,
@@ -177,9 +177,9 @@ fn a_drifted_capture_factors_as_well_as_an_undrifted_one_to_within_one_decibel()
 #[test]
 fn a_homogeneous_slab_chooses_one_term_and_a_degree_that_ends_at_the_noise() {
     // Of coarse voxels, rows would differ by where a dot lies on them.
-    let slab = simulate::Options { grid: [13, 11], window: [17, 13], ..simulate::Options::default() };
+    let slab = simulate::SimulateOptions { grid: [13, 11], window: [17, 13], ..simulate::SimulateOptions::default() };
     let (_folder, reader, factored) = simulated(&slab, &tucker());
-    let joint = factor(&reader, &Options::default(), &Progress::silent()).unwrap();
+    let joint = factor(&reader, &FactorOptions::default(), &Progress::silent()).unwrap();
     assert_eq!(joint.material.header.terms, 1, "{}", joint.choice);
     assert_eq!(factored.material.header.terms, 1, "{}", factored.choice);
     assert!(factored.choice.contains("explains no more than noise"), "{}", factored.choice);
@@ -204,7 +204,8 @@ fn uneven(i: usize, d: [f64; 2], c: usize) -> f32 {
 #[test]
 fn a_target_is_reached_with_fewer_bytes_than_a_higher_one_and_a_budget_is_kept() {
     for model in [None, Some(Model::Joint), Some(Model::Tucker), Some(Model::Peers2006)] {
-        let of = |goal| run(&Options { model, goal, ..Options::default() }, [12, 12], [11, 11], uneven).unwrap();
+        let of =
+            |goal| run(&FactorOptions { model, goal, ..FactorOptions::default() }, [12, 12], [11, 11], uneven).unwrap();
         let low = of(Goal::Psnr(45.0));
         assert!(
             low.psnr_db.unwrap() >= 45.0 || model == Some(Model::Peers2006),
@@ -225,7 +226,8 @@ fn a_target_is_reached_with_fewer_bytes_than_a_higher_one_and_a_budget_is_kept()
 #[test]
 fn without_a_model_a_goal_takes_the_better_of_two() {
     let of = |model| {
-        run(&Options { model, goal: Goal::Bytes(12_000), ..Options::default() }, [12, 12], [11, 11], uneven).unwrap()
+        run(&FactorOptions { model, goal: Goal::Bytes(12_000), ..FactorOptions::default() }, [12, 12], [11, 11], uneven)
+            .unwrap()
     };
     let [free, joint, tucker] = [None, Some(Model::Joint), Some(Model::Tucker)].map(of);
     let best = joint.psnr_db.unwrap().max(tucker.psnr_db.unwrap());
@@ -234,7 +236,7 @@ fn without_a_model_a_goal_takes_the_better_of_two() {
 
 #[test]
 fn a_matrix_without_colour_has_no_colour_coefficients() {
-    let f = run(&Options::default(), [9, 9], [9, 9], |i, d, _| uneven(i, d, 1)).unwrap();
+    let f = run(&FactorOptions::default(), [9, 9], [9, 9], |i, d, _| uneven(i, d, 1)).unwrap();
     let h = &f.material.header;
     assert_eq!((h.planes(), h.degree, h.profile), (1, None, false), "{}", f.choice);
     assert!(f.rel_rmse < 1e-3, "{}", f.rel_rmse);
@@ -244,7 +246,7 @@ fn a_matrix_without_colour_has_no_colour_coefficients() {
     // One entry of colour, and it is no longer grey.
     let spot =
         |i: usize, d: [f64; 2], c: usize| uneven(i, d, 1) * if (i, c, d) == (33, 2, [0.0, 0.0]) { 1.5 } else { 1.0 };
-    let colored = run(&Options::default(), [9, 9], [9, 9], spot).unwrap();
+    let colored = run(&FactorOptions::default(), [9, 9], [9, 9], spot).unwrap();
     assert_eq!(colored.material.header.planes(), 3, "{}", colored.choice);
 }
 
@@ -257,12 +259,12 @@ fn rows_that_do_not_fit_in_memory_give_the_same_material() {
     for model in [Model::Joint, Model::Tucker, Model::Peers2006] {
         for backend in [Backend::Full, Backend::Gram, Backend::Randomized] {
             let of = |memory_bytes| {
-                let options = Options {
+                let options = FactorOptions {
                     model: Some(model),
                     terms: Some(6),
                     backend: Some(backend),
                     memory_bytes,
-                    ..Options::default()
+                    ..FactorOptions::default()
                 };
                 factor(&reader, &options, &Progress::silent()).unwrap()
             };
@@ -277,9 +279,13 @@ fn rows_that_do_not_fit_in_memory_give_the_same_material() {
 
 #[test]
 fn shared_offset_maps_cost_what_they_are_said_to() {
-    let f =
-        run(&Options { model: Some(Model::Joint), terms: Some(10), ..Options::default() }, [12, 12], [11, 11], uneven)
-            .unwrap();
+    let f = run(
+        &FactorOptions { model: Some(Model::Joint), terms: Some(10), ..FactorOptions::default() },
+        [12, 12],
+        [11, 11],
+        uneven,
+    )
+    .unwrap();
     let OffsetFactors::Shared(shared) = &f.material.offset_factors else {
         panic!("thirty maps of three like channels")
     };

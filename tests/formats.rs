@@ -6,7 +6,7 @@ use acquire::Warning;
 use acquire::capture::{Capture, Manifest, Noise, Rig, Samples};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{Material, Options};
+use acquire::simulate::{SimulateOptions, SlabMaterial};
 use common::{Comparison, compare};
 use std::path::Path;
 
@@ -54,7 +54,12 @@ fn build(dir: &Path) -> (Comparison, Vec<Warning>) {
 
 #[test]
 fn tiff_and_floating_point_exr_give_the_matrix_and_the_variance_of_png() {
-    let options = Options { material: Material::chessboard([4, 3]), grid: [9, 7], window: [33, 29], ..common::bench() };
+    let options = SimulateOptions {
+        material: SlabMaterial::chessboard([4, 3]),
+        grid: [9, 7],
+        window: [33, 29],
+        ..common::bench()
+    };
     let (_folder, dir) = common::capture(&options);
     let png = build(&dir).0;
     let tiff = dir.with_file_name("tiff");

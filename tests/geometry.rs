@@ -6,7 +6,7 @@ use acquire::capture::{Manifest, Pattern, Rig, Surface};
 use acquire::geometry::{CameraView, Homography, Lens, Point, SlabFromProjector};
 use acquire::pipeline::{BuildOptions, BuildReport, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{Cause, Material, Options};
+use acquire::simulate::{Cause, SimulateOptions, SlabMaterial};
 use acquire::{Error, Result, Warning};
 use common::compare;
 use std::path::Path;
@@ -55,10 +55,10 @@ fn registration_rms(dir: &Path, report: &BuildReport) -> [f64; 2] {
     sums.map(f64::sqrt)
 }
 
-fn small() -> Options {
+fn small() -> SimulateOptions {
     // A picture of some 160 px in which squares of the board have 11, with twelve lattice shots.
-    Options {
-        material: Material::chessboard([4, 3]),
+    SimulateOptions {
+        material: SlabMaterial::chessboard([4, 3]),
         grid: [4, 3],
         lit_pitch_mm: Some([3.0, 2.5]),
         step_projector_px: [24, 20],
@@ -70,8 +70,8 @@ fn small() -> Options {
 }
 
 /// Twelve shots of ten dots on a chessboard whose fields are about a shot's spacing: every dot lies near an edge.
-fn dense() -> Options {
-    Options {
+fn dense() -> SimulateOptions {
+    SimulateOptions {
         grid: [12, 10],
         window: [13, 9],
         lit_pitch_mm: Some([1.5, 2.0]),
@@ -90,7 +90,7 @@ fn without_reference_dots(dir: &Path, change: impl Fn(&mut Manifest)) {
     manifest.write(dir).unwrap();
 }
 
-fn registered_to_hundredths_of_a_pixel(name: &str, options: &Options) {
+fn registered_to_hundredths_of_a_pixel(name: &str, options: &SimulateOptions) {
     let (_folder, dir) = common::capture(options);
     let rms = registration_rms(&dir, &build(&dir));
     // What the project asks for: 0.02 px of the camera, 0.05 of the projector.
@@ -99,22 +99,22 @@ fn registered_to_hundredths_of_a_pixel(name: &str, options: &Options) {
 
 #[test]
 fn camera_and_projector_are_registered_to_hundredths_of_a_pixel() {
-    registered_to_hundredths_of_a_pixel("board and frame", &Options { frame_marks: true, ..small() });
-    let frame = Options { frame_marks: true, without_board: true, gray_on_frame: true, ..small() };
+    registered_to_hundredths_of_a_pixel("board and frame", &SimulateOptions { frame_marks: true, ..small() });
+    let frame = SimulateOptions { frame_marks: true, without_board: true, gray_on_frame: true, ..small() };
     registered_to_hundredths_of_a_pixel("frame, stripes on it", &frame);
 }
 
 #[test]
 #[ignore = "slow: half a minute of processor time, most of it for simulated point spreads"]
 fn camera_and_projector_are_registered_to_hundredths_of_a_pixel_through_real_lenses() {
-    let frame = Options { frame_marks: true, without_board: true, ..small() };
+    let frame = SimulateOptions { frame_marks: true, without_board: true, ..small() };
     let cases = [
-        ("board, psf of half a pixel", Options { psf_px: 0.5, ..small() }),
-        ("frame alone, psf of half a pixel", Options { psf_px: 0.5, ..frame.clone() }),
-        ("projector with a lens", Options { projector_distortion: -0.01, ..small() }),
+        ("board, psf of half a pixel", SimulateOptions { psf_px: 0.5, ..small() }),
+        ("frame alone, psf of half a pixel", SimulateOptions { psf_px: 0.5, ..frame.clone() }),
+        ("projector with a lens", SimulateOptions { projector_distortion: -0.01, ..small() }),
         (
             "projector with a lens, stripes on the frame",
-            Options { gray_on_frame: true, projector_distortion: -0.01, ..frame },
+            SimulateOptions { gray_on_frame: true, projector_distortion: -0.01, ..frame },
         ),
     ];
     cases.iter().for_each(|(name, options)| registered_to_hundredths_of_a_pixel(name, options));
@@ -124,7 +124,7 @@ fn camera_and_projector_are_registered_to_hundredths_of_a_pixel_through_real_len
 fn a_projectors_lens_is_modelled_where_the_stripes_ask_for_it_and_only_there() {
     for (k1, asked) in [(0.0, false), (-0.02, true)] {
         // Marks: a chessboard of small squares leaves the camera a bend of its own, which the projector would take up.
-        let options = Options { projector_distortion: k1, frame_marks: true, without_board: true, ..small() };
+        let options = SimulateOptions { projector_distortion: k1, frame_marks: true, without_board: true, ..small() };
         let (_folder, dir) = common::capture(&options);
         let found = build(&dir).registration;
         assert_eq!(found.slab_from_projector.lens().is_ideal(), !asked, "{k1}: {found:?}");
@@ -137,7 +137,7 @@ fn a_projectors_lens_is_modelled_where_the_stripes_ask_for_it_and_only_there() {
 #[ignore = "slow: 3 s"]
 fn the_cameras_lens_is_chosen_by_what_the_views_show_and_the_choice_is_kept() {
     for (distortion, terms) in [(0.0, 0..=0), (-0.15, 1..=2)] {
-        let (_folder, dir) = common::capture(&Options { calibration_boards: 3, distortion, ..small() });
+        let (_folder, dir) = common::capture(&SimulateOptions { calibration_boards: 3, distortion, ..small() });
         let report = build(&dir);
         let lens = &report.registration.lens;
         assert!(terms.contains(&lens.radial_terms), "{distortion}: {lens:?}");
@@ -149,7 +149,7 @@ fn the_cameras_lens_is_chosen_by_what_the_views_show_and_the_choice_is_kept() {
 
 #[test]
 fn drift_with_reference_dots_follows_walk_and_jumps() {
-    let mut options = Options { material: Material::homogeneous(), ..dense() };
+    let mut options = SimulateOptions { material: SlabMaterial::homogeneous(), ..dense() };
     options.with(&[Cause::Jumps]);
     let (_folder, dir) = common::capture(&options);
     let report = build(&dir);
@@ -190,7 +190,7 @@ fn drift_without_reference_dots_follows_jumps_through_a_real_lens() {
 
 #[test]
 fn a_pattern_that_may_be_its_neighbours_is_refused_by_the_shots_name() {
-    let options = Options {
+    let options = SimulateOptions {
         grid: [10, 8],
         lit_pitch_mm: None,
         step_projector_px: [4, 5],
@@ -215,8 +215,8 @@ fn a_pattern_that_may_be_its_neighbours_is_refused_by_the_shots_name() {
 #[test]
 fn a_camera_that_moves_is_told_and_followed_and_one_that_stands_is_not_suspected() {
     for (moves, limit_px) in [(false, 0.02), (true, 0.1)] {
-        let mut options = Options {
-            material: Material::homogeneous(),
+        let mut options = SimulateOptions {
+            material: SlabMaterial::homogeneous(),
             grid: [9, 7],
             lit_pitch_mm: None,
             step_projector_px: [4, 5],
@@ -239,7 +239,8 @@ fn a_camera_that_moves_is_told_and_followed_and_one_that_stands_is_not_suspected
 #[test]
 fn the_glow_of_dots_near_the_rim_is_no_movement_of_the_camera() {
     // A sample of 10 mm, whose rim every dot lights.
-    let (_folder, dir) = common::capture(&Options { grid: [7, 5], window: [17, 13], seed: 3, ..common::bench() });
+    let (_folder, dir) =
+        common::capture(&SimulateOptions { grid: [7, 5], window: [17, 13], seed: 3, ..common::bench() });
     let report = build(&dir);
     let told = report.warnings.iter().any(|w| matches!(w, Warning::CameraMoved { .. }));
     assert!(!told, "{:?}", report.warnings);
@@ -251,7 +252,7 @@ fn the_glow_of_dots_near_the_rim_is_no_movement_of_the_camera() {
 #[test]
 fn a_frame_that_is_seen_elsewhere_at_the_end_is_told_with_the_figure() {
     for moves in [false, true] {
-        let mut options = Options { frame_marks: true, ..small() };
+        let mut options = SimulateOptions { frame_marks: true, ..small() };
         if moves {
             options.with(&[Cause::CameraJumps]);
         }
@@ -272,7 +273,7 @@ fn a_frame_that_is_seen_elsewhere_at_the_end_is_told_with_the_figure() {
 
 #[test]
 fn a_capture_that_lacks_what_its_shots_need_is_refused_before_any_work() {
-    let (_folder, dir) = common::capture(&Options { frame_marks: true, grid: [2, 3], ..small() });
+    let (_folder, dir) = common::capture(&SimulateOptions { frame_marks: true, grid: [2, 3], ..small() });
     let rig_path = dir.join("calibration");
     let rig = Rig::read(&rig_path.join("rig.toml")).unwrap();
     Rig { frame: None, ..rig.clone() }.write(&rig_path).unwrap();
@@ -296,7 +297,7 @@ fn a_capture_that_lacks_what_its_shots_need_is_refused_before_any_work() {
 
 #[test]
 fn a_frame_without_its_marks_is_refused_by_the_shots_name() {
-    let (_folder, dir) = common::capture(&Options { frame_marks: true, grid: [2, 3], ..small() });
+    let (_folder, dir) = common::capture(&SimulateOptions { frame_marks: true, grid: [2, 3], ..small() });
     let rig_path = dir.join("calibration");
     let mut rig = Rig::read(&rig_path.join("rig.toml")).unwrap();
     // Marks where there are none.

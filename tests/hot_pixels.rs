@@ -6,7 +6,7 @@ use acquire::Warning;
 use acquire::capture::{Capture, Samples};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{ExposureTime, FileFormat, Material, Options, PhotographWriter};
+use acquire::simulate::{ExposureTime, FileFormat, PhotographWriter, SimulateOptions, SlabMaterial};
 use common::compare;
 use std::path::Path;
 
@@ -41,7 +41,12 @@ fn spoil(dir: &Path) -> [usize; 2] {
 
 #[test]
 fn stuck_and_hot_photosites_cost_neither_samples_nor_accuracy_and_are_told() {
-    let options = Options { material: Material::chessboard([4, 3]), grid: [9, 7], window: [33, 29], ..common::bench() };
+    let options = SimulateOptions {
+        material: SlabMaterial::chessboard([4, 3]),
+        grid: [9, 7],
+        window: [33, 29],
+        ..common::bench()
+    };
     let (_folder, dir) = common::capture(&options);
     let out = dir.with_extension("rd.zarr");
     let build = || build_matrix(&dir, &BuildOptions::default(), &out, &Progress::silent()).unwrap().warnings;

@@ -281,7 +281,7 @@ fn a_response_curve_that_the_rig_names_comes_along() {
     let bench = Bench::new();
     let calibration = bench.path("plan/calibration");
     let mut rig = Rig::read(&calibration.join("rig.toml")).unwrap();
-    rig.camera.response = ResponseCurve::File("curve.toml".into());
+    rig.camera.response_curve = ResponseCurve::File("curve.toml".into());
     rig.write(&calibration).unwrap();
     bench.refused(&[], &["curve.toml"]);
     Curve::srgb().write(&calibration.join("curve.toml")).unwrap();

@@ -4,7 +4,7 @@ mod common;
 
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{FileFormat, Material, Options, SensorKind};
+use acquire::simulate::{FileFormat, SensorKind, SimulateOptions, SlabMaterial};
 use acquire::{Error, Warning};
 use common::compare;
 use std::path::Path;
@@ -19,8 +19,8 @@ fn build(dir: &Path) -> acquire::Result<(std::path::PathBuf, Vec<Warning>)> {
 #[test]
 #[ignore = "slow: 10 s"]
 fn a_rig_without_noise_gets_it_from_the_photographs_and_the_variance_stays_right() {
-    let options = Options {
-        material: Material::chessboard([4, 3]),
+    let options = SimulateOptions {
+        material: SlabMaterial::chessboard([4, 3]),
         grid: [9, 7],
         window: [33, 29],
         psf_px: 0.3,
@@ -28,7 +28,7 @@ fn a_rig_without_noise_gets_it_from_the_photographs_and_the_variance_stays_right
         rig_without_noise: true,
         ..common::bench()
     };
-    let (_folder, dir) = common::capture(&Options { psf_px: 0.0, flicker: 0.0, ..options.clone() });
+    let (_folder, dir) = common::capture(&SimulateOptions { psf_px: 0.0, flicker: 0.0, ..options.clone() });
     let (matrix, warnings) = build(&dir).unwrap();
     let found = compare(&matrix, &dir.join("truth.rd.zarr"));
     assert!((0.93..0.97).contains(&found.coverage), "{found:?}");
@@ -71,7 +71,8 @@ fn a_contradicted_noise_is_told_of_other_sensors_too() {
 
 fn contradicted(sensors: &[SensorKind]) {
     for &sensor in sensors {
-        let (_folder, dir) = common::capture(&Options { grid: [7, 5], window: [17, 13], sensor, ..common::bench() });
+        let (_folder, dir) =
+            common::capture(&SimulateOptions { grid: [7, 5], window: [17, 13], sensor, ..common::bench() });
         let doubts = |w: &Warning| matches!(w, Warning::NoiseDisagrees { .. });
         let warnings = build(&dir).unwrap().1;
         assert!(!warnings.iter().any(doubts), "{sensor:?}: {warnings:?}");
@@ -91,8 +92,13 @@ fn contradicted(sensors: &[SensorKind]) {
 
 #[test]
 fn photographs_that_cannot_tell_the_noise_are_refused_by_the_name_of_the_section() {
-    let options =
-        Options { grid: [5, 4], window: [11, 7], format: FileFormat::Jpeg, rig_without_noise: true, ..common::bench() };
+    let options = SimulateOptions {
+        grid: [5, 4],
+        window: [11, 7],
+        format: FileFormat::Jpeg,
+        rig_without_noise: true,
+        ..common::bench()
+    };
     let (_folder, dir) = common::capture(&options);
     match build(&dir) {
         Err(Error::Field { path, field, found, .. }) => {

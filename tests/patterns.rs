@@ -4,17 +4,19 @@ mod common;
 
 use acquire::capture::{Axis, Capture, Pattern, Rig};
 use acquire::geometry::Point;
-use acquire::patterns::{PatternsOptions, Picture, Plan, Probe, SpacingOptions, choose_spacing, lattice_shots, plan};
+use acquire::patterns::{
+    PatternsOptions, Plan, Probe, ProjectorPicture, SpacingOptions, choose_spacing, lattice_shots, plan,
+};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{Options, Truth};
+use acquire::simulate::{SimulateOptions, Truth};
 use acquire::transport::MatrixReader;
 use common::acquire;
 use std::path::{Path, PathBuf};
 
 /// A simulated capture of nine lattice shots with its truth.
 fn simulated() -> (tempfile::TempDir, PathBuf, Truth) {
-    let options = Options {
+    let options = SimulateOptions {
         grid: [7, 5],
         // A plan has one pitch for both axes.
         lit_pitch_mm: Some([0.5; 2]),
@@ -23,7 +25,7 @@ fn simulated() -> (tempfile::TempDir, PathBuf, Truth) {
         spacing: Some([3, 3]),
         exposures: 2,
         drift_px: 0.0,
-        ..Options::default()
+        ..SimulateOptions::default()
     };
     let (folder, dir) = common::capture(&options);
     let truth = toml::from_str(&std::fs::read_to_string(dir.join("truth.toml")).unwrap()).unwrap();
@@ -147,7 +149,7 @@ fn pictures_show_what_the_simulated_photographs_show() {
     let black = capture.rig.noise.as_ref().unwrap().black_dn as i32;
     let (mut told, mut wrong) = (0usize, 0usize);
     for (shot, planned) in plan.shots.iter().enumerate() {
-        let picture = Picture::of(&plan, &planned.pattern, size_px);
+        let picture = ProjectorPicture::of(&plan, &planned.pattern, size_px);
         let at = |p: Point| {
             let q = p.map(|v| v.round() as usize);
             picture.pixels[q[1] * size_px[0] + q[0]]
@@ -220,14 +222,14 @@ fn settings_that_make_no_patterns_are_refused_by_name() {
 
 /// A quick capture of six single dots on a material whose light dies within a few samples.
 fn probe() -> (tempfile::TempDir, Probe, Rig) {
-    let options = Options {
+    let options = SimulateOptions {
         material: "nearly-opaque".parse().unwrap(),
         grid: [2, 3],
         lit_pitch_mm: Some([4.0, 3.5]),
         step_projector_px: [32, 28],
         spacing: Some([2, 3]),
         window: [27, 23],
-        ..Options::default()
+        ..SimulateOptions::default()
     };
     let (folder, dir) = common::capture(&options);
     let probe = Probe::read(&dir, &BuildOptions::default(), &Progress::silent()).unwrap();
@@ -267,7 +269,7 @@ fn what_the_probe_says_of_cross_talk_is_what_a_capture_with_that_spacing_has() {
     assert!((2..=5).contains(&spacing), "{choice:?}");
     // The middle row's light with all its neighbours, and alone: whatever else the pipeline does to it cancels.
     let light = |spacing: usize| {
-        let options = Options {
+        let options = SimulateOptions {
             material: "nearly-opaque".parse().unwrap(),
             grid: [15, 13],
             window: [7, 7],
@@ -275,7 +277,7 @@ fn what_the_probe_says_of_cross_talk_is_what_a_capture_with_that_spacing_has() {
             spacing: Some([spacing; 2]),
             noise_free: true,
             drift_px: 0.0,
-            ..Options::default()
+            ..SimulateOptions::default()
         };
         let (folder, dir) = common::capture(&options);
         let out = folder.path().join("m.rd.zarr");

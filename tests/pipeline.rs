@@ -6,7 +6,7 @@ use acquire::Warning;
 use acquire::geometry::{CameraView, Homography};
 use acquire::pipeline::{BuildOptions, BuildReport, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{Material, Options};
+use acquire::simulate::{SimulateOptions, SlabMaterial};
 use acquire::transport::MatrixReader;
 use common::compare;
 use std::path::Path;
@@ -44,19 +44,24 @@ fn registration_rms(dir: &Path, report: &BuildReport) -> [f64; 2] {
 
 #[test]
 fn a_noise_free_capture_gives_the_matrix_to_a_hundredth_or_so() {
-    noise_free_captures(&[Material::chessboard([4, 3]), Material::marble()]);
+    noise_free_captures(&[SlabMaterial::chessboard([4, 3]), SlabMaterial::marble()]);
 }
 
 #[test]
 #[ignore = "slow: more of the same"]
 fn a_noise_free_capture_of_every_material_gives_the_matrix_to_a_hundredth_or_so() {
-    noise_free_captures(&[Material::homogeneous(), Material::chessboard([8, 6])]);
+    noise_free_captures(&[SlabMaterial::homogeneous(), SlabMaterial::chessboard([8, 6])]);
 }
 
-fn noise_free_captures(materials: &[Material]) {
+fn noise_free_captures(materials: &[SlabMaterial]) {
     for material in materials {
-        let options =
-            Options { material: material.clone(), grid: [9, 7], window: [17, 13], noise_free: true, ..common::bench() };
+        let options = SimulateOptions {
+            material: material.clone(),
+            grid: [9, 7],
+            window: [17, 13],
+            noise_free: true,
+            ..common::bench()
+        };
         let (_folder, dir) = common::capture(&options);
         let (matrix, report) = build(&dir);
         let found = compare(&matrix, &dir.join("truth.rd.zarr"));
@@ -72,8 +77,8 @@ fn noise_free_captures(materials: &[Material]) {
 
 #[test]
 fn a_noisy_capture_gives_the_matrix_to_three_percent_and_its_variance_is_right() {
-    for material in [Material::homogeneous(), Material::chessboard([4, 3])] {
-        let options = Options { material: material.clone(), grid: [7, 6], window: [33, 29], ..common::bench() };
+    for material in [SlabMaterial::homogeneous(), SlabMaterial::chessboard([4, 3])] {
+        let options = SimulateOptions { material: material.clone(), grid: [7, 6], window: [33, 29], ..common::bench() };
         let (_folder, dir) = common::capture(&options);
         let (matrix, report) = build(&dir);
         let found = compare(&matrix, &dir.join("truth.rd.zarr"));
@@ -90,9 +95,9 @@ fn a_noisy_capture_gives_the_matrix_to_three_percent_and_its_variance_is_right()
 #[test]
 #[ignore = "slow: 6 s"]
 fn a_capture_by_monte_carlo_gives_its_matrix() {
-    let mc = Options { transport: acquire::simulate::Transport::Mc, photons: 20_000, ..common::bench() };
+    let mc = SimulateOptions { transport: acquire::simulate::Transport::Mc, photons: 20_000, ..common::bench() };
     for material in ["homogeneous", "chessboard-4x4", "layered:skin1=0.4,ketchup=1"] {
-        let options = Options {
+        let options = SimulateOptions {
             material: material.parse().unwrap(),
             grid: [4, 3],
             window: [13, 9],
@@ -108,7 +113,7 @@ fn a_capture_by_monte_carlo_gives_its_matrix() {
 
 #[test]
 fn the_blur_of_an_ordinary_lens_is_found_and_taken_out() {
-    let options = Options { psf_px: 0.5, window: [33, 29], grid: [5, 4], seed: 5, ..common::bench() };
+    let options = SimulateOptions { psf_px: 0.5, window: [33, 29], grid: [5, 4], seed: 5, ..common::bench() };
     let (_folder, dir) = common::capture(&options);
     let (out, report) = build(&dir);
     let found = report.registration.point_spread.unwrap();
@@ -122,10 +127,17 @@ fn the_blur_of_an_ordinary_lens_is_found_and_taken_out() {
 
 #[test]
 fn the_noise_of_a_single_exposure_is_not_taken_for_a_halo() {
-    let material = Material::homogeneous();
+    let material = SlabMaterial::homogeneous();
     let lit_pitch_mm = Some([1.0, 1.2]);
-    let options =
-        Options { material, grid: [9, 7], window: [33, 29], lit_pitch_mm, exposures: 1, seed: 3, ..common::bench() };
+    let options = SimulateOptions {
+        material,
+        grid: [9, 7],
+        window: [33, 29],
+        lit_pitch_mm,
+        exposures: 1,
+        seed: 3,
+        ..common::bench()
+    };
     let (_folder, dir) = common::capture(&options);
     let (matrix, report) = build(&dir);
     let found = compare(&matrix, &dir.join("truth.rd.zarr"));
@@ -136,8 +148,8 @@ fn the_noise_of_a_single_exposure_is_not_taken_for_a_halo() {
 
 #[test]
 fn a_lattice_of_many_dots_gives_the_matrix_to_one_percent() {
-    let pitch_mm = Options::default().pitch_mm;
-    let options = Options {
+    let pitch_mm = SimulateOptions::default().pitch_mm;
+    let options = SimulateOptions {
         grid: [13, 11],
         window: [15, 11],
         lit_pitch_mm: Some([3.0 * pitch_mm, 4.0 * pitch_mm]),
@@ -156,9 +168,15 @@ fn a_lattice_of_many_dots_gives_the_matrix_to_one_percent() {
 #[test]
 #[ignore = "slow: 5 s"]
 fn dots_nearer_than_their_windows_are_told_apart_and_warned_of() {
-    let material = Material::chessboard([4, 3]);
-    let options =
-        Options { material, grid: [13, 11], window: [17, 13], spacing: Some([6, 5]), seed: 2, ..common::bench() };
+    let material = SlabMaterial::chessboard([4, 3]);
+    let options = SimulateOptions {
+        material,
+        grid: [13, 11],
+        window: [17, 13],
+        spacing: Some([6, 5]),
+        seed: 2,
+        ..common::bench()
+    };
     let (_folder, dir) = common::capture(&options);
     let (matrix, report) = build(&dir);
     assert_eq!(report.shots.len(), 30);
@@ -175,8 +193,12 @@ fn dots_nearer_than_their_windows_are_told_apart_and_warned_of() {
 
 #[test]
 fn photographs_in_eight_bit_jpeg_give_a_matrix_too() {
-    let options =
-        Options { grid: [5, 4], window: [13, 9], format: acquire::simulate::FileFormat::Jpeg, ..common::bench() };
+    let options = SimulateOptions {
+        grid: [5, 4],
+        window: [13, 9],
+        format: acquire::simulate::FileFormat::Jpeg,
+        ..common::bench()
+    };
     let (_folder, dir) = common::capture(&options);
     let (matrix, _) = build(&dir);
     let found = compare(&matrix, &dir.join("truth.rd.zarr"));
@@ -186,7 +208,7 @@ fn photographs_in_eight_bit_jpeg_give_a_matrix_too() {
 
 #[test]
 fn one_thread_and_two_give_the_same_matrix() {
-    let options = Options { grid: [5, 4], window: [9, 7], ..common::bench() };
+    let options = SimulateOptions { grid: [5, 4], window: [9, 7], ..common::bench() };
     let (folder, dir) = common::capture(&options);
     let matrices = ["1", "2"].map(|threads| {
         let out = folder.path().join(format!("{threads}.rd.zarr"));
@@ -206,7 +228,7 @@ fn one_thread_and_two_give_the_same_matrix() {
 
 #[test]
 fn grid_points_that_no_shot_lights_are_invalid_and_reported() {
-    let options = Options { grid: [4, 3], window: [7, 5], exposures: 2, ..common::bench() };
+    let options = SimulateOptions { grid: [4, 3], window: [7, 5], exposures: 2, ..common::bench() };
     let (_folder, dir) = common::capture(&options);
     let mut manifest = acquire::capture::Manifest::read(&dir).unwrap();
     let last = manifest.shots.pop().unwrap();
@@ -222,7 +244,7 @@ fn grid_points_that_no_shot_lights_are_invalid_and_reported() {
 
 #[test]
 fn an_exposure_in_the_manifest_overrides_exif_and_the_difference_is_told() {
-    let options = Options { grid: [2, 3], window: [7, 5], exposures: 2, ..common::bench() };
+    let options = SimulateOptions { grid: [2, 3], window: [7, 5], exposures: 2, ..common::bench() };
     let (_folder, dir) = common::capture(&options);
     let mut manifest = acquire::capture::Manifest::read(&dir).unwrap();
     let (before, _) = build(&dir);

@@ -5,7 +5,7 @@ mod common;
 use acquire::capture::{Axis, Manifest, Pattern, Rig};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{Options, Response};
+use acquire::simulate::{CameraCurve, SimulateOptions};
 use acquire::transport::{MatrixHeader, MatrixReader, RowBlock};
 use image::{ImageBuffer, Rgb};
 use std::collections::BTreeMap;
@@ -14,8 +14,8 @@ use std::path::{Path, PathBuf};
 type Picture = ImageBuffer<Rgb<u16>, Vec<u16>>;
 
 /// A small capture without any symmetry: 4 × 3 points, windows of 9 × 7, two media, four dots in some shots.
-fn options() -> Options {
-    Options {
+fn options() -> SimulateOptions {
+    SimulateOptions {
         material: "chessboard-3x2".parse().unwrap(),
         grid: [4, 3],
         window: [9, 7],
@@ -36,7 +36,7 @@ struct Bench {
 }
 
 impl Bench {
-    fn simulated(options: &Options) -> Self {
+    fn simulated(options: &SimulateOptions) -> Self {
         let (_folder, dir) = common::capture(options);
         let mut manifest = Manifest::read(&dir).unwrap();
         let mut photographs = BTreeMap::new();
@@ -292,7 +292,7 @@ fn displaced_row(a: &MatrixHeader, b: &MatrixHeader, row: usize) -> f64 {
 fn a_curve_that_the_rig_tells_is_taken_out() {
     // The same light through the sRGB curve, in 16 bits: the curve's rounding is far below the noise.
     let linear = options();
-    let encoded = Options { response: Some(Response::Srgb), ..options() };
+    let encoded = SimulateOptions { response_curve: Some(CameraCurve::Srgb), ..options() };
     let [a, b] = [linear, encoded].map(|o| {
         let (_folder, dir) = common::capture(&o);
         build(&dir)

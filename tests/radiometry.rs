@@ -7,14 +7,20 @@ use acquire::capture::{ExposureFrom, ResponseCurve, Rig};
 use acquire::pipeline::{BuildOptions, BuildReport, build_matrix};
 use acquire::progress::Progress;
 use acquire::radiance::Curve;
-use acquire::simulate::{FileFormat, Material, Options, Response, RigResponse};
+use acquire::simulate::{CameraCurve, FileFormat, RigCurve, SimulateOptions, SlabMaterial};
 use acquire::transport::MatrixReader;
 use common::compare;
 use std::path::Path;
 
 /// Marble that is the same everywhere: codes, times and the lamp do not depend on where light goes, and one dot's light is all that is solved for.
-fn bench() -> Options {
-    Options { material: Material::homogeneous(), grid: [9, 7], window: [17, 13], seed: 3, ..common::bench() }
+fn bench() -> SimulateOptions {
+    SimulateOptions {
+        material: SlabMaterial::homogeneous(),
+        grid: [9, 7],
+        window: [17, 13],
+        seed: 3,
+        ..common::bench()
+    }
 }
 
 fn build(dir: &Path, exposure_from: ExposureFrom) -> (std::path::PathBuf, BuildReport) {
@@ -66,7 +72,7 @@ fn curve_error(dir: &Path) -> f64 {
 
 #[test]
 fn times_that_exif_gives_wrong_by_an_eighth_of_a_stop_are_measured_to_half_a_percent() {
-    let (_folder, dir) = common::capture(&Options { exif_stops_error: 0.125, link_exposures: true, ..bench() });
+    let (_folder, dir) = common::capture(&SimulateOptions { exif_stops_error: 0.125, link_exposures: true, ..bench() });
     let (matrix, report) = build(&dir, ExposureFrom::Exif);
     // The lie is told, and what it costs is seen.
     assert!(report.warnings.iter().any(|w| matches!(w, Warning::ExposureRatios { .. })), "{:?}", report.warnings);
@@ -98,7 +104,7 @@ fn true_times_and_a_steady_lamp_raise_no_warning() {
 
 #[test]
 fn settings_that_no_stack_links_are_named() {
-    let (_folder, dir) = common::capture(&Options { exif_stops_error: 0.125, ..bench() });
+    let (_folder, dir) = common::capture(&SimulateOptions { exif_stops_error: 0.125, ..bench() });
     let (_, report) = build(&dir, ExposureFrom::Estimate);
     let groups = report.warnings.iter().find_map(|w| match w {
         Warning::ExposuresUnlinked { groups } => Some(groups.iter().map(Vec::len).collect::<Vec<_>>()),
@@ -110,10 +116,10 @@ fn settings_that_no_stack_links_are_named() {
 
 #[test]
 fn an_unknown_response_of_jpeg_files_is_found_to_two_percent_together_with_the_times() {
-    let (_folder, dir) = common::capture(&Options {
-        response: Some(Response::Film),
+    let (_folder, dir) = common::capture(&SimulateOptions {
+        response_curve: Some(CameraCurve::Film),
         format: FileFormat::Jpeg,
-        rig_response: Some(RigResponse::Estimate),
+        rig_curve: Some(RigCurve::Estimate),
         exif_stops_error: 0.125,
         link_exposures: true,
         ..bench()
@@ -132,7 +138,7 @@ fn an_unknown_response_of_jpeg_files_is_found_to_two_percent_together_with_the_t
 
     // The saved curve does without an estimate.
     let mut rig = Rig::read(&dir.join("calibration/rig.toml")).unwrap();
-    rig.camera.response = ResponseCurve::File("response.toml".into());
+    rig.camera.response_curve = ResponseCurve::File("response.toml".into());
     rig.write(&dir.join("calibration")).unwrap();
     let (matrix, _) = build(&dir, ExposureFrom::Estimate);
     let again = compare(&matrix, &dir.join("truth.rd.zarr"));
@@ -142,9 +148,9 @@ fn an_unknown_response_of_jpeg_files_is_found_to_two_percent_together_with_the_t
 
 #[test]
 fn an_unknown_response_of_16_bit_files_is_found_to_a_fifth_of_a_percent() {
-    let (_folder, dir) = common::capture(&Options {
-        response: Some(Response::Film),
-        rig_response: Some(RigResponse::Estimate),
+    let (_folder, dir) = common::capture(&SimulateOptions {
+        response_curve: Some(CameraCurve::Film),
+        rig_curve: Some(RigCurve::Estimate),
         ..bench()
     });
     build(&dir, ExposureFrom::Exif);
@@ -155,7 +161,7 @@ fn an_unknown_response_of_16_bit_files_is_found_to_a_fifth_of_a_percent() {
 
 #[test]
 fn a_response_that_the_rig_gives_wrong_is_noticed() {
-    let (_folder, dir) = common::capture(&Options { response: Some(Response::Film), ..bench() });
+    let (_folder, dir) = common::capture(&SimulateOptions { response_curve: Some(CameraCurve::Film), ..bench() });
     let (_, report) = build(&dir, ExposureFrom::Exif);
     assert!(report.warnings.iter().any(|w| matches!(w, Warning::ExposureRatios { .. })), "{:?}", report.warnings);
 }
@@ -163,7 +169,7 @@ fn a_response_that_the_rig_gives_wrong_is_noticed() {
 #[test]
 fn flicker_is_measured_and_mostly_taken_out() {
     let (_folder, steady) = common::capture(&bench());
-    let (_other, flickering) = common::capture(&Options { flicker: 0.01, ..bench() });
+    let (_other, flickering) = common::capture(&SimulateOptions { flicker: 0.01, ..bench() });
     let (matrix, _) = build(&steady, ExposureFrom::Exif);
     let without = compare(&matrix, &steady.join("truth.rd.zarr"));
     let (matrix, report) = build(&flickering, ExposureFrom::Exif);
@@ -180,9 +186,9 @@ fn flicker_is_measured_and_mostly_taken_out() {
 
 #[test]
 fn a_missing_or_damaged_curve_file_is_named() {
-    let (_folder, dir) = common::capture(&Options { grid: [2, 3], window: [7, 5], exposures: 3, ..bench() });
+    let (_folder, dir) = common::capture(&SimulateOptions { grid: [2, 3], window: [7, 5], exposures: 3, ..bench() });
     let mut rig = Rig::read(&dir.join("calibration/rig.toml")).unwrap();
-    rig.camera.response = ResponseCurve::File("mine.toml".into());
+    rig.camera.response_curve = ResponseCurve::File("mine.toml".into());
     rig.write(&dir.join("calibration")).unwrap();
     let out = dir.with_extension("rd.zarr");
     let refused = |text: Option<&str>| {

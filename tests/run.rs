@@ -2,12 +2,12 @@
 
 mod common;
 
-use acquire::simulate::Options;
+use acquire::simulate::SimulateOptions;
 use common::{acquire, capture};
 
 #[test]
 fn a_capture_becomes_results_with_a_report_that_needs_no_network() {
-    let (folder, dir) = capture(&Options { grid: [7, 5], window: [11, 7], ..common::bench() });
+    let (folder, dir) = capture(&SimulateOptions { grid: [7, 5], window: [11, 7], ..common::bench() });
     let out = folder.path().join("results");
     let (capture, results) = (dir.to_str().unwrap(), out.to_str().unwrap());
     let (status, stdout, stderr) = acquire(&["run", capture, "--out", results, "--terms", "2", "--degree", "2"]);
@@ -35,7 +35,7 @@ fn a_capture_becomes_results_with_a_report_that_needs_no_network() {
 
 #[test]
 fn a_run_that_fails_leaves_nothing() {
-    let (folder, dir) = capture(&Options { grid: [5, 4], window: [9, 7], ..common::bench() });
+    let (folder, dir) = capture(&SimulateOptions { grid: [5, 4], window: [9, 7], ..common::bench() });
     std::fs::remove_file(dir.join("calibration/rig.toml")).unwrap();
     let out = folder.path().join("results");
     let (status, _, stderr) = acquire(&["run", dir.to_str().unwrap(), "--out", out.to_str().unwrap()]);

@@ -3,14 +3,20 @@
 use acquire::{
     capture::{Manifest, Pattern, Rig},
     progress::Progress,
-    simulate::{FileFormat, Material, Options, Transport, Truth, simulate},
+    simulate::{FileFormat, SimulateOptions, SlabMaterial, Transport, Truth, simulate},
     transport::MatrixReader,
 };
 use npyz::WriterBuilder;
 use std::path::Path;
 
-fn tiny() -> Options {
-    Options { material: Material::chessboard([4, 3]), grid: [4, 3], window: [7, 5], exposures: 2, ..Options::default() }
+fn tiny() -> SimulateOptions {
+    SimulateOptions {
+        material: SlabMaterial::chessboard([4, 3]),
+        grid: [4, 3],
+        window: [7, 5],
+        exposures: 2,
+        ..SimulateOptions::default()
+    }
 }
 
 /// All files below `dir` with their bytes, sorted by name.
@@ -34,14 +40,14 @@ fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
 
 #[test]
 fn one_and_two_threads_write_the_same_bytes() {
-    let traced = Options { transport: Transport::Mc, photons: 2_000, ..tiny() };
-    let everywhere = Options { material: Material::homogeneous(), ..traced.clone() };
+    let traced = SimulateOptions { transport: Transport::Mc, photons: 2_000, ..tiny() };
+    let everywhere = SimulateOptions { material: SlabMaterial::homogeneous(), ..traced.clone() };
     for options in [tiny(), traced, everywhere] {
         same_for_any_number_of_threads(&options);
     }
 }
 
-fn same_for_any_number_of_threads(options: &Options) {
+fn same_for_any_number_of_threads(options: &SimulateOptions) {
     let dir = tempfile::tempdir().unwrap();
     let write = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -62,7 +68,7 @@ fn the_capture_and_its_truth_read_back() {
     let dir = tempfile::tempdir().unwrap();
     for (format, extension) in [(FileFormat::Png, "png"), (FileFormat::Jpeg, "jpg")] {
         let path = dir.path().join(extension);
-        let options = Options { format, spacing: Some([2, 3]), ..tiny() };
+        let options = SimulateOptions { format, spacing: Some([2, 3]), ..tiny() };
         let summary = simulate(&options, &path, &Progress::silent()).unwrap();
         let manifest = Manifest::read(&path).unwrap();
         let rig = Rig::read(&Rig::find(&path, None).unwrap()).unwrap();
@@ -109,11 +115,11 @@ fn a_folder_is_replaced_only_when_asked_and_only_an_earlier_simulation() {
     let path = dir.path().join("capture");
     std::fs::create_dir(&path).unwrap();
     std::fs::write(path.join("precious.txt"), "keep").unwrap();
-    let options = Options { grid: [1, 1], window: [5, 3], exposures: 1, ..Options::default() };
+    let options = SimulateOptions { grid: [1, 1], window: [5, 3], exposures: 1, ..SimulateOptions::default() };
     let error = simulate(&options, &path, &Progress::silent()).unwrap_err();
     assert!(matches!(error, acquire::Error::NotEmpty { .. }), "{error}");
     assert!(path.join("precious.txt").exists());
-    let force = Options { force: true, ..options };
+    let force = SimulateOptions { force: true, ..options };
     simulate(&force, &path, &Progress::silent()).unwrap_err();
     assert!(path.join("precious.txt").exists(), "a folder that is no simulation is somebody's work");
     // A simulation, and the same file beside it.
@@ -146,7 +152,7 @@ fn the_truth_records_the_media_and_findings_are_told() {
     .into_iter()
     .enumerate()
     {
-        let options = Options { material: text.parse().unwrap(), grid: [2, 3], ..tiny() };
+        let options = SimulateOptions { material: text.parse().unwrap(), grid: [2, 3], ..tiny() };
         let path = dir.path().join(n.to_string());
         let summary = simulate(&options, &path, &Progress::silent()).unwrap();
         assert_eq!(summary.warnings.len(), findings, "{text}: {:?}", summary.warnings);
@@ -183,10 +189,10 @@ fn a_voxel_file_is_simulated_and_its_hash_is_kept() {
         zip.finish().unwrap();
     };
     write(7.38);
-    let options = Options { material: Material::Voxels(file.clone()), ..tiny() };
+    let options = SimulateOptions { material: SlabMaterial::Voxels(file.clone()), ..tiny() };
     let path = dir.path().join("voxels");
     simulate(&options, &path, &Progress::silent()).unwrap();
-    let layered = Options { material: "layered:skin1=1,cream=1".parse().unwrap(), ..tiny() };
+    let layered = SimulateOptions { material: "layered:skin1=1,cream=1".parse().unwrap(), ..tiny() };
     simulate(&layered, &dir.path().join("layered"), &Progress::silent()).unwrap();
     let rows = |dir: &Path| MatrixReader::open(&dir.join("truth.rd.zarr")).unwrap().read(0..9).unwrap().response;
     for (a, b) in rows(&path).iter().zip(rows(&dir.path().join("layered"))) {
@@ -203,12 +209,12 @@ fn a_voxel_file_is_simulated_and_its_hash_is_kept() {
 
 #[test]
 fn the_truth_alone_is_that_of_the_capture_and_is_no_capture() {
-    let traced = Options { transport: Transport::Mc, photons: 2_000, ..tiny() };
+    let traced = SimulateOptions { transport: Transport::Mc, photons: 2_000, ..tiny() };
     for options in [tiny(), traced] {
         let dir = tempfile::tempdir().unwrap();
         let [whole, alone] = ["whole", "alone"].map(|name| dir.path().join(name));
         let with = simulate(&options, &whole, &Progress::silent()).unwrap();
-        let options = Options { truth_only: true, ..options };
+        let options = SimulateOptions { truth_only: true, ..options };
         let without = simulate(&options, &alone, &Progress::silent()).unwrap();
         assert_eq!((without.photographs, without.photograph_bytes), (0, 0));
         assert_eq!((with.shots, with.photon_noise), (without.shots, without.photon_noise));
@@ -222,6 +228,6 @@ fn the_truth_alone_is_that_of_the_capture_and_is_no_capture() {
         assert_eq!((&a.header().lit_mm, &a.header().shots), (&b.header().lit_mm, &b.header().shots));
         assert_eq!(a.read(0..a.header().rows()).unwrap(), b.read(0..b.header().rows()).unwrap());
         // Replaced as any simulation.
-        simulate(&Options { force: true, ..options }, &alone, &Progress::silent()).unwrap();
+        simulate(&SimulateOptions { force: true, ..options }, &alone, &Progress::silent()).unwrap();
     }
 }

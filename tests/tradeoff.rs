@@ -5,7 +5,7 @@ mod matrices;
 
 use acquire::material::{Model, Precision};
 use acquire::progress::Progress;
-use acquire::tradeoff::{Options, csv, html, tradeoff};
+use acquire::tradeoff::{TradeoffOptions, csv, html, tradeoff};
 use matrices::{profile, write};
 use std::process::Command;
 
@@ -19,7 +19,7 @@ fn response(i: usize, d: [f64; 2], c: usize) -> f32 {
 fn every_point_is_measured_and_the_front_is_never_beaten() {
     let folder = tempfile::tempdir().unwrap();
     let reader = write(&folder.path().join("m.rd.zarr"), [30, 26], [9, 9], |_, _| 0.0, 0.0, response).unwrap();
-    let found = tradeoff(&reader, &Options { quick: true, memory_bytes: None }, &Progress::silent()).unwrap();
+    let found = tradeoff(&reader, &TradeoffOptions { quick: true, memory_bytes: None }, &Progress::silent()).unwrap();
     assert_eq!((found.points_looked_at, found.points), ([24, 24], [30, 26]));
     for model in [Model::Joint, Model::Tucker, Model::Peers2006] {
         assert!(found.measured.iter().any(|p| p.model == model));
@@ -28,7 +28,7 @@ fn every_point_is_measured_and_the_front_is_never_beaten() {
         assert!(found.measured.iter().any(|p| p.precision == precision));
     }
     let joint = |terms| {
-        let of = |p: &&acquire::tradeoff::Point| {
+        let of = |p: &&acquire::tradeoff::TradePoint| {
             p.model == Model::Joint && p.terms == terms && p.precision == Precision::F32
         };
         found.measured.iter().find(of).unwrap().psnr_db.unwrap()
@@ -37,7 +37,7 @@ fn every_point_is_measured_and_the_front_is_never_beaten() {
     let front: Vec<_> = found.measured.iter().filter(|p| p.pareto).collect();
     assert!(front.len() > 3);
     for p in &front {
-        let better = |q: &&acquire::tradeoff::Point| q.bytes < p.bytes && q.psnr_db > p.psnr_db;
+        let better = |q: &&acquire::tradeoff::TradePoint| q.bytes < p.bytes && q.psnr_db > p.psnr_db;
         assert!(!found.measured.iter().any(|q| better(&q)), "{p:?}");
     }
     assert_eq!(found.regression_conditions.len(), 16);

@@ -7,7 +7,7 @@ use std::path::Path;
 
 /// The exposure of one photograph as its EXIF block tells it; each `None` when absent or unusable.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct ExifExposure {
+pub(super) struct ExifExposure {
     /// ExposureTime, s.
     pub exposure_secs: Option<f64>,
     /// ShutterSpeedValue, turned into seconds: 2^−value.
@@ -40,7 +40,7 @@ const ISO_OVERFLOW: f64 = 65_535.0;
 ///
 /// Damaged blocks are read as far as they go, with a [`Warning::DamagedExif`]. A field whose value cannot be (0/0, 2^32 − 1, a time
 /// beyond 1e-9 to 1e6 s) is left out with a [`Warning::UnusableExif`]; 0, which EXIF writes for "unknown", is left out without.
-pub fn read(path: &Path, name: &str, warnings: &mut Vec<Warning>) -> std::io::Result<ExifExposure> {
+pub(super) fn read(path: &Path, name: &str, warnings: &mut Vec<Warning>) -> std::io::Result<ExifExposure> {
     let mut file = std::io::BufReader::with_capacity(1 << 12, std::fs::File::open(path)?);
     let parsed = exif::Reader::new().continue_on_error(true).read_from_container(&mut file).or_else(|e| {
         e.distill_partial_result(|errors| {
@@ -110,7 +110,7 @@ pub(super) mod tests {
     use exif::{Field, Rational, SRational, experimental::Writer};
 
     /// The bytes of an EXIF block of these fields.
-    pub fn block_of(fields: Vec<(Tag, Value)>) -> Vec<u8> {
+    pub(crate) fn block_of(fields: Vec<(Tag, Value)>) -> Vec<u8> {
         let fields: Vec<Field> =
             fields.into_iter().map(|(tag, value)| Field { tag, ifd_num: In::PRIMARY, value }).collect();
         let mut writer = Writer::new();

@@ -476,7 +476,7 @@ mod tests {
                 size_px: [80, 120],
                 focal_px: 200.0,
                 principal_px: [40.0, 60.0],
-                response: ResponseCurve::Linear,
+                response_curve: ResponseCurve::Linear,
                 vignetting: Vec::new(),
             },
             noise: None,

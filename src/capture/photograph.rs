@@ -105,11 +105,11 @@ mod raw {
 
     const REFUSAL: &str = "raw files need a program that was built with `cargo build --release --features raw`";
 
-    pub fn decode(_: &[u8]) -> Result<(usize, usize, Samples, Sampling), String> {
+    pub(super) fn decode(_: &[u8]) -> Result<(usize, usize, Samples, Sampling), String> {
         Err(REFUSAL.into())
     }
 
-    pub fn size_px(_: &[u8]) -> Result<[usize; 2], String> {
+    pub(super) fn size_px(_: &[u8]) -> Result<[usize; 2], String> {
         Err(REFUSAL.into())
     }
 }

@@ -145,7 +145,7 @@ mod tests {
             size_px: [1000, 701],
             focal_px: 1500.0,
             principal_px: [480.0, 350.5],
-            response: super::super::ResponseCurve::Linear,
+            response_curve: super::super::ResponseCurve::Linear,
             vignetting: vec![-0.3],
         };
         let small = camera.reduced(7);

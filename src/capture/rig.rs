@@ -27,7 +27,7 @@ pub struct Rig {
     pub white_reference: WhiteReference,
 }
 
-/// Optics and response of the camera.
+/// Optics and response curve of the camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
@@ -38,7 +38,8 @@ pub struct Camera {
     /// Principal point, px (centre of the first pixel is 0).
     pub principal_px: Point,
     /// How code values encode light.
-    pub response: ResponseCurve,
+    #[serde(rename = "response")]
+    pub response_curve: ResponseCurve,
     /// Vignetting V = 1 + c₀ r² + c₁ r⁴ + …, r the distance from the principal point over `focal_px`.
     #[serde(default)]
     pub vignetting: Vec<f64>,
@@ -90,7 +91,7 @@ impl From<ResponseCurve> for String {
     }
 }
 
-/// The noise of the sensor, in code values (DN) of the linear signal: at the photographs' own bit depth with a linear response, from 0 to
+/// The noise of the sensor, in code values (DN) of the linear signal: at the photographs' own bit depth with a linear response curve, from 0 to
 /// 255 with the sRGB curve.
 ///
 /// The variance of a linear value y is gain · (y − black) + (gain · read)² + 1/12 (Poisson, read-out, rounding), DN².
@@ -251,7 +252,7 @@ impl Rig {
             std::fs::read(from).map_err(Error::io("read", from))?;
             std::fs::copy(from, &copy).map(|_| ()).map_err(Error::io("write", &copy))
         };
-        if let ResponseCurve::File(name) = &Self::read(path)?.camera.response {
+        if let ResponseCurve::File(name) = &Self::read(path)?.camera.response_curve {
             one(&path.with_file_name(name), name)?;
         }
         one(path, "rig.toml")
@@ -263,7 +264,7 @@ impl Rig {
             return Err(Error::field(path, "format", super::FORMAT.to_string(), self.format));
         }
         range("camera.focal_px", self.camera.focal_px, 1.0, 1e7)?;
-        if let ResponseCurve::File(name) = &self.camera.response {
+        if let ResponseCurve::File(name) = &self.camera.response_curve {
             let expected = r#""linear", "srgb", "estimate", or the name of a curve's .toml file beside rig.toml"#;
             if !name.ends_with(".toml") || name.contains(['/', '\\']) {
                 return Err(Error::field(path, "camera.response", expected, format!("\"{name}\"")));
@@ -331,7 +332,7 @@ mod tests {
             size_px: [161, 81],
             focal_px: 200.0,
             principal_px: [30.0, 20.0],
-            response: ResponseCurve::Linear,
+            response_curve: ResponseCurve::Linear,
             vignetting: vec![-0.3, 0.12, -0.05],
         }
     }
@@ -428,12 +429,12 @@ mod tests {
             ("camera.principal_px", |r| r.camera.principal_px = [0.0, f64::INFINITY]),
             ("projector.principal_px", |r| r.projector.principal_px = Some([0.0, -1.1e6])),
             ("white_reference.reflectance", |r| r.white_reference.reflectance = [0.9, 0.9, 1.01]),
-            ("camera.response", |r| r.camera.response = ResponseCurve::File("../curve.toml".into())),
-            ("camera.response", |r| r.camera.response = ResponseCurve::File("curve.txt".into())),
+            ("camera.response", |r| r.camera.response_curve = ResponseCurve::File("../curve.toml".into())),
+            ("camera.response", |r| r.camera.response_curve = ResponseCurve::File("curve.txt".into())),
         ] {
             assert_eq!(refused(change).as_deref(), Some(field));
         }
-        assert_eq!(refused(|r| r.camera.response = ResponseCurve::File("curve.toml".into())), None);
+        assert_eq!(refused(|r| r.camera.response_curve = ResponseCurve::File("curve.toml".into())), None);
         assert_eq!(refused(|r| r.white_reference.reflectance = [1.0, 1e-6, 0.5]), None);
         // A lens may be shifted beyond the picture.
         assert_eq!(refused(|r| r.camera.principal_px = [-40.0, -9.0]), None);
@@ -477,7 +478,7 @@ mod tests {
         let [from, to] = ["from", "to"].map(|n| folder.path().join(n));
         [&from, &to].into_iter().for_each(|d| std::fs::create_dir(d).unwrap());
         let mut with_curve = rig();
-        with_curve.camera.response = ResponseCurve::File("curve.toml".into());
+        with_curve.camera.response_curve = ResponseCurve::File("curve.toml".into());
         with_curve.write(&from).unwrap();
         assert_eq!(Rig::read(&from.join("rig.toml")).unwrap(), with_curve);
         assert!(Rig::copy(&from.join("rig.toml"), &to).is_err(), "the curve is not there");

@@ -217,7 +217,7 @@ impl CheckReport {
     ) -> Result<()> {
         let stage = progress.stage("light", 3);
         // What code values mean may itself have to be found by the build: guessed, all might look black.
-        let known = matches!(sample.rig.camera.response, ResponseCurve::Linear | ResponseCurve::Srgb);
+        let known = matches!(sample.rig.camera.response_curve, ResponseCurve::Linear | ResponseCurve::Srgb);
         let of_rig = || Sensor::of_rig(&sample.rig).filter(|_| known);
         let sensor = tried.map(|t| t.sensor.clone()).or_else(of_rig);
         let Some(sensor) = sensor else { return Ok(()) };

@@ -28,7 +28,7 @@ pub(super) struct Pictures<'a> {
 
 /// What [`Pictures::lattice`] saw in the sampled shots.
 #[derive(Default)]
-pub(super) struct Dots {
+pub(super) struct SeenDots {
     pub looked_at: usize,
     saturated: Vec<String>,
     dead: Vec<(String, [usize; 2])>,
@@ -37,19 +37,19 @@ pub(super) struct Dots {
 }
 
 impl<'a> Pictures<'a> {
-    pub fn new(capture: &'a Capture, sensor: Sensor) -> Self {
+    pub(super) fn new(capture: &'a Capture, sensor: Sensor) -> Self {
         let [width, height] = capture.rig.camera.size_px;
         Self { capture, sensor, whole: Rect { x: 0, y: 0, width, height } }
     }
 
     /// The merged picture of some exposures of one shot.
-    pub fn merged(&self, photographs: &[Photograph]) -> Result<Radiance> {
+    pub(super) fn merged(&self, photographs: &[Photograph]) -> Result<Radiance> {
         let bracket = decode_whole(photographs, self.capture.rig.camera.size_px)?;
         Ok(bracket.merge(self.whole, &self.sensor))
     }
 
     /// Saturation of the shots without dots, over the slab when it is known where that is, else over the whole picture.
-    pub fn stills(&self, report: Option<&BuildReport>) -> Result<Vec<Finding>> {
+    pub(super) fn stills(&self, report: Option<&BuildReport>) -> Result<Vec<Finding>> {
         let region = report.map_or(self.whole, |r| bounds(&r.overview.slab_px, self.whole));
         let mut found = Vec::new();
         for shot in self.capture.shots(|p| matches!(p, Pattern::Board | Pattern::ReferenceWhite)) {
@@ -69,16 +69,16 @@ impl<'a> Pictures<'a> {
     }
 
     /// The dots of all lattice shots of the capture, which is a sample; `report` is that of the same sample.
-    pub fn lattice(&self, report: &BuildReport) -> Result<Dots> {
+    pub(super) fn lattice(&self, report: &BuildReport) -> Result<SeenDots> {
         let black = self.capture.shots(|p| matches!(p, Pattern::SampleBlack));
         let ambient = self.merged(black.first().map_or(&[][..], |&s| &self.capture.brackets[s]))?;
         let shots = self.capture.shots(|p| matches!(p, Pattern::Lattice { .. }));
-        let seen: Vec<Dots> = shots
+        let seen: Vec<SeenDots> = shots
             .par_iter()
             .zip(&report.shots)
             .map(|(&shot, record)| self.lattice_shot(shot, record.drift_px, report, &ambient))
             .collect::<Result<_>>()?;
-        Ok(seen.into_iter().fold(Dots::default(), |mut all, one| {
+        Ok(seen.into_iter().fold(SeenDots::default(), |mut all, one| {
             all.looked_at += one.looked_at;
             all.saturated.extend(one.saturated);
             all.dead.extend(one.dead);
@@ -87,16 +87,16 @@ impl<'a> Pictures<'a> {
         }))
     }
 
-    fn lattice_shot(&self, shot: usize, drift_px: Point, report: &BuildReport, ambient: &Radiance) -> Result<Dots> {
+    fn lattice_shot(&self, shot: usize, drift_px: Point, report: &BuildReport, ambient: &Radiance) -> Result<SeenDots> {
         let (manifest, bracket) = (&self.capture.manifest, &self.capture.brackets[shot]);
         let name = &manifest.shots[shot].name;
-        let Pattern::Lattice { dots } = &manifest.shots[shot].pattern else { return Ok(Dots::default()) };
+        let Pattern::Lattice { dots } = &manifest.shots[shot].pattern else { return Ok(SeenDots::default()) };
         let mut picture = self.merged(bracket)?;
         picture.subtract(ambient);
         let shortest = self.merged(&bracket[..1])?;
         let longest = self.merged(&bracket[bracket.len() - 1..])?;
         let scale = Scale::new(self.capture, report);
-        let mut out = Dots { looked_at: dots.len(), ..Dots::default() };
+        let mut out = SeenDots { looked_at: dots.len(), ..SeenDots::default() };
         let (mut dark, mut pixels) = (0.0, 0.0);
         for &dot in dots {
             let place = report.registration.slab_from_projector.map(manifest.grid.dot_projector_px(dot));
@@ -121,8 +121,8 @@ impl<'a> Pictures<'a> {
     }
 }
 
-impl Dots {
-    pub fn findings(&self) -> Vec<Finding> {
+impl SeenDots {
+    pub(super) fn findings(&self) -> Vec<Finding> {
         let (of, mut found) = (self.looked_at, Vec::new());
         if let Some(shot) = self.saturated.first() {
             found.push(Finding::SaturatedDots { shot: shot.clone(), dots: self.saturated.len(), of });
@@ -138,7 +138,7 @@ impl Dots {
     }
 
     /// The largest share of black pixels in the windows of a shot.
-    pub fn dark_share(&self) -> Option<f64> {
+    pub(super) fn dark_share(&self) -> Option<f64> {
         self.dark.iter().map(|d| d.1).reduce(f64::max)
     }
 }

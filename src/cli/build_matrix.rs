@@ -14,7 +14,7 @@ use std::path::PathBuf;
 Examples:
   acquire build-matrix captures/
   acquire build-matrix captures/ --calibration lab/rig-3 --out slab.rd.zarr")]
-pub struct Args {
+pub(super) struct Args {
     /// Folder of capture.toml.
     capture: PathBuf,
     #[command(flatten)]
@@ -24,7 +24,7 @@ pub struct Args {
     out: PathBuf,
 }
 
-pub fn run(args: Args, context: &Context) -> Result<()> {
+pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let start = std::time::Instant::now();
     let truth = args.capture.join(TRUTH_MATRIX);
     if truth.canonicalize().is_ok_and(|truth| args.out.canonicalize().is_ok_and(|out| out == truth)) {
@@ -41,7 +41,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
 }
 
 /// One line that says what was measured.
-pub fn summary(report: &BuildReport) -> String {
+pub(super) fn summary(report: &BuildReport) -> String {
     let drift = report.shots.iter().map(|s| s.drift_px[0].powi(2) + s.drift_px[1].powi(2)).sum::<f64>();
     let drift_rms = (drift / (2 * report.shots.len().max(1)) as f64).sqrt();
     let r = &report.registration;

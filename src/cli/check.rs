@@ -16,7 +16,7 @@ Examples:
   acquire check captures/ --json | jq -r '.findings[] | .severity + \": \" + .message'
 
 Each topic is good, look (it builds, but look at it) or bad. Exit status 1 when build-matrix would fail, 0 otherwise.")]
-pub struct Args {
+pub(super) struct Args {
     /// Folder of capture.toml.
     capture: PathBuf,
     #[command(flatten)]
@@ -26,7 +26,7 @@ pub struct Args {
     json: bool,
 }
 
-pub fn run(args: Args, context: &Context) -> Result<()> {
+pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let start = std::time::Instant::now();
     let report = check(&args.capture, &args.options.into(), &context.progress)?;
     let out = std::io::stdout();

@@ -13,7 +13,7 @@ Examples:
   acquire evaluate slab.rd.zarr truth.rd.zarr --json        what the measurement missed, for a program
 
 docs/metrics.md defines every measure.")]
-pub struct Args {
+pub(super) struct Args {
     /// A material (*.safetensors) or a matrix (*.rd.zarr).
     candidate: PathBuf,
     /// The matrix to compare with.
@@ -23,7 +23,7 @@ pub struct Args {
     json: bool,
 }
 
-pub fn run(args: Args, context: &Context) -> Result<()> {
+pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let candidate = Source::open(&args.candidate)?;
     let reference = MatrixReader::open(&args.reference)?;
     let measures = evaluate(&candidate, &reference, &context.progress)?;

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 Examples:
   acquire export slab.safetensors --to npz --out slab.npz     np.load(\"slab.npz\")[\"offset_factors\"]
   acquire export slab.safetensors --to exr --out slab.exr     one part per map, for any viewer")]
-pub struct Args {
+pub(super) struct Args {
     /// The material, a file *.safetensors.
     material: PathBuf,
     /// What to write.
@@ -28,7 +28,7 @@ enum Format {
     Npz,
 }
 
-pub fn run(args: Args, context: &Context) -> Result<()> {
+pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let ending = match args.to {
         Format::Exr => "exr",
         Format::Npz => "npz",

@@ -1,6 +1,6 @@
 use super::Context;
 use super::values::{model, precision};
-use crate::factor::{Backend, Goal, Options, ROOM_DB, Storage, Stored, factor_and_store};
+use crate::factor::{Backend, FactorOptions, Goal, ROOM_DB, Storage, Stored, factor_and_store};
 use crate::material::{Model, Precision};
 use crate::output::write_whole;
 use crate::transport::MatrixReader;
@@ -18,7 +18,7 @@ Examples:
   acquire factor slab.rd.zarr --terms 15 --degree 7      the paper's model and setting
   acquire factor slab.rd.zarr --model peers2006 --terms 13
   acquire factor slab.rd.zarr --memory 2GiB --backend gram")]
-pub struct Args {
+pub(super) struct Args {
     /// The matrix, a folder *.rd.zarr.
     matrix: PathBuf,
     /// What the material is [default: tucker when --degree is given, else joint; with a target whichever serves it better].
@@ -49,7 +49,7 @@ pub struct Args {
     #[arg(long, value_enum)]
     backend: Option<Backend>,
     /// What singular values may be off by, relative to the largest.
-    #[arg(long, value_name = "SHARE", allow_negative_numbers = true, default_value_t = Options::default().accuracy)]
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true, default_value_t = FactorOptions::default().accuracy)]
     accuracy: f64,
     /// Memory for the rows; more of them are read from the store at every pass: 2GiB, say [default: half of the machine's].
     #[arg(long, value_name = "BYTES", value_parser = bytes)]
@@ -97,7 +97,7 @@ fn in_all(stored: &Stored) -> String {
     format!("which adds {:.5} (about {:.5}{} in all)", stored.added_error, stored.rel_rmse(), psnr.unwrap_or_default())
 }
 
-pub fn run(args: Args, context: &Context) -> Result<()> {
+pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let out = args.out.clone().unwrap_or_else(|| {
         let name = args.matrix.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let end = if args.precision == Some(Precision::Coded) { "acq" } else { "safetensors" };
@@ -108,7 +108,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
     check(&args, &out, precision)?;
     super::check_output(&out, &[&args.matrix], &super::MATERIALS)?;
     let reader = MatrixReader::open(&args.matrix)?;
-    let options = Options {
+    let options = FactorOptions {
         model: args.model,
         terms: args.terms,
         degree: args.degree,
@@ -123,7 +123,7 @@ pub fn run(args: Args, context: &Context) -> Result<()> {
         memory_bytes: args.memory,
         peak_shift: !args.no_peak_shift,
         max_shift: args.max_shift,
-        ..Options::default()
+        ..FactorOptions::default()
     };
     let storage = Storage { precision, added_error: args.added_error };
     let stored = factor_and_store(&reader, &options, &storage, &context.progress)?;

@@ -14,7 +14,7 @@ Examples:
   acquire import from-gphoto2 --plan plan --out captures/marble --link --take jpg
 
 Then: acquire check captures/marble")]
-pub struct Args {
+pub(super) struct Args {
     /// Folder of the photographs, as the camera or gphoto2 made it.
     folder: PathBuf,
     /// Folder of plan.toml, as `acquire patterns` made it.
@@ -27,7 +27,7 @@ pub struct Args {
     options: options::Import,
 }
 
-pub fn run(args: Args, context: &Context) -> Result<()> {
+pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let done = import(&args.folder, &args.plan, &args.out, &args.options.into(), &context.progress)?;
     let out = args.out.display();
     let left = if done.left > 0 { format!(", {} of other kinds left", done.left) } else { String::new() };

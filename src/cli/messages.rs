@@ -3,7 +3,7 @@
 use crate::{Error, Warning};
 
 /// An error in one line.
-pub fn text(error: &Error) -> String {
+pub(super) fn text(error: &Error) -> String {
     one_line(&match error {
         Error::Setting { setting, expected, found } => {
             format!("{}: expected {expected}, found {found}", typed(setting))
@@ -30,7 +30,7 @@ fn one_line(text: &str) -> String {
 }
 
 /// What the person at the terminal might do about an error.
-pub fn hint(error: &Error) -> Option<String> {
+pub(super) fn hint(error: &Error) -> Option<String> {
     let hint = match error {
         Error::Io { action: "create" | "write" | "rename", .. } => {
             "choose an output path in a folder that exists and can be written, with --out"
@@ -75,7 +75,7 @@ pub fn hint(error: &Error) -> Option<String> {
 }
 
 /// What might be done about a warning with the options of this program.
-pub fn advice(warning: &Warning) -> Option<&'static str> {
+pub(super) fn advice(warning: &Warning) -> Option<&'static str> {
     match warning {
         Warning::ExposureRatios { .. } => Some("use --exposure-from estimate, or check camera.response in rig.toml"),
         Warning::DiffusionTooClear { .. } | Warning::DiffusionTooDark { .. } => Some("use --transport mc"),

@@ -5,7 +5,7 @@ use crate::capture::ExposureFrom;
 use crate::geometry::Point;
 use crate::patterns::{PatternsOptions, SpacingOptions};
 use crate::pipeline::Resolution;
-use crate::simulate::{FileFormat, Material, Options, Response, RigResponse, SensorKind, Transport};
+use crate::simulate::{CameraCurve, FileFormat, RigCurve, SensorKind, SimulateOptions, SlabMaterial, Transport};
 use std::path::PathBuf;
 
 /// Arguments by the names of a stage's options, and their conversion; options that are not listed cannot be typed.
@@ -132,13 +132,13 @@ typed!(Patterns => PatternsOptions {
     most_cross_talk: f64,
 });
 
-typed!(Simulate => Options {
+typed!(Simulate => SimulateOptions {
     /// Replace DIR when it is an earlier simulation.
     #[arg(long)]
     force: bool,
     /// The slab's material; the forms are listed below. Marble: the simplest truth.
     #[arg(long, default_value = "homogeneous", help_heading = "Slab")]
-    material: Material,
+    material: SlabMaterial,
     /// Mean cosine of the scattering angle in every medium, −0.99 to 0.99; the reduced scattering stays as it is
     /// [default: 0]
     #[arg(long, value_name = "G", allow_negative_numbers = true, help_heading = "Slab")]
@@ -150,10 +150,10 @@ typed!(Simulate => Options {
     #[arg(long, value_enum, default_value = "diffusion", help_heading = "Slab")]
     transport: Transport,
     /// Photons for a dot and channel, with --transport mc. 100,000: about half a per cent of noise in a row.
-    #[arg(long, value_name = "N", default_value_t = Options::default().photons, value_parser = whole, help_heading = "Slab")]
+    #[arg(long, value_name = "N", default_value_t = SimulateOptions::default().photons, value_parser = whole, help_heading = "Slab")]
     photons: u64,
     /// Voxels of the transport solver across an outgoing cell.
-    #[arg(long, value_name = "N", default_value_t = Options::default().voxels_per_sample, help_heading = "Slab")]
+    #[arg(long, value_name = "N", default_value_t = SimulateOptions::default().voxels_per_sample, help_heading = "Slab")]
     voxels_per_sample: usize,
     /// Write the true matrix only: truth.rd.zarr and truth.toml, no photographs and no capture.toml.
     #[arg(long, help_heading = "Capture")]
@@ -165,7 +165,7 @@ typed!(Simulate => Options {
     #[arg(long, value_name = "N[xN]", default_value = "17x13", value_parser = pair_of::<usize>, help_heading = "Capture")]
     window: [usize; 2],
     /// Side of an outgoing cell, mm. 0.5: responses of most materials fall by 3 to 4 decades within a window of 31.
-    #[arg(long, value_name = "MM", default_value_t = Options::default().pitch_mm, help_heading = "Capture")]
+    #[arg(long, value_name = "MM", default_value_t = SimulateOptions::default().pitch_mm, help_heading = "Capture")]
     pitch_mm: f64,
     /// Distance of lit points along the projector's axes, mm: 1 or 1x1.5 [default: the pitch along x, and along y what makes the
     /// projector's pixels square]
@@ -175,13 +175,13 @@ typed!(Simulate => Options {
     #[arg(long, value_name = "N[xN]", value_parser = pair_of::<usize>, help_heading = "Capture")]
     spacing: Option<[usize; 2]>,
     /// Exposures of each lattice shot.
-    #[arg(long, value_name = "N", default_value_t = Options::default().exposures, help_heading = "Capture")]
+    #[arg(long, value_name = "N", default_value_t = SimulateOptions::default().exposures, help_heading = "Capture")]
     exposures: usize,
-    /// Stops between exposures. 2: five exposures reach over the 16 bits of a response.
-    #[arg(long, value_name = "STOPS", default_value_t = Options::default().stops, help_heading = "Capture")]
+    /// Stops between exposures. 2: five exposures reach over the 16 bits of a material's response.
+    #[arg(long, value_name = "STOPS", default_value_t = SimulateOptions::default().stops, help_heading = "Capture")]
     stops: f64,
     /// Seed of everything random: noise, drift, jumps, flicker, hot pixels, veins.
-    #[arg(long, value_name = "N", default_value_t = Options::default().seed, help_heading = "Capture")]
+    #[arg(long, value_name = "N", default_value_t = SimulateOptions::default().seed, help_heading = "Capture")]
     seed: u64,
     /// Whose sensor: gain, noise, bits and black level. The A7R III is a current camera.
     #[arg(long, value_enum, default_value = "sony-a7r3", help_heading = "Camera")]
@@ -193,8 +193,8 @@ typed!(Simulate => Options {
     #[arg(long, value_enum, default_value = "png", help_heading = "Camera")]
     format: FileFormat,
     /// Response curve; the rig file takes `film` for sRGB [default: linear for PNG, srgb for JPEG]
-    #[arg(long, value_enum, help_heading = "Camera")]
-    response: Option<Response>,
+    #[arg(long = "response", value_enum, value_name = "CURVE", help_heading = "Camera")]
+    response_curve: Option<CameraCurve>,
     /// Leave `[noise]` out of the rig file: it is to be estimated from the photographs.
     #[arg(long, help_heading = "Camera")]
     rig_without_noise: bool,
@@ -202,59 +202,59 @@ typed!(Simulate => Options {
     /// the lattice.
     #[arg(long, help_heading = "Capture")]
     link_exposures: bool,
-    /// What the rig file says of the response [default: linear, or srgb for srgb and film]
-    #[arg(long, value_enum, help_heading = "Camera")]
-    rig_response: Option<RigResponse>,
+    /// What the rig file says of the response curve [default: linear, or srgb for srgb and film]
+    #[arg(long = "rig-response", value_enum, value_name = "CURVE", help_heading = "Camera")]
+    rig_curve: Option<RigCurve>,
     /// EXIF gives each distinct exposure time wrong by a fixed random amount of this size, root mean square, stops.
-    #[arg(long, value_name = "STOPS", default_value_t = Options::default().exif_stops_error, help_heading = "Camera")]
+    #[arg(long, value_name = "STOPS", default_value_t = SimulateOptions::default().exif_stops_error, help_heading = "Camera")]
     exif_stops_error: f64,
     /// EXIF gives the usual name of the time: 1/250 for 1/256, thirds of stops.
     #[arg(long, help_heading = "Camera")]
     nominal_times: bool,
     /// Camera pixels across an outgoing cell. 3: enough for sub-cell registration.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().camera_px_per_sample, help_heading = "Camera")]
+    #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().camera_px_per_sample, help_heading = "Camera")]
     camera_px_per_sample: f64,
     /// Lens distortion, Brown's k1. −0.05: a good lens, 3 px at the corner of a picture of 1000; k2 is −k1/5.
-    #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = Options::default().distortion, help_heading = "Camera")]
+    #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = SimulateOptions::default().distortion, help_heading = "Camera")]
     distortion: f64,
     /// Tilt of the camera about the slab's x and y axes, degrees: 5 or 5x-3.
     #[arg(long, value_name = "DEG[xDEG]", allow_hyphen_values = true, default_value = "5x-3", value_parser = pair_of::<f64>, help_heading = "Camera")]
     camera_tilt_deg: Point,
     /// Turn of the camera about its axis, degrees. 2: set up by hand.
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true, default_value_t = Options::default().camera_turn_deg, help_heading = "Camera")]
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true, default_value_t = SimulateOptions::default().camera_turn_deg, help_heading = "Camera")]
     camera_turn_deg: f64,
     /// Sensitivity lost at the corner. 0.15: a good lens, stopped down.
-    #[arg(long, value_name = "SHARE", default_value_t = Options::default().vignetting, help_heading = "Camera")]
+    #[arg(long, value_name = "SHARE", default_value_t = SimulateOptions::default().vignetting, help_heading = "Camera")]
     vignetting: f64,
     /// Standard deviation of the point-spread function, px. 0: pixels average over their area, and that is all.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().psf_px, help_heading = "Camera")]
+    #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().psf_px, help_heading = "Camera")]
     psf_px: f64,
     /// Share of the light in a halo of 20 px.
-    #[arg(long, value_name = "SHARE", default_value_t = Options::default().glare, help_heading = "Camera")]
+    #[arg(long, value_name = "SHARE", default_value_t = SimulateOptions::default().glare, help_heading = "Camera")]
     glare: f64,
     /// Share of the photosites that are hot.
-    #[arg(long, value_name = "SHARE", default_value_t = Options::default().hot_pixels, help_heading = "Camera")]
+    #[arg(long, value_name = "SHARE", default_value_t = SimulateOptions::default().hot_pixels, help_heading = "Camera")]
     hot_pixels: f64,
     /// Projector pixels between neighbouring lit points along each axis: 4 or 4x5.
     #[arg(long, value_name = "PX[xPX]", default_value = "4x5", value_parser = pair_of::<usize>, help_heading = "Projector")]
     step_projector_px: [usize; 2],
     /// Turn of the projector's picture against the slab, degrees. 3: set up by hand; 90: a projector on its side.
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true, default_value_t = Options::default().projector_turn_deg, help_heading = "Projector")]
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true, default_value_t = SimulateOptions::default().projector_turn_deg, help_heading = "Projector")]
     projector_turn_deg: f64,
     /// The projector's picture comes by a mirror: its columns run backwards.
     #[arg(long, help_heading = "Projector")]
     projector_mirrored: bool,
     /// Side of a dot, projector pixels. 3: a dark pixel between neighbours.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().dot_projector_px, help_heading = "Projector")]
+    #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().dot_projector_px, help_heading = "Projector")]
     dot_projector_px: usize,
     /// Blur of a projector pixel (standard deviation), projector pixels.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().projector_blur_px, help_heading = "Projector")]
+    #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().projector_blur_px, help_heading = "Projector")]
     projector_blur_px: f64,
     /// Distortion of its lens, Brown's k1 with the image's width for focal length. Usual: 0.01, 1 px at the corner of a picture of 300.
-    #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = Options::default().projector_distortion, help_heading = "Projector")]
+    #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = SimulateOptions::default().projector_distortion, help_heading = "Projector")]
     projector_distortion: f64,
     /// Photographs of the board in other poses, for the lens.
-    #[arg(long, value_name = "N", default_value_t = Options::default().calibration_boards, help_heading = "Capture")]
+    #[arg(long, value_name = "N", default_value_t = SimulateOptions::default().calibration_boards, help_heading = "Capture")]
     calibration_boards: usize,
     /// Print dark discs on the frame, photograph them before and after the lattice shots, and tell the rig file.
     #[arg(long, help_heading = "Capture")]
@@ -267,38 +267,38 @@ typed!(Simulate => Options {
     gray_on_frame: bool,
     /// Irradiance of a black projector pixel over that of a white one. 1/5000: more would saturate the longest of
     /// five exposures all over the sample.
-    #[arg(long, value_name = "RATIO", default_value_t = Options::default().projector_black, help_heading = "Projector")]
+    #[arg(long, value_name = "RATIO", default_value_t = SimulateOptions::default().projector_black, help_heading = "Projector")]
     projector_black: f64,
     /// By how much the white reference's reflectance differs across it from what the rig file says, at most, of itself.
     /// 0.002: a good reference.
-    #[arg(long, value_name = "SHARE", default_value_t = Options::default().white_unevenness, help_heading = "Capture")]
+    #[arg(long, value_name = "SHARE", default_value_t = SimulateOptions::default().white_unevenness, help_heading = "Capture")]
     white_unevenness: f64,
     /// Irradiance lost towards the corner.
-    #[arg(long, value_name = "SHARE", default_value_t = Options::default().falloff, help_heading = "Projector")]
+    #[arg(long, value_name = "SHARE", default_value_t = SimulateOptions::default().falloff, help_heading = "Projector")]
     falloff: f64,
     /// Standard deviation of the lamp from photograph to photograph, of its output.
-    #[arg(long, value_name = "RATIO", default_value_t = Options::default().flicker, help_heading = "Projector")]
+    #[arg(long, value_name = "RATIO", default_value_t = SimulateOptions::default().flicker, help_heading = "Projector")]
     flicker: f64,
     /// Ambient irradiance over that of projector white. 5e-5: a dark room.
-    #[arg(long, value_name = "RATIO", default_value_t = Options::default().ambient, help_heading = "Projector")]
+    #[arg(long, value_name = "RATIO", default_value_t = SimulateOptions::default().ambient, help_heading = "Projector")]
     ambient: f64,
     /// Slow walk of the pattern: root mean square over the lattice shots, camera px. 0.5: a bench that was touched.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().drift_px, help_heading = "Drift")]
+    #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().drift_px, help_heading = "Drift")]
     drift_px: f64,
     /// Length of its jumps, camera px.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().jump_px, help_heading = "Drift")]
+    #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().jump_px, help_heading = "Drift")]
     jump_px: f64,
     /// Number of its jumps.
-    #[arg(long, value_name = "N", default_value_t = Options::default().jumps, help_heading = "Drift")]
+    #[arg(long, value_name = "N", default_value_t = SimulateOptions::default().jumps, help_heading = "Drift")]
     jumps: usize,
     /// Slow walk of the camera's picture, root mean square, px.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().camera_drift_px, help_heading = "Drift")]
+    #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().camera_drift_px, help_heading = "Drift")]
     camera_drift_px: f64,
     /// Length of its jumps, px.
-    #[arg(long, value_name = "PX", default_value_t = Options::default().camera_jump_px, help_heading = "Drift")]
+    #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().camera_jump_px, help_heading = "Drift")]
     camera_jump_px: f64,
     /// Number of its jumps.
-    #[arg(long, value_name = "N", default_value_t = Options::default().camera_jumps, help_heading = "Drift")]
+    #[arg(long, value_name = "N", default_value_t = SimulateOptions::default().camera_jumps, help_heading = "Drift")]
     camera_jumps: usize,
     /// No photon and read noise, only rounding: as `--without noise`.
     #[arg(long, help_heading = "Switches")]

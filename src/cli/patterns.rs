@@ -19,7 +19,7 @@ Examples:
   acquire patterns --rig calibration/ --probe captures/probe --out plan
 
 The third makes the patterns of a probe: four dots, one a shot.")]
-pub struct Args {
+pub(super) struct Args {
     /// Folder of rig.toml.
     #[arg(long, value_name = "DIR")]
     rig: PathBuf,
@@ -36,7 +36,7 @@ pub struct Args {
     force: bool,
 }
 
-pub fn run(args: Args, context: &Context) -> Result<()> {
+pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let options = PatternsOptions::from(args.options);
     options.check()?;
     let rig_path = Rig::find(&args.rig, Some(&args.rig))?;

@@ -10,7 +10,7 @@ Examples:
   acquire relight slab.safetensors --light spot --out spot.exr
   acquire relight slab.rd.zarr --light window.png --out relit.exr       the measured matrix itself
   acquire relight slab.safetensors --light point:3,5 --out point.exr    one lit point")]
-pub struct Args {
+pub(super) struct Args {
     /// A material or a matrix.
     source: PathBuf,
     /// Irradiance over the lit area: an image (EXR linear, PNG or JPEG sRGB), or spot, stripes, gradient, uniform,
@@ -22,7 +22,7 @@ pub struct Args {
     out: PathBuf,
 }
 
-pub fn run(args: Args, context: &Context) -> Result<()> {
+pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let png = args.out.with_extension("png");
     let inputs = [args.source.as_path(), Path::new(&args.light)];
     super::check_output(&args.out, &inputs, &["exr"])?;

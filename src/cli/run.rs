@@ -1,11 +1,11 @@
 use super::{Context, options};
 use crate::capture::Manifest;
 use crate::evaluate::evaluate;
-use crate::factor::{Factored, Options, factor};
+use crate::factor::{FactorOptions, Factored, factor};
 use crate::material::{self, Precision, Responses, Source, export_exr, export_npz};
 use crate::output::NewFolder;
 use crate::pipeline::{BuildReport, build_matrix};
-use crate::report::{self, Comparison, MaterialSummary, ReportInput, Survey};
+use crate::report::{self, Comparison, MaterialSummary, ReportInput, RowSurvey};
 use crate::simulate::TRUTH_MATRIX;
 use crate::transport::MatrixReader;
 use crate::{Error, Result};
@@ -20,7 +20,7 @@ Examples:
 
 Writes into RESULTS: matrix.rd.zarr, material.safetensors, material.exr, material.npz, measures.json, report/report.html.
 When the capture has a truth.rd.zarr beside it (a simulated one), the matrix is measured against it.")]
-pub struct Args {
+pub(super) struct Args {
     /// Folder of capture.toml.
     capture: PathBuf,
     /// The folder to make.
@@ -43,8 +43,8 @@ const MATRIX: &str = "matrix.rd.zarr";
 const MATERIAL: &str = "material.safetensors";
 const MEASURES: &str = "measures.json";
 
-pub fn run(args: Args, context: &Context) -> Result<()> {
-    let factoring = Options { terms: args.terms, degree: args.degree, ..Options::default() };
+pub(super) fn run(args: Args, context: &Context) -> Result<()> {
+    let factoring = FactorOptions { terms: args.terms, degree: args.degree, ..FactorOptions::default() };
     factoring.check()?;
     let results = NewFolder::create(&args.out, args.force)?;
     let folder = results.path();
@@ -88,7 +88,7 @@ fn write_report(
     let responses = Responses::new(material);
     let survey = {
         let stage = context.progress.stage("survey", matrix.header().rows());
-        Survey::take(matrix, |i| {
+        RowSurvey::take(matrix, |i| {
             stage.advance(1);
             Ok(responses.row(i))
         })?

@@ -3,7 +3,7 @@
 use super::{Context, options};
 use crate::{
     Result,
-    simulate::{self, Cause, Material, Options},
+    simulate::{self, Cause, SimulateOptions, SlabMaterial},
 };
 use std::path::PathBuf;
 
@@ -34,7 +34,7 @@ Writes capture.toml, photos/, calibration/rig.toml and the truth: truth.rd.zarr,
 /// Write a simulated capture: photographs of a projector-lit slab, its rig, and the true matrix.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
-pub struct Args {
+pub(super) struct Args {
     /// The folder to write.
     dir: PathBuf,
     #[command(flatten)]
@@ -54,10 +54,10 @@ pub struct Args {
 }
 
 /// Runs the command.
-pub fn run(args: Args, context: &Context) -> Result<()> {
-    let mut options = Options::from(args.options);
+pub(super) fn run(args: Args, context: &Context) -> Result<()> {
+    let mut options = SimulateOptions::from(args.options);
     if let Some(file) = args.voxels {
-        options.material = Material::Voxels(file);
+        options.material = SlabMaterial::Voxels(file);
     }
     options.switch(args.only.as_deref(), &args.with, &args.without)?;
     let start = std::time::Instant::now();
@@ -94,13 +94,13 @@ mod tests {
         args: Args,
     }
 
-    fn parsed(arguments: &[&str]) -> Options {
+    fn parsed(arguments: &[&str]) -> SimulateOptions {
         Simulate::try_parse_from([&["simulate", "dir"], arguments].concat()).unwrap().args.options.into()
     }
 
     #[test]
     fn without_arguments_the_options_are_the_library_s() {
-        assert_eq!(parsed(&[]), Options::default());
+        assert_eq!(parsed(&[]), SimulateOptions::default());
     }
 
     #[test]

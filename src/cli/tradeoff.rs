@@ -1,6 +1,6 @@
 use super::Context;
 use crate::output::NewFolder;
-use crate::tradeoff::{self, Options, Tradeoff, tradeoff};
+use crate::tradeoff::{self, Tradeoff, TradeoffOptions, tradeoff};
 use crate::transport::MatrixReader;
 use crate::{Error, Result};
 use std::path::PathBuf;
@@ -15,7 +15,7 @@ Examples:
 
 Writes tradeoff.html (opens offline), tradeoff.csv and tradeoff.json into a folder; prints the front: what nothing else beats in both
 bytes and psnr_db.")]
-pub struct Args {
+pub(super) struct Args {
     /// The matrix, a folder *.rd.zarr.
     matrix: PathBuf,
     /// The folder to make [default: the matrix's name with -tradeoff, in the working directory].
@@ -37,14 +37,14 @@ pub struct Args {
 
 const JSON: &str = "tradeoff.json";
 
-pub fn run(args: Args, context: &Context) -> Result<()> {
+pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let reader = MatrixReader::open(&args.matrix)?;
     let out = args.out.unwrap_or_else(|| {
         let name = args.matrix.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         PathBuf::from(format!("{}-tradeoff", name.trim_end_matches(".zarr").trim_end_matches(".rd")))
     });
     let folder = NewFolder::create(&out, args.force)?;
-    let options = Options { quick: args.quick, memory_bytes: args.memory };
+    let options = TradeoffOptions { quick: args.quick, memory_bytes: args.memory };
     let found = tradeoff(&reader, &options, &context.progress)?;
     let json = serde_json::to_string_pretty(&found).map_err(Error::internal)?;
     let files =

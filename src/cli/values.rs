@@ -20,7 +20,7 @@ fn named<T: Copy + Send + Sync + 'static>(
 }
 
 /// `--model`.
-pub fn model() -> impl TypedValueParser<Value = Model> {
+pub(super) fn model() -> impl TypedValueParser<Value = Model> {
     named(&Model::ALL, Model::name, |model| match model {
         Model::Tucker => "Intensity by error modelling, colour by a polynomial of the intensity per lit point",
         Model::Peers2006 => "The mean profile divided out, the rest a non-negative factorization",
@@ -30,7 +30,7 @@ pub fn model() -> impl TypedValueParser<Value = Model> {
 }
 
 /// `--precision`.
-pub fn precision() -> impl TypedValueParser<Value = Precision> {
+pub(super) fn precision() -> impl TypedValueParser<Value = Precision> {
     named(&Precision::ALL, Precision::name, |precision| match precision {
         Precision::F32 => "As they are, 4 bytes each",
         Precision::F16 => "Rounded to 11 bits, 2 bytes each; not for colour polynomials",
@@ -81,7 +81,7 @@ impl ValueEnum for Cause {
             Self::Distortion => "Lens distortion",
             Self::Vignetting => "Vignetting",
             Self::HotPixels => "Hot pixels",
-            Self::Film => "A film-like response that the rig file does not tell",
+            Self::Film => "A film-like response curve that the rig file does not tell",
             Self::Exif => "Exposure times that EXIF gives wrong",
             Self::Flicker => "A lamp that flickers",
             Self::Ambient => "Ambient light",
@@ -99,7 +99,7 @@ impl ValueEnum for Cause {
 }
 
 values!(crate::simulate::FileFormat {
-    Png = "png", "16-bit PNG. With a linear response it holds the sensor's code values unscaled";
+    Png = "png", "16-bit PNG. With a linear response curve it holds the sensor's code values unscaled";
     Jpeg = "jpeg", "8-bit JPEG (quality 95, no chroma subsampling)";
 });
 
@@ -115,20 +115,20 @@ values!(crate::simulate::Transport {
     Mc = "mc", "Photon Monte Carlo: right, and noisy";
 });
 
-values!(crate::simulate::Response {
+values!(crate::simulate::CameraCurve {
     Linear = "linear", "Code values in proportion to light, above the sensor's black level";
     Srgb = "srgb", "The sRGB curve";
     Film = "film", "A film-like curve with toe and shoulder; the rig file says sRGB, as a lab would guess";
 });
 
-values!(crate::simulate::RigResponse {
+values!(crate::simulate::RigCurve {
     Linear = "linear", "Code values in proportion to light";
     Srgb = "srgb", "The sRGB curve";
     Estimate = "estimate", "Not known: to be estimated";
 });
 
 /// `auto`, `full`, or camera pixels across a sample.
-pub fn resolution(text: &str) -> Result<Resolution, String> {
+pub(super) fn resolution(text: &str) -> Result<Resolution, String> {
     match text {
         "auto" => Ok(Resolution::Auto),
         "full" => Ok(Resolution::Full),
@@ -137,7 +137,7 @@ pub fn resolution(text: &str) -> Result<Resolution, String> {
 }
 
 /// One number for both axes, or two as 30x20.
-pub fn pair_of<T: std::str::FromStr + Copy>(text: &str) -> Result<[T; 2], String> {
+pub(super) fn pair_of<T: std::str::FromStr + Copy>(text: &str) -> Result<[T; 2], String> {
     let one = |t: &str| t.trim().parse().map_err(|_| format!("a number or two as 30x20, not {text:?}"));
     match text.split_once(['x', '×', ',']) {
         Some((x, y)) => Ok([one(x)?, one(y)?]),
@@ -146,7 +146,7 @@ pub fn pair_of<T: std::str::FromStr + Copy>(text: &str) -> Result<[T; 2], String
 }
 
 /// Seconds, also as a fraction: 1/250.
-pub fn secs(text: &str) -> Result<f64, String> {
+pub(super) fn secs(text: &str) -> Result<f64, String> {
     let number = |t: &str| t.trim().parse::<f64>().map_err(|_| format!("seconds as 0.004 or 1/250, not {text:?}"));
     match text.split_once('/') {
         Some((above, below)) => Ok(number(above)? / number(below)?),
@@ -155,7 +155,7 @@ pub fn secs(text: &str) -> Result<f64, String> {
 }
 
 /// A whole number, also as 1e6.
-pub fn whole(text: &str) -> Result<u64, String> {
+pub(super) fn whole(text: &str) -> Result<u64, String> {
     let number: f64 = text.parse().map_err(|_| "a number such as 100000 or 1e6".to_owned())?;
     if number.fract() == 0.0 && (0.0..1e15).contains(&number) {
         Ok(number as u64)

@@ -10,7 +10,7 @@ const PAIRS: usize = 1 << 18;
 
 /// Collects both directions of each pair as the rows stream by.
 #[derive(Debug)]
-pub struct Reciprocity {
+pub(super) struct Reciprocity {
     /// Per row: (pair, other point, direction).
     by_row: Vec<Vec<(usize, usize, usize)>>,
     /// Per pair: R(a, b) and R(b, a), each channel, once known.
@@ -19,7 +19,7 @@ pub struct Reciprocity {
 
 impl Reciprocity {
     /// Chooses the pairs: those whose offset lies inside the window, with room for bilinear interpolation.
-    pub fn new(shape: &Shape<'_>) -> Self {
+    pub(super) fn new(shape: &Shape<'_>) -> Self {
         let rows = shape.rows().min(shape.lit_mm.len());
         let reach: [usize; 2] = std::array::from_fn(|a| {
             let window = (shape.window[a] / 2) as f64 * shape.pitch_mm;
@@ -48,7 +48,7 @@ impl Reciprocity {
     }
 
     /// Takes what a block of rows knows.
-    pub fn add(&mut self, block: &RowBlock, shape: &Shape<'_>) {
+    pub(super) fn add(&mut self, block: &RowBlock, shape: &Shape<'_>) {
         for k in 0..block.rows {
             let here = shape.lit_mm[block.first + k];
             for &(pair, other, direction) in &self.by_row[block.first + k] {
@@ -60,7 +60,7 @@ impl Reciprocity {
     }
 
     /// RMS of the difference over the RMS of the mean, over pairs of which both directions were measured.
-    pub fn relative_rms(&self) -> Option<f64> {
+    pub(super) fn relative_rms(&self) -> Option<f64> {
         let (mut difference, mut mean) = (0.0, 0.0);
         for pair in &self.values {
             let [Some(ab), Some(ba)] = pair else { continue };

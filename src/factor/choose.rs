@@ -4,7 +4,7 @@ use super::color::{DegreeChoice, PolynomialBasis};
 use super::noise::F32_ROUNDING;
 use super::regression::{self, Channel, with_bases};
 use super::survey::{GreyTest, Survey};
-use super::{Factored, Options};
+use super::{FactorOptions, Factored};
 use crate::material::{Material, MaterialHeader, Responses};
 use crate::transport::rows::{RowView, gradient};
 use crate::transport::{MatrixReader, RowBlock};
@@ -195,7 +195,7 @@ pub(super) fn terms_and_degree(
     material: &Material,
     survey: &Survey,
     goal: Goal,
-    options: &Options,
+    options: &FactorOptions,
 ) -> Result<Chosen> {
     let degrees = options.degree.map_or(0..=options.max_degree, |p| p..=p);
     let most = material.header.terms;

@@ -26,7 +26,7 @@ const MOST: usize = MOST_DEGREE + 1;
 
 /// An orthonormal basis of the polynomials at the arguments of one row.
 #[derive(Debug, Clone)]
-pub struct PolynomialBasis {
+pub(super) struct PolynomialBasis {
     /// q_p at the samples, unit vectors, one after the other.
     columns: Vec<f64>,
     samples: usize,
@@ -36,7 +36,7 @@ pub struct PolynomialBasis {
 
 /// A fit to one channel of a row.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Fit {
+pub(super) struct Fit {
     /// Legendre coefficients, rounded to f32, as many as the degree asked for and one.
     pub coefficients: Vec<f32>,
     /// Σ of squared differences that the rounded coefficients leave.
@@ -47,7 +47,7 @@ pub struct Fit {
 
 impl PolynomialBasis {
     /// The basis up to `degree` (15 at the most) at arguments in [−1, 1].
-    pub fn new(arguments: &[f64], degree: usize) -> Self {
+    pub(super) fn new(arguments: &[f64], degree: usize) -> Self {
         Arch::new().dispatch(Build { arguments, degree: degree.min(MOST_DEGREE) })
     }
 
@@ -61,18 +61,18 @@ impl PolynomialBasis {
     }
 
     /// The share of each degree in `values`, q_p · y.
-    pub fn project(&self, values: &[f64]) -> Vec<f64> {
+    pub(super) fn project(&self, values: &[f64]) -> Vec<f64> {
         (0..self.len()).map(|p| dot(self.column(p), values)).collect()
     }
 
     /// The polynomial up to `degree` for `values` that is best once its coefficients are rounded to f32: least
     /// squares of the misfit and of the expected rounding together.
-    pub fn fit(&self, values: &[f64], degree: usize) -> Fit {
+    pub(super) fn fit(&self, values: &[f64], degree: usize) -> Fit {
         self.fit_projected(&self.project(values), dot(values, values), degree)
     }
 
     /// Σ of squared errors of [`Self::fit`] at every degree up to `most`: `values` are projected once for all.
-    pub fn errors_by_degree(&self, values: &[f64], most: usize) -> Vec<f64> {
+    pub(super) fn errors_by_degree(&self, values: &[f64], most: usize) -> Vec<f64> {
         let (along, energy) = (self.project(values), dot(values, values));
         (0..=most).map(|degree| self.fit_projected(&along, energy, degree).error).collect()
     }
@@ -123,7 +123,7 @@ impl PolynomialBasis {
 
     /// Ratio of the largest to the smallest pivot of the Legendre columns' triangular factor: their condition number or less.
     /// Of the columns up to each degree up to `most`; degrees that the row cannot support repeat the last one that it can.
-    pub fn conditions(&self, most: usize) -> Vec<f64> {
+    pub(super) fn conditions(&self, most: usize) -> Vec<f64> {
         let (mut low, mut high) = (f64::INFINITY, 0.0_f64);
         let up_to = |p: usize| {
             if let Some(legendre) = self.legendre.get(p) {
@@ -138,7 +138,7 @@ impl PolynomialBasis {
     /// z² of every degree: (q_p · y)² over what noise alone would give, Σ q_p² v + Σ_a (q_p · e_a)², where `variance`
     /// is that of independent noise and the `errors` e_a are what one standard deviation of an error common to the
     /// whole row changes. `None` where neither is positive, and above the degree that the row can make use of.
-    pub fn significance(&self, values: &[f64], variance: &[f64], errors: &[Vec<f64>]) -> Vec<Option<f64>> {
+    pub(super) fn significance(&self, values: &[f64], variance: &[f64], errors: &[Vec<f64>]) -> Vec<Option<f64>> {
         let z2 = |q: &[f64]| {
             let independent: f64 = q.iter().zip(variance).map(|(q, v)| q * q * v).sum();
             let expected = independent + errors.iter().map(|e| dot(q, e).powi(2)).sum::<f64>();
@@ -254,19 +254,19 @@ fn times_argument(polynomial: &[f64; MOST]) -> [f64; MOST] {
 
 /// The mean significance of each degree over rows and channels.
 #[derive(Debug, Clone)]
-pub struct DegreeChoice {
+pub(super) struct DegreeChoice {
     sums: Vec<f64>,
     count: usize,
 }
 
 impl DegreeChoice {
     /// For degrees up to `max_degree`.
-    pub fn new(max_degree: usize) -> Self {
+    pub(super) fn new(max_degree: usize) -> Self {
         Self { sums: vec![0.0; max_degree + 1], count: 0 }
     }
 
     /// Adds one channel of one row; degrees that the row cannot support count as explaining nothing.
-    pub fn add(&mut self, significance: &[Option<f64>]) {
+    pub(super) fn add(&mut self, significance: &[Option<f64>]) {
         if significance.iter().all(Option::is_none) {
             return;
         }
@@ -277,7 +277,7 @@ impl DegreeChoice {
     }
 
     /// Mean z² per degree.
-    pub fn mean(&self) -> Vec<f64> {
+    pub(super) fn mean(&self) -> Vec<f64> {
         self.sums.iter().map(|s| s / self.count.max(1) as f64).collect()
     }
 
@@ -286,7 +286,7 @@ impl DegreeChoice {
     /// A coefficient lowers −2 ln L by z² and costs 2, so the criterion falls as long as the mean z² exceeds 2. The
     /// degree taken is the one where the sum of (z² − 2) from degree 1 on is largest, the lowest of equals: an
     /// unneeded degree between two needed ones does not end the search, a weak one far above does not extend it.
-    pub fn degree(&self) -> usize {
+    pub(super) fn degree(&self) -> usize {
         let (mut best, mut degree, mut sum) = (0.0, 0, 0.0);
         for (p, z2) in self.mean().into_iter().enumerate().skip(1) {
             sum += z2 - 2.0;

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 /// What of the matrix is factored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Content {
+pub(super) enum Content {
     /// Intensity of each row over its largest: one plane.
     Intensity,
     /// Intensity as it was measured: one plane, for matrices without colour.
@@ -18,12 +18,12 @@ pub enum Content {
 
 impl Content {
     /// Planes of a row.
-    pub fn planes(self) -> usize {
+    pub(super) fn planes(self) -> usize {
         if self == Self::Channels { 3 } else { 1 }
     }
 
     /// Channels that a plane stands for in the sums over a matrix's entries.
-    pub fn channels_per_plane(self) -> f64 {
+    pub(super) fn channels_per_plane(self) -> f64 {
         if self == Self::Grey { 3.0 } else { 1.0 }
     }
 
@@ -70,7 +70,7 @@ pub(super) struct RawRows {
 
 impl RawRows {
     /// Takes what is factored out of a block; `scale(k)` divides row `k` of the block.
-    pub fn extract(block: &RowBlock, content: Content, scale: impl Fn(usize) -> f64 + Sync) -> Self {
+    pub(super) fn extract(block: &RowBlock, content: Content, scale: impl Fn(usize) -> f64 + Sync) -> Self {
         let len = block.response.len() / block.rows.max(1) / 3 * content.planes();
         let mut values = vec![0.0; block.rows * len];
         let measured = values

@@ -16,7 +16,7 @@ const FEW_PRODUCTS: usize = 20_000_000;
 
 /// Which columns of a row were not measured.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Missing {
+pub(super) enum Missing {
     /// None.
     Nothing,
     /// Those of a pattern that many rows share, by its number.
@@ -27,7 +27,7 @@ pub enum Missing {
 
 /// Profiles that a row is composed of, with how much of each to expect.
 #[derive(Debug, Clone)]
-pub struct Basis {
+pub(super) struct Basis {
     /// Profiles, \[k, columns\].
     vectors: Vec<f64>,
     /// What is added to the diagonal: noise variance over the expected variance of each coefficient, \[k\].
@@ -52,12 +52,12 @@ struct Gap<'a> {
 
 impl Basis {
     /// The mean profile, in any amount.
-    pub fn mean(profile: &[f64]) -> Self {
+    pub(super) fn mean(profile: &[f64]) -> Self {
         Self { columns: profile.len(), vectors: profile.to_vec(), ridge: vec![0.0] }
     }
 
     /// The first `terms` of a factorization of `rows` rows; `noise` is the variance of one sample.
-    pub fn factors(low_rank: &LowRank, terms: usize, rows: usize, columns: usize, noise: f64) -> Self {
+    pub(super) fn factors(low_rank: &LowRank, terms: usize, rows: usize, columns: usize, noise: f64) -> Self {
         // A floor that keeps the system solvable when rows are exact: a millionth of the peak.
         let noise = noise.max(1e-12);
         let variance = |s: &f64| s * s / rows.max(1) as f64;
@@ -112,7 +112,7 @@ impl PreparedBasis<'_> {
     }
 
     /// Replaces the samples that were not measured in a block of rows; a row without any measured sample stays as it is.
-    pub fn fill(&self, values: &mut [f32], missing: &[Missing]) {
+    pub(super) fn fill(&self, values: &mut [f32], missing: &[Missing]) {
         let (columns, k) = (self.basis.columns.max(1), self.basis.ridge.len());
         if missing.iter().all(|m| *m == Missing::Nothing) {
             return;
@@ -185,7 +185,7 @@ impl Gap<'_> {
 
 /// Extends a profile into samples that no row measured: each takes the nearest measured sample of its line, and
 /// a line without any takes the nearest line that has some. All missing stays zero.
-pub fn extend_edges(values: &mut [f64], measured: &[bool], size: [usize; 2]) {
+pub(super) fn extend_edges(values: &mut [f64], measured: &[bool], size: [usize; 2]) {
     let [w, h] = size;
     let nearest = |at: usize, known: &dyn Fn(usize) -> bool, len: usize| {
         (0..len).filter(|&k| known(k)).min_by_key(|&k| (k.abs_diff(at), k))

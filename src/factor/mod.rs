@@ -10,8 +10,8 @@ mod content;
 mod fill;
 mod noise;
 mod nonnegative;
+mod prepared_rows;
 mod regression;
-mod rows;
 mod shared_basis;
 mod storing;
 mod survey;
@@ -30,11 +30,11 @@ use crate::progress::Progress;
 use crate::transport::MatrixReader;
 use crate::{Error, Result, Warning};
 use content::Content;
-use rows::PreparedRows;
+use prepared_rows::PreparedRows;
 
 /// How to factor.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
-pub struct Options {
+pub struct FactorOptions {
     /// The model; `None`: `tucker` when a degree is asked for, else `joint`, or with a goal whichever of the two serves it better.
     pub model: Option<Model>,
     /// For `peers2006`: the intensity is factored and the colour of each row a polynomial of it, as in `tucker`.
@@ -65,7 +65,7 @@ pub struct Options {
     pub memory_bytes: Option<u64>,
 }
 
-impl Default for Options {
+impl Default for FactorOptions {
     fn default() -> Self {
         Self {
             model: None,
@@ -133,7 +133,7 @@ impl Misfit {
 /// # Errors
 /// [`Error::Setting`] for options out of range; those of the reader; [`Error::NotFinite`] when a response is so
 /// large that a coefficient does not fit an f32.
-pub fn factor(reader: &MatrixReader, options: &Options, progress: &Progress) -> Result<Factored> {
+pub fn factor(reader: &MatrixReader, options: &FactorOptions, progress: &Progress) -> Result<Factored> {
     options.check()?;
     let one = |model| factor_as(reader, model, options, progress);
     match (options.model, options.degree, options.goal) {
@@ -147,7 +147,7 @@ pub fn factor(reader: &MatrixReader, options: &Options, progress: &Progress) -> 
     }
 }
 
-fn factor_as(reader: &MatrixReader, model: Model, options: &Options, progress: &Progress) -> Result<Factored> {
+fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progress: &Progress) -> Result<Factored> {
     let window = reader.header().window;
     let limit: [usize; 2] = match options.peak_shift {
         true => std::array::from_fn(|a| options.max_shift.unwrap_or(window[a] / 4).min(window[a] / 2).min(30_000)),
@@ -222,7 +222,7 @@ fn check_finite(reader: &MatrixReader, material: &Material) -> Result<()> {
     Ok(())
 }
 
-impl Options {
+impl FactorOptions {
     /// Refuses values that make no material.
     ///
     /// # Errors
@@ -260,23 +260,23 @@ mod tests {
 
     #[test]
     fn options_that_make_no_material_are_refused_by_name_and_limits_are_not() {
-        let base = Options::default;
+        let base = FactorOptions::default;
         let joint = Some(Model::Joint);
         let peers = Some(Model::Peers2006);
         let refused = [
-            ("terms", Options { terms: Some(0), ..base() }),
-            ("max_terms", Options { max_terms: 0, ..base() }),
-            ("degree", Options { degree: Some(16), ..base() }),
-            ("max_degree", Options { max_degree: 16, ..base() }),
-            ("degree", Options { degree: Some(2), model: joint, ..base() }),
-            ("degree", Options { degree: Some(2), model: peers, ..base() }),
-            ("accuracy", Options { accuracy: 0.0, ..base() }),
-            ("accuracy", Options { accuracy: 1.0, ..base() }),
-            ("accuracy", Options { accuracy: f64::NAN, ..base() }),
-            ("target_psnr", Options { goal: Goal::Psnr(0.0), ..base() }),
-            ("target_psnr", Options { goal: Goal::Psnr(150.5), ..base() }),
-            ("target_psnr", Options { goal: Goal::Psnr(f64::NAN), ..base() }),
-            ("max_bytes", Options { goal: Goal::Bytes(0), ..base() }),
+            ("terms", FactorOptions { terms: Some(0), ..base() }),
+            ("max_terms", FactorOptions { max_terms: 0, ..base() }),
+            ("degree", FactorOptions { degree: Some(16), ..base() }),
+            ("max_degree", FactorOptions { max_degree: 16, ..base() }),
+            ("degree", FactorOptions { degree: Some(2), model: joint, ..base() }),
+            ("degree", FactorOptions { degree: Some(2), model: peers, ..base() }),
+            ("accuracy", FactorOptions { accuracy: 0.0, ..base() }),
+            ("accuracy", FactorOptions { accuracy: 1.0, ..base() }),
+            ("accuracy", FactorOptions { accuracy: f64::NAN, ..base() }),
+            ("target_psnr", FactorOptions { goal: Goal::Psnr(0.0), ..base() }),
+            ("target_psnr", FactorOptions { goal: Goal::Psnr(150.5), ..base() }),
+            ("target_psnr", FactorOptions { goal: Goal::Psnr(f64::NAN), ..base() }),
+            ("max_bytes", FactorOptions { goal: Goal::Bytes(0), ..base() }),
         ];
         for (name, options) in refused {
             let found = options.check();
@@ -284,10 +284,10 @@ mod tests {
         }
         let taken = [
             base(),
-            Options { terms: Some(1), max_terms: 1, degree: Some(15), max_degree: 15, ..base() },
-            Options { degree: Some(2), model: peers, color_regression: true, ..base() },
-            Options { goal: Goal::Psnr(150.0), accuracy: 0.5, ..base() },
-            Options { goal: Goal::Bytes(1), ..base() },
+            FactorOptions { terms: Some(1), max_terms: 1, degree: Some(15), max_degree: 15, ..base() },
+            FactorOptions { degree: Some(2), model: peers, color_regression: true, ..base() },
+            FactorOptions { goal: Goal::Psnr(150.0), accuracy: 0.5, ..base() },
+            FactorOptions { goal: Goal::Bytes(1), ..base() },
         ];
         assert!(taken.iter().all(|o| o.check().is_ok()));
     }
@@ -308,7 +308,8 @@ mod tests {
     fn a_material_with_a_number_that_is_not_finite_is_refused_with_its_place() {
         let row = |_| crate::transport::Row { response: vec![1.0; 9], variance: vec![0.0; 9], valid: vec![true; 9] };
         let matrix = test_matrices::stored([2, 1], [3, 1], |_| 0.0, row);
-        let options = Options { model: Some(Model::Tucker), terms: Some(1), degree: Some(1), ..Options::default() };
+        let options =
+            FactorOptions { model: Some(Model::Tucker), terms: Some(1), degree: Some(1), ..FactorOptions::default() };
         let mut material = factor(&matrix.reader, &options, &Progress::silent()).unwrap().material;
         assert!(check_finite(&matrix.reader, &material).is_ok());
         material.color_coefficients[7] = f32::INFINITY;

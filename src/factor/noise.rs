@@ -8,7 +8,7 @@ pub(super) const F32_ROUNDING: f64 = 1.0 / (1 << 24) as f64;
 
 /// Variance of one row as it is factored, split by cause.
 #[derive(Debug, Clone)]
-pub struct RowNoise {
+pub(super) struct RowNoise {
     /// Independent from sample to sample (photons, read noise, rounding), \[plane, window\].
     pub independent: Vec<f64>,
     /// Σ_d of the variance that the uncertain place of the lit point causes; fully correlated along the row.
@@ -19,7 +19,13 @@ pub struct RowNoise {
 ///
 /// The matrix's `variance` holds both parts, the second as sd² |∇R|²: it is subtracted here, channel by channel,
 /// because channels share it, whereas their photon noise averages out.
-pub fn row_noise(row: RowView<'_>, content: Content, scale: f64, window: [usize; 2], position_sd_px: f64) -> RowNoise {
+pub(super) fn row_noise(
+    row: RowView<'_>,
+    content: Content,
+    scale: f64,
+    window: [usize; 2],
+    position_sd_px: f64,
+) -> RowNoise {
     let n = window[0] * window[1];
     let mut independent = vec![0.0; n * content.planes()];
     if row.variance.is_empty() || !scale.is_finite() {
@@ -71,7 +77,7 @@ pub fn row_noise(row: RowView<'_>, content: Content, scale: f64, window: [usize;
 
 /// Sums of the noise over rows and over columns.
 #[derive(Debug, Clone, Default)]
-pub struct Noise {
+pub(super) struct NoiseSums {
     /// max_i Σ_d v_id.
     pub largest_row: f64,
     /// max_d Σ_i v_id.
@@ -82,7 +88,7 @@ pub struct Noise {
     pub mean: f64,
 }
 
-impl Noise {
+impl NoiseSums {
     /// The spectral norm that noise alone would have.
     ///
     /// Independent entries of variance v_id have norm at most √max_i Σ_d v_id + √max_d Σ_i v_id, to leading order
@@ -90,25 +96,25 @@ impl Noise {
     /// whose rows are all alike, all of it lies in one term of norm √Σ_i sd_i² ‖∇R''_i‖². The two are independent:
     /// a term of norm θ in independent noise of norm s shows a singular value below √(θ² + s²)
     /// (`BenaychGeorges2012`), hence the quadrature.
-    pub fn level(&self) -> f64 {
+    pub(super) fn level(&self) -> f64 {
         let independent = self.largest_row.sqrt() + self.largest_column.sqrt();
         (independent * independent + self.registration).sqrt()
     }
 
     /// For rows that are divided by `unit`.
-    pub fn divide(&mut self, unit: f64) {
+    pub(super) fn divide(&mut self, unit: f64) {
         for v in [&mut self.largest_row, &mut self.largest_column, &mut self.registration, &mut self.mean] {
             *v /= unit * unit;
         }
     }
 
     /// [`Self::level`], or what rounding rows to f32 hides when that is more.
-    pub fn threshold(&self, singular_values: &[f64]) -> f64 {
+    pub(super) fn threshold(&self, singular_values: &[f64]) -> f64 {
         self.level().max(F32_ROUNDING * singular_values.first().copied().unwrap_or(0.0))
     }
 
     /// Terms above the noise, at least one.
-    pub fn terms(&self, singular_values: &[f64]) -> usize {
+    pub(super) fn terms(&self, singular_values: &[f64]) -> usize {
         let level = self.threshold(singular_values);
         singular_values.iter().take_while(|&&s| s > level).count().max(1)
     }
@@ -136,7 +142,7 @@ mod tests {
         }
         let row = (0..n).map(|i| (0..m).map(|d| v(i, d)).sum::<f64>()).fold(0.0, f64::max);
         let column = (0..m).map(|d| (0..n).map(|i| v(i, d)).sum::<f64>()).fold(0.0, f64::max);
-        let noise = Noise { largest_row: row, largest_column: column, ..Default::default() };
+        let noise = NoiseSums { largest_row: row, largest_column: column, ..Default::default() };
         let rows = InMemory::new(&values, m, 50);
         let first = low_rank(&rows, 1, Backend::Full, 0.0, None).unwrap().singular_values[0];
         // The bound is on the expectation; fluctuations of the norm are of the order of one entry's sd, 1 in 20.
@@ -287,7 +293,7 @@ mod tests {
     #[test]
     fn the_level_adds_independent_norms_and_the_place_in_quadrature() {
         let noise =
-            |row, column, place| Noise { largest_row: row, largest_column: column, registration: place, mean: 7.0 };
+            |row, column, place| NoiseSums { largest_row: row, largest_column: column, registration: place, mean: 7.0 };
         assert_eq!(noise(9.0, 16.0, 0.0).level(), 7.0);
         assert_eq!(noise(9.0, 0.0, 16.0).level(), 5.0);
         assert_eq!(noise(0.0, 0.0, 144.0).level(), 12.0);
@@ -300,11 +306,11 @@ mod tests {
 
     #[test]
     fn terms_are_those_above_the_level_and_at_least_one() {
-        let noise = Noise { largest_row: 4.0, ..Default::default() };
+        let noise = NoiseSums { largest_row: 4.0, ..Default::default() };
         assert_eq!(noise.terms(&[5.0, 3.0, 2.0, 1.9]), 2, "one at the level is not above it");
         assert_eq!((noise.terms(&[1.0, 0.5]), noise.terms(&[])), (1, 1));
         // Values of 2⁻²⁴ of the largest are what storing rows as f32 leaves.
-        let exact = Noise::default();
+        let exact = NoiseSums::default();
         let largest = 2.0_f64.powi(24);
         assert_eq!(exact.threshold(&[largest, 3.0]), 1.0);
         assert_eq!(exact.terms(&[largest, 1.5, 1.0, 0.5]), 2);

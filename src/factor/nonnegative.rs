@@ -16,7 +16,7 @@ const ROUNDS: usize = 1000;
 const SETTLED: f64 = 3e-5;
 
 /// Factors of one plane.
-pub struct NonNegative {
+pub(super) struct NonNegative {
     /// \[rows, terms\].
     pub left: Vec<f64>,
     /// \[terms, samples\], before the profile.
@@ -24,7 +24,13 @@ pub struct NonNegative {
 }
 
 /// Factors the columns `first .. first + profile.len()` of the projected rows.
-pub fn factorize(projected: &Triplets, columns: usize, first: usize, profile: &[f64], terms: usize) -> NonNegative {
+pub(super) fn factorize(
+    projected: &Triplets,
+    columns: usize,
+    first: usize,
+    profile: &[f64],
+    terms: usize,
+) -> NonNegative {
     let (rank, m) = (projected.weights.len(), profile.len());
     let n = projected.left.len() / rank.max(1);
     // A = Y Vᵀ, n × m: least squares in R is that of A itself against F (H m).

@@ -153,7 +153,7 @@ pub(super) fn intensity_range(material: &Material, rows: impl IntoIterator<Item 
 
 #[cfg(test)]
 mod tests {
-    use super::super::test_matrices::{Stored, solved, stored};
+    use super::super::test_matrices::{StoredMatrix, solved, stored};
     use super::*;
     use crate::material::{MaterialHeader, Model};
     use crate::transport::Row;
@@ -172,7 +172,7 @@ mod tests {
         0.3 + 0.1 * ((k * k + 3 * k * (c + 1) + 5 * i) % 19) as f64 * (1.0 + 0.5 * c as f64)
     }
 
-    fn matrix() -> Stored {
+    fn matrix() -> StoredMatrix {
         stored(
             POINTS,
             WINDOW,

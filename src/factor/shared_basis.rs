@@ -21,7 +21,7 @@ pub(super) struct Sharing<'a> {
 
 impl<'a> Sharing<'a> {
     /// For the first `terms` triplets.
-    pub fn new(all: &'a Triplets, planes: usize, terms: usize) -> Self {
+    pub(super) fn new(all: &'a Triplets, planes: usize, terms: usize) -> Self {
         let samples = all.right.len() / all.weights.len().max(1) / planes;
         let maps = Mat::from_fn(samples, planes * terms, |e, m| {
             let (j, k) = (m / planes, m % planes);
@@ -38,7 +38,7 @@ impl<'a> Sharing<'a> {
     }
 
     /// Σ of what is left out, over the number of maps kept: entry K for K maps of `terms` terms.
-    pub fn left_out(&self, terms: usize) -> Result<Vec<f64>> {
+    pub(super) fn left_out(&self, terms: usize) -> Result<Vec<f64>> {
         let (values, _) = self.spectrum(terms)?;
         let mut left = vec![0.0; values.len() + 1];
         for l in (0..values.len()).rev() {
@@ -48,13 +48,13 @@ impl<'a> Sharing<'a> {
     }
 
     /// Fewest maps that add no more than a hundredth to `error`.
-    pub fn unnoticed(&self, terms: usize, error: f64) -> Result<usize> {
+    pub(super) fn unnoticed(&self, terms: usize, error: f64) -> Result<usize> {
         let left = self.left_out(terms)?;
         Ok(left.iter().position(|&l| l <= UNNOTICED * error).unwrap_or(self.planes * terms).max(1))
     }
 
     /// The maps and the cores; `None` where sharing would take more numbers than it saves.
-    pub fn basis(&self, terms: usize, maps: usize) -> Result<Option<SharedBasis>> {
+    pub(super) fn basis(&self, terms: usize, maps: usize) -> Result<Option<SharedBasis>> {
         let n = self.planes * terms;
         let maps = maps.min(n);
         if self.planes == 1 || maps * (self.samples + n) >= n * self.samples {

@@ -1,6 +1,6 @@
 //! From a matrix to the bytes of a material's file: factors and their storage together keep to a goal.
 
-use super::{Factored, Goal, Options, factor};
+use super::{FactorOptions, Factored, Goal, factor};
 use crate::material::coded::{self, Quality, encode};
 use crate::material::{Material, Precision, Responses};
 use crate::progress::Progress;
@@ -52,13 +52,13 @@ impl Stored {
     }
 }
 
-/// Factors a matrix and stores the material; [`Options::goal`] is that of the stored material.
+/// Factors a matrix and stores the material; [`FactorOptions::goal`] is that of the stored material.
 ///
 /// # Errors
 /// Those of [`factor`]; [`Error::Setting`] for a goal or an added error that storing cannot keep to.
 pub fn factor_and_store(
     reader: &MatrixReader,
-    options: &Options,
+    options: &FactorOptions,
     storage: &Storage,
     progress: &Progress,
 ) -> Result<Stored> {
@@ -73,7 +73,7 @@ pub fn factor_and_store(
                 Goal::Bytes(bytes) => Goal::Bytes(bytes.saturating_mul(2)),
                 goal => goal,
             };
-            let factored = factor(reader, &Options { goal, ..options.clone() }, progress)?;
+            let factored = factor(reader, &FactorOptions { goal, ..options.clone() }, progress)?;
             let (file, bytes) = (factored.material.to_half_bytes()?, factored.material.bytes_f32() / 2);
             let added_error = changed(&factored.material, &Material::from_bytes(&file)?);
             Ok(Stored { factored, file, bytes, added_error })
@@ -82,7 +82,7 @@ pub fn factor_and_store(
     }
 }
 
-fn coded(reader: &MatrixReader, options: &Options, storage: &Storage, progress: &Progress) -> Result<Stored> {
+fn coded(reader: &MatrixReader, options: &FactorOptions, storage: &Storage, progress: &Progress) -> Result<Stored> {
     let goals = match options.goal {
         // Coding needs room of its own.
         Goal::Psnr(db) => vec![Goal::Psnr(db + ROOM_DB)],
@@ -94,12 +94,12 @@ fn coded(reader: &MatrixReader, options: &Options, storage: &Storage, progress: 
     };
     let mut last = Err(Error::internal("no goal was tried"));
     for goal in goals {
-        let factored = factor(reader, &Options { goal, ..options.clone() }, progress)?;
+        let factored = factor(reader, &FactorOptions { goal, ..options.clone() }, progress)?;
         let quality = match options.goal {
             Goal::Bytes(bytes) => Quality::MaxBytes(bytes),
             goal => Quality::AddedError(storage.added_error.unwrap_or_else(|| room(&factored, goal))),
         };
-        match encode(&factored.material, &coded::Options { quality, ..coded::Options::default() }) {
+        match encode(&factored.material, &coded::EncodeOptions { quality, ..coded::EncodeOptions::default() }) {
             Ok(coded) => {
                 let (bytes, added_error) = (coded.bytes.len() as u64, coded.added_error);
                 return Ok(Stored { factored, file: coded.bytes, bytes, added_error });

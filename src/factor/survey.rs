@@ -2,7 +2,7 @@
 
 use super::content::{Content, RawRows};
 use super::fill::extend_edges;
-use super::noise::{Noise, row_noise};
+use super::noise::{NoiseSums, row_noise};
 use super::{Misfit, vector};
 use crate::material::Layout;
 use crate::progress::Progress;
@@ -17,7 +17,7 @@ const GROUP: usize = 64;
 
 /// What the first pass finds.
 #[derive(Debug, Clone)]
-pub struct Survey {
+pub(super) struct Survey {
     /// Shift and scale of every row.
     pub placements: Vec<Placement>,
     /// The common window.
@@ -25,7 +25,7 @@ pub struct Survey {
     /// Mean row on the common window, \[plane, y, x\], in the unit of the factored rows.
     pub mean: Vec<f64>,
     /// Noise of the factored rows.
-    pub noise: Noise,
+    pub noise: NoiseSums,
     /// Whether every row measured the whole common window.
     pub complete: bool,
     /// The largest response, mm⁻²; 0 when none is positive.
@@ -90,7 +90,7 @@ pub(super) struct GreyTest {
 
 impl GreyTest {
     /// Adds what tells colour from grey in a row: differences of green from red and from blue.
-    pub fn add(&mut self, row: RowView<'_>) {
+    pub(super) fn add(&mut self, row: RowView<'_>) {
         if self.colored {
             return;
         }
@@ -119,7 +119,7 @@ impl GreyTest {
     }
 
     /// Noise alone gives 1 with a standard deviation of √(2/n); rows share little else than their noise.
-    pub fn is_grey(&self) -> bool {
+    pub(super) fn is_grey(&self) -> bool {
         let spread = 5.0 * (2.0 / self.count.max(1) as f64).sqrt();
         !self.colored && (self.count == 0 || self.sum / self.count as f64 <= 1.0 + spread)
     }
@@ -142,16 +142,16 @@ pub(super) fn survey(
     let widest = Layout { window, extended: std::array::from_fn(|a| window[a] + 2 * limit[a]) };
     let mut sums = Sums::new(widest, content.planes());
     let mut placements = Vec::with_capacity(header.rows());
-    let mut noise = Noise::default();
+    let mut noise = NoiseSums::default();
     reader.for_each_block(|block| {
         let found: Vec<Placement> =
             (0..block.rows).into_par_iter().map(|k| place(block.view(k), window, limit)).collect();
         let raw = RawRows::extract(&block, content, |k| scale(content, Some(&found[k])));
-        let groups: Vec<(Sums, Noise)> = (0..block.rows.div_ceil(GROUP))
+        let groups: Vec<(Sums, NoiseSums)> = (0..block.rows.div_ceil(GROUP))
             .into_par_iter()
             .map(|g| {
                 let mut sums = Sums::new(widest, content.planes());
-                let mut noise = Noise::default();
+                let mut noise = NoiseSums::default();
                 for k in g * GROUP..((g + 1) * GROUP).min(block.rows) {
                     let sd_px = header.position_sd_mm[block.first + k] / header.pitch_mm;
                     sums.add(
@@ -231,7 +231,7 @@ impl Sums {
         placement: &Placement,
         content: Content,
         sd_px: f64,
-        noise: &mut Noise,
+        noise: &mut NoiseSums,
     ) {
         let row = block.view(k);
         // What was not measured is zero, and adds nothing.

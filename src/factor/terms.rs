@@ -7,9 +7,9 @@ use super::content::Content;
 use super::fill::Basis;
 use super::noise::F32_ROUNDING;
 use super::nonnegative::factorize;
-use super::rows::PreparedRows;
+use super::prepared_rows::PreparedRows;
 use super::shared_basis::Sharing;
-use super::{Misfit, Options};
+use super::{FactorOptions, Misfit};
 use crate::material::{Material, MaterialHeader, Model, OffsetFactors, Responses};
 use crate::transport::MatrixReader;
 use crate::{Error, Result};
@@ -40,7 +40,7 @@ pub(super) fn fit(
     reader: &MatrixReader,
     rows: &mut PreparedRows<'_>,
     model: Model,
-    options: &Options,
+    options: &FactorOptions,
 ) -> Result<TermsFit> {
     let (n, columns) = rows.shape();
     let chosen = options.backend.unwrap_or_else(|| backend::choose(n, columns, options.accuracy));
@@ -75,7 +75,7 @@ pub(super) fn fit(
 /// The truncated SVD of the rows, repeated while missing samples are estimated from it.
 fn decompose(
     rows: &mut PreparedRows<'_>,
-    options: &Options,
+    options: &FactorOptions,
     backend: Backend,
     wanted: usize,
     mut start: Option<LowRank>,
@@ -116,7 +116,7 @@ struct Asked<'r, 'a> {
     most: usize,
     rows: &'r PreparedRows<'a>,
     model: Model,
-    options: &'r Options,
+    options: &'r FactorOptions,
 }
 
 /// What was chosen.

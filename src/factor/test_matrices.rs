@@ -3,18 +3,18 @@
 use crate::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row};
 
 /// A matrix and the folder that it lives in.
-pub struct Stored {
+pub(super) struct StoredMatrix {
     pub reader: MatrixReader,
     _folder: tempfile::TempDir,
 }
 
 /// Writes the rows that `row(index)` makes; `position_sd_mm(index)` is how well the lit point is known.
-pub fn stored(
+pub(super) fn stored(
     points: [usize; 2],
     window: [usize; 2],
     position_sd_mm: impl Fn(usize) -> f64,
     row: impl Fn(usize) -> Row,
-) -> Stored {
+) -> StoredMatrix {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.rd.zarr");
     let rows = points[0] * points[1];
@@ -34,11 +34,11 @@ pub fn stored(
     let writer = MatrixWriter::create(&path, header).unwrap();
     (0..rows).for_each(|i| writer.put(i, &row(i)).unwrap());
     writer.finish().unwrap();
-    Stored { reader: MatrixReader::open(&path).unwrap(), _folder: folder }
+    StoredMatrix { reader: MatrixReader::open(&path).unwrap(), _folder: folder }
 }
 
 /// Solves a x = b by Gaussian elimination with partial pivoting.
-pub fn solved(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
+pub(super) fn solved(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
     let n = b.len();
     for k in 0..n {
         let pivot = (k..n).max_by(|&i, &j| a[i][k].abs().total_cmp(&a[j][k].abs())).unwrap();

@@ -19,13 +19,13 @@ impl NullaryFnOnce for Dot<'_> {
 }
 
 /// Σ a b.
-pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     Arch::new().dispatch(Dot(a, b))
 }
 
 /// Σ a b inside a dispatched function.
 #[inline(always)]
-pub fn dot_in(a: &[f64], b: &[f64]) -> f64 {
+pub(super) fn dot_in(a: &[f64], b: &[f64]) -> f64 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut lanes = [0.0; LANES];
     for (a, b) in a.iter().zip(b) {
@@ -70,13 +70,13 @@ impl NullaryFnOnce for EnergyAndPeak<'_> {
 }
 
 /// Σ v², and the largest value; 0 when none is positive.
-pub fn energy_and_peak(values: &[f32]) -> (f64, f64) {
+pub(super) fn energy_and_peak(values: &[f32]) -> (f64, f64) {
     Arch::new().dispatch(EnergyAndPeak(values))
 }
 
 /// y ← y + s x inside a dispatched function.
 #[inline(always)]
-pub fn axpy_in(s: f64, x: &[f64], y: &mut [f64]) {
+pub(super) fn axpy_in(s: f64, x: &[f64], y: &mut [f64]) {
     for (y, x) in y.iter_mut().zip(x) {
         *y += s * x;
     }

@@ -14,5 +14,4 @@ pub use homography::Homography;
 pub use lens::{CameraView, Lens};
 pub use projector::SlabFromProjector;
 
-/// A point or vector of the plane, (x, y).
-pub type Point = [f64; 2];
+pub use acquire_material::Point;

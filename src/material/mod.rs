@@ -46,7 +46,7 @@ pub fn save(material: &Material, precision: Precision, path: &Path) -> Result<()
     let bytes = match precision {
         Precision::F32 => material.to_bytes()?,
         Precision::F16 => material.to_half_bytes()?,
-        Precision::Coded => coded::encode(material, &coded::Options::default())?.bytes,
+        Precision::Coded => coded::encode(material, &coded::EncodeOptions::default())?.bytes,
     };
     write_whole(path, &bytes)
 }

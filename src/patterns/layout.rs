@@ -8,7 +8,7 @@ use crate::{Error, Result};
 
 /// Everything about the rig and the sample that the layout needs, with every default filled in.
 #[derive(Debug, Clone)]
-pub(super) struct Layout {
+pub(super) struct PlanLayout {
     pub slab_mm: Point,
     pub projector_from_slab: Homography,
     pub window: Window,
@@ -21,9 +21,9 @@ pub(super) struct Layout {
 /// Shares of a side at which the two reference dots beside it lie.
 const REFERENCES_ALONG: [f64; 2] = [0.2, 0.8];
 
-impl Layout {
+impl PlanLayout {
     /// The plan: what `docs/captures.md` tells people to shoot, in its order, so that the object before the camera changes thrice.
-    pub fn plan(&self, options: &PatternsOptions, rig: &Rig) -> Result<Plan> {
+    pub(super) fn plan(&self, options: &PatternsOptions, rig: &Rig) -> Result<Plan> {
         let grid = self.grid(options)?;
         let size_px = rig.projector.size_px;
         let reference_dots = self.reference_dots(options, &grid);
@@ -76,13 +76,13 @@ impl Layout {
     }
 
     /// The spacing along each axis in lit points.
-    pub fn spacing_points(&self, grid: &Grid) -> [usize; 2] {
+    pub(super) fn spacing_points(&self, grid: &Grid) -> [usize; 2] {
         let px = self.spacing_mm * self.px_per_mm();
         std::array::from_fn(|a| ((px / grid.step_projector_px[a] - 1e-9).ceil().max(1.0) as usize).min(grid.points[a]))
     }
 
     /// Points in the middle of the slab, half a window from its rim where it is large enough, on whole projector pixels.
-    pub fn grid(&self, options: &PatternsOptions) -> Result<Grid> {
+    pub(super) fn grid(&self, options: &PatternsOptions) -> Result<Grid> {
         let scale = self.px_per_mm();
         let dot = options.dot_px;
         let refuse = |setting, expected: String, found: String| Err(Error::Setting { setting, expected, found });

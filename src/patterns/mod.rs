@@ -11,7 +11,7 @@ mod spacing;
 
 pub use layout::{gray_bits, lattice_shots};
 pub use page::hours;
-pub use picture::Picture;
+pub use picture::ProjectorPicture;
 pub use plan::{PLAN_FILE, Plan, PlannedShot};
 pub use probe::{Probe, ProbeChoice};
 pub use spacing::{SpacingChoice, SpacingOptions, Tails, choose_spacing};
@@ -21,7 +21,7 @@ use crate::geometry::{Homography, Point};
 use crate::output::NewFolder;
 use crate::progress::Progress;
 use crate::{Error, Result};
-use layout::Layout;
+use layout::PlanLayout;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
@@ -138,7 +138,12 @@ pub fn plan(options: &PatternsOptions, rig: &Rig, probe: Option<&Probe>) -> Resu
     Ok(Patterns { plan, without_probe, choice })
 }
 
-fn layout(options: &PatternsOptions, rig: &Rig, probe: Option<&Probe>, choice: Option<&ProbeChoice>) -> Result<Layout> {
+fn layout(
+    options: &PatternsOptions,
+    rig: &Rig,
+    probe: Option<&Probe>,
+    choice: Option<&ProbeChoice>,
+) -> Result<PlanLayout> {
     let missing = |setting, expected: &str| Error::Setting { setting, expected: expected.into(), found: "none".into() };
     let slab_mm = options.slab_mm.or(probe.map(|p| p.manifest.slab.size_mm));
     let slab_mm = slab_mm.ok_or_else(|| missing("slab_mm", "the sample's size, or a probe of it"))?;
@@ -161,7 +166,7 @@ fn layout(options: &PatternsOptions, rig: &Rig, probe: Option<&Probe>, choice: O
         (None, Some(probe)) => probe.white_secs.clone(),
         (secs, _) => bracket(secs.unwrap_or(shortest), WHITE_EXPOSURES),
     };
-    Ok(Layout {
+    Ok(PlanLayout {
         slab_mm,
         projector_from_slab,
         window: Window { samples: [samples; 2], pitch_mm },
@@ -204,7 +209,7 @@ pub fn patterns(
     let stage = progress.stage("pictures", written.plan.shots.len());
     written.plan.shots.par_iter().try_for_each(|shot| {
         let Some(picture) = &shot.picture else { return Ok(()) };
-        Picture::of(&written.plan, &shot.pattern, rig.projector.size_px).write(&dir.join(picture))?;
+        ProjectorPicture::of(&written.plan, &shot.pattern, rig.projector.size_px).write(&dir.join(picture))?;
         stage.advance(1);
         Ok::<_, Error>(())
     })?;
@@ -214,13 +219,13 @@ pub fn patterns(
 }
 
 /// The rims of slab and lit points as the projector sees them.
-fn alignment(layout: &Layout, plan: &Plan, rig: &Rig) -> Picture {
+fn alignment(layout: &PlanLayout, plan: &Plan, rig: &Rig) -> ProjectorPicture {
     let [w, h] = layout.slab_mm;
     let slab = [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(|p| layout.projector_from_slab.map(p));
     let last = plan.grid.points.map(|n| n - 1);
     let lit = [[0, 0], [last[0], 0], last, [0, last[1]]].map(|d| plan.grid.dot_projector_px(d));
     let middle = layout.projector_from_slab.map([0.5 * w, 0.5 * h]);
-    Picture::alignment(&[slab, lit], middle, rig.projector.size_px)
+    ProjectorPicture::alignment(&[slab, lit], middle, rig.projector.size_px)
 }
 
 impl PatternsOptions {

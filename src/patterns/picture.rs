@@ -8,14 +8,14 @@ use std::path::Path;
 
 /// A grey picture, 0 black and 255 white, row by row.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Picture {
+pub struct ProjectorPicture {
     /// Columns and rows.
     pub size_px: [usize; 2],
     /// One byte a pixel.
     pub pixels: Vec<u8>,
 }
 
-impl Picture {
+impl ProjectorPicture {
     /// A picture of one brightness.
     pub fn even(size_px: [usize; 2], brightness: u8) -> Self {
         Self { size_px, pixels: vec![brightness; size_px[0] * size_px[1]] }

@@ -1,6 +1,6 @@
 //! What the shots together say: the header, the warnings, the provenance, the overview.
 
-use super::lattice::{Light, ShotResult};
+use super::lattice::{LightCorrections, ShotResult};
 use super::noise::FoundNoise;
 use super::radiometry::Radiometry;
 use super::register::Registered;
@@ -28,7 +28,7 @@ pub(super) struct Stages<'a> {
     pub working: Working,
     pub radiometry: &'a Radiometry,
     pub registered: &'a Registered,
-    pub light: &'a Light,
+    pub light: &'a LightCorrections,
 }
 
 /// The header of the matrix and the findings of all stages.
@@ -125,7 +125,7 @@ pub(super) fn summarize(
 }
 
 /// Places of unlit points, the lit pitch, and the findings that need all shots together.
-fn complete(scene: &Scene<'_>, light: &Light, header: &mut MatrixHeader, warnings: &mut Vec<Warning>) {
+fn complete(scene: &Scene<'_>, light: &LightCorrections, header: &mut MatrixHeader, warnings: &mut Vec<Warning>) {
     let [nx, ny] = header.points;
     let unlit: Vec<usize> = (0..nx * ny).filter(|&r| header.shot_of[r].is_none()).collect();
     for &row in &unlit {

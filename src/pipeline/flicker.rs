@@ -49,7 +49,7 @@ const FLICKER_SIGMA: f64 = 5.0;
 
 impl Flicker {
     /// Looks at the reference dots of some lattice shots; `None` when the stacks showed no flicker.
-    pub fn measure(scene: &Scene<'_>, flicker_sd: Option<f64>) -> Result<Option<Self>> {
+    pub(super) fn measure(scene: &Scene<'_>, flicker_sd: Option<f64>) -> Result<Option<Self>> {
         let Some(sd) = flicker_sd else { return Ok(None) };
         // Unknown, the white reference deviates as any photograph does.
         let white_variance = scene.references.white_variance.unwrap_or(sd * sd);
@@ -71,7 +71,7 @@ impl Flicker {
     }
 
     /// Takes what can be taken out of a shot's exposure times; returns the relative variance that remains, common to its rows.
-    pub fn steady(&self, scene: &Scene<'_>, references: &mut [Bracket], windows: &mut [Bracket]) -> f64 {
+    pub(super) fn steady(&self, scene: &Scene<'_>, references: &mut [Bracket], windows: &mut [Bracket]) -> f64 {
         let both = references.iter_mut().chain(windows.iter_mut()).collect();
         let [common, own] = self.steady_stack(&scene.photographs.sensor, both);
         let light = self.level.as_ref().and_then(|level| Some((level, reference_light(scene, references)?)));
@@ -106,12 +106,12 @@ impl Flicker {
     }
 
     /// What to tell people, given the mean relative variance that remains.
-    pub fn warning(&self, remaining: f64) -> Warning {
+    pub(super) fn warning(&self, remaining: f64) -> Warning {
         Warning::Flicker { relative_sd: self.sd, remaining_sd: remaining.sqrt() }
     }
 
     /// For the provenance.
-    pub fn record(&self, remaining: f64) -> serde_json::Value {
+    pub(super) fn record(&self, remaining: f64) -> serde_json::Value {
         serde_json::json!({
             "relative_sd": self.sd,
             "shot_level_sd": self.level.as_ref().map(|l| l.variance.sqrt()),

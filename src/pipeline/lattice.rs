@@ -34,7 +34,7 @@ pub(super) struct LitPoint {
 }
 
 /// What the light of the lattice shots is corrected by.
-pub(super) struct Light {
+pub(super) struct LightCorrections {
     /// The camera's halo.
     pub(super) stray: StrayLight,
     /// The lamp's.
@@ -70,7 +70,7 @@ pub(super) fn check_dots(scene: &Scene<'_>) -> Result<()> {
 /// Those of decoding; [`Error::Registration`], [`Error::DotSaturated`] by shot.
 pub(super) fn extract(
     scene: &Scene<'_>,
-    light: &Light,
+    light: &LightCorrections,
     movements: &Movements,
     rows: &impl RowSink,
     progress: &Progress,
@@ -91,7 +91,7 @@ pub(super) fn extract(
 
 fn extract_shot(
     scene: &Scene<'_>,
-    light: &Light,
+    light: &LightCorrections,
     shot: usize,
     movements: &Movements,
     rows: &impl RowSink,

@@ -26,7 +26,7 @@ pub use crosstalk::CrossTalk;
 use drift::Movements;
 use findings::{Stages, unmeasured};
 use flicker::Flicker;
-use lattice::Light;
+use lattice::LightCorrections;
 use photographs::Photographs;
 pub use resolution::{Resolution, Working};
 use scene::Scene;
@@ -164,8 +164,10 @@ fn measure(
     let references = references::references(&photographs, &registered, radiometry.flicker_sd, progress)?;
     let scene = Scene::new(&photographs, &registered, &references);
     lattice::check_dots(&scene)?;
-    let light =
-        Light { stray: stray::measure(&scene, progress)?, flicker: Flicker::measure(&scene, radiometry.flicker_sd)? };
+    let light = LightCorrections {
+        stray: stray::measure(&scene, progress)?,
+        flicker: Flicker::measure(&scene, radiometry.flicker_sd)?,
+    };
     let movements = Movements::prepare(&scene)?;
     let prepared = Instant::now();
     let mut shots = lattice::extract(&scene, &light, &movements, rows, progress)?;

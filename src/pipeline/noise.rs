@@ -33,7 +33,7 @@ const LEAST_DN: f64 = 0.25;
 /// # Errors
 /// Those of decoding; [`Error::Field`] naming `noise` in the rig file when it is not there and the photographs do not tell it.
 pub(super) fn find(capture: &Capture) -> Result<FoundNoise> {
-    let linear = capture.rig.camera.response == ResponseCurve::Linear;
+    let linear = capture.rig.camera.response_curve == ResponseCurve::Linear;
     match &capture.rig.noise {
         Some(noise) if !linear => {
             Ok(FoundNoise { noise: noise.clone(), estimate: None, from_rig: true, warnings: vec![] })

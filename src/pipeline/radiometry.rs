@@ -56,7 +56,7 @@ const CURVE_FILE: &str = "response.toml";
 
 impl Radiometry {
     /// What turns code values to light.
-    pub fn sensor(&self) -> Sensor {
+    pub(super) fn sensor(&self) -> Sensor {
         Sensor::with_curve(&self.noise, self.curve.clone(), self.file).averaged(block_px(&self.brackets))
     }
 }
@@ -75,13 +75,13 @@ pub(super) fn calibrate(
     let chosen = choose_shots(capture, &settings);
     let stage = progress.stage("radiometry", chosen.len() + 1);
     let file = file_noise(capture)?;
-    let mut response = match &capture.rig.camera.response {
+    let mut curve = match &capture.rig.camera.response_curve {
         ResponseCurve::Linear => None,
         ResponseCurve::Srgb | ResponseCurve::Estimate => Some(Curve::srgb()),
         ResponseCurve::File(name) => Some(Curve::read(&capture.rig_path.with_file_name(name))?),
     };
     let factor = block_px(&capture.brackets);
-    let mut sensor = Sensor::with_curve(noise, response.clone(), file).averaged(factor);
+    let mut sensor = Sensor::with_curve(noise, curve.clone(), file).averaged(factor);
     let stacks: Vec<Stack> = chosen
         .par_iter()
         .map(|&shot| {
@@ -95,10 +95,10 @@ pub(super) fn calibrate(
 
     let mut warnings = Vec::new();
     let mut estimate = None;
-    if capture.rig.camera.response == ResponseCurve::Estimate {
-        let found = curve(capture, noise, &stacks, &settings, &sensor, file, options)?;
-        response = Some(found.curve.clone());
-        sensor = Sensor::with_curve(noise, response.clone(), file).averaged(factor);
+    if capture.rig.camera.response_curve == ResponseCurve::Estimate {
+        let found = settle_curve(capture, noise, &stacks, &settings, &sensor, file, options)?;
+        curve = Some(found.curve.clone());
+        sensor = Sensor::with_curve(noise, curve.clone(), file).averaged(factor);
         estimate = Some(found);
     }
     let scales: Vec<_> =
@@ -113,7 +113,7 @@ pub(super) fn calibrate(
     stage.advance(1);
     let record = record(&fit, &settings, file, estimate.as_ref(), options);
     let (noise, flicker_sd) = (noise.clone(), fit.flicker_sd);
-    Ok(Radiometry { noise, curve: response, file, brackets, flicker_sd, warnings, record })
+    Ok(Radiometry { noise, curve, file, brackets, flicker_sd, warnings, record })
 }
 
 /// Pixels along each side of the blocks that photographs are averaged over, the same for all.
@@ -177,7 +177,7 @@ fn file_noise(capture: &Capture) -> Result<FileNoise> {
     Ok(FileNoise { sixteen_bit, compression })
 }
 
-fn curve(
+fn settle_curve(
     capture: &Capture,
     noise: &Noise,
     stacks: &[Stack],
@@ -190,7 +190,8 @@ fn curve(
     let sums = light_sums(capture, settings, sensor)?;
     let options = CurveOptions { times_sd, file };
     estimate_curve(stacks, &sums, settings.secs.len(), noise, &options).ok_or_else(|| {
-        let expected = "a known response: the stacks have too few pixels that two exposures measured to estimate it";
+        let expected =
+            "a known response curve: the stacks have too few pixels that two exposures measured to estimate it";
         Error::field(&capture.rig_path, "camera.response", expected, "\"estimate\"")
     })
 }
@@ -261,7 +262,7 @@ fn sum_pixels(samples: [&Samples; 3], sensor: &Sensor) -> Vec<usize> {
 
 /// Saves an estimated curve beside `rig.toml`; a warning when that cannot be written.
 pub(super) fn save_curve(capture: &Capture, sensor: &Sensor) -> Option<Warning> {
-    let curve = sensor.curve().filter(|_| capture.rig.camera.response == ResponseCurve::Estimate)?;
+    let curve = sensor.curve().filter(|_| capture.rig.camera.response_curve == ResponseCurve::Estimate)?;
     let path = capture.rig_path.with_file_name(CURVE_FILE);
     let refused = curve.write(&path).err()?;
     Some(Warning::CurveNotSaved { file: path.display().to_string(), reason: refused.to_string() })

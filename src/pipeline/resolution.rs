@@ -56,7 +56,7 @@ pub(super) fn choose(capture: &Capture, noise: &Noise, options: &BuildOptions, p
             return Err(Error::Setting { setting: "resolution", expected, found: px.to_string() });
         }
     };
-    if capture.rig.camera.response != ResponseCurve::Linear || at_most(capture) < 2.0 * least_px {
+    if capture.rig.camera.response_curve != ResponseCurve::Linear || at_most(capture) < 2.0 * least_px {
         return Ok(full);
     }
     let stage = progress.stage("resolution", 1);

@@ -12,7 +12,7 @@ pub(super) fn capture(shots: &[(Pattern, &[f64])]) -> Capture {
         size_px: [17, 11],
         focal_px: 50.0,
         principal_px: [9.0, 4.0],
-        response: ResponseCurve::Linear,
+        response_curve: ResponseCurve::Linear,
         vignetting: vec![],
     };
     let noise = Noise { black_dn: 100.0, saturation_dn: 4000.0, gain_dn_per_electron: 0.5, read_noise_electrons: 4.0 };
@@ -88,7 +88,7 @@ fn stages_that_go_on_from_saved_outputs_give_the_same_rows_to_the_last_bit() {
         let scene = Scene::new(&photographs, &registered, &references);
         let stray = passed(stray::measure(&scene, &silent).unwrap(), through_files);
         let flicker = passed(Flicker::measure(&scene, radiometry.flicker_sd).unwrap(), through_files);
-        let (light, sink) = (Light { stray, flicker }, HeldRows::default());
+        let (light, sink) = (LightCorrections { stray, flicker }, HeldRows::default());
         let movements = Movements::prepare(&scene).unwrap();
         lattice::extract(&scene, &light, &movements, &sink, &silent).unwrap();
         let row = |index: usize| sink.row(index).unwrap();

@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// Code values of an 8-bit file; those of 16 bits are counted in 257ths.
-pub const CODES: usize = 256;
+pub(super) const CODES: usize = 256;
 /// Light of the largest code value: the linear signal of encoded files is counted from 0 to 255.
-pub const FULL: f64 = 255.0;
+pub(super) const FULL: f64 = 255.0;
 
 /// Linear light of each 8-bit code value, per channel, from 0 to `FULL`; between codes it is interpolated.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -14,7 +14,7 @@ pub use exposures::{ExposureFit, Stack, StackScales, fit_exposures, pick_pixels,
 pub(crate) use exposures::{evenly, take};
 pub use hot_pixels::{HotPixel, find_hot_pixels, mend};
 pub use merge::{Exposure, Radiance, merge};
-pub use noise::{Block, DarkLevels, Grid, NoiseEstimate, black_level, blocks, clipping_code, fit, saturation};
+pub use noise::{Block, BlockGrid, DarkLevels, NoiseEstimate, black_level, blocks, clipping_code, fit, saturation};
 pub use sensor::{FileNoise, Sensor};
 pub use shot::{Bracket, decode_shot, decode_whole};
 pub use stray::{Halo, StrayLight};

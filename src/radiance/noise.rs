@@ -59,7 +59,7 @@ pub fn blocks(
     black_dn: f64,
     saturation_dn: f64,
     variance_share: [f32; 3],
-) -> Grid {
+) -> BlockGrid {
     // Whole numbers stop at 0, and with them the noise; floating point does not.
     let least = if matches!(first, Samples::F32(_)) { f64::NEG_INFINITY } else { 0.0 };
     let code = |s: &Samples, k: usize| match s {
@@ -86,12 +86,12 @@ pub fn blocks(
             }
         }
     }
-    Grid { size, blocks: found }
+    BlockGrid { size, blocks: found }
 }
 
 /// The blocks of a pair of photographs, where they lie.
 #[derive(Debug, Clone)]
-pub struct Grid {
+pub struct BlockGrid {
     size: [usize; 2],
     blocks: Vec<Option<Block>>,
 }
@@ -187,7 +187,12 @@ pub fn saturation(histograms: &[Vec<u32>; 3]) -> (f64, bool) {
 ///
 /// # Errors
 /// What is missing, in words: too few blocks in light or near black.
-pub fn fit(grids: &[Grid], black: (f64, f64), saturation: (f64, bool), rounding: f64) -> Result<NoiseEstimate, String> {
+pub fn fit(
+    grids: &[BlockGrid],
+    black: (f64, f64),
+    saturation: (f64, bool),
+    rounding: f64,
+) -> Result<NoiseEstimate, String> {
     let seen: Vec<Block> = grids.iter().flat_map(|g| g.blocks.iter().flatten().copied()).collect();
     let brightest = seen.iter().map(|b| b.mean - black.0).fold(0.0, f64::max);
     let median = |range: std::ops::Range<f64>| {
@@ -249,7 +254,7 @@ impl Line {
 
     /// Weighted least squares over the blocks that this line does not make outliers, nor neighbours of one: those hold the
     /// blur of its stripe. `None` without blocks at two levels.
-    fn refit(&self, grids: &[Grid], black: f64) -> Option<Self> {
+    fn refit(&self, grids: &[BlockGrid], black: f64) -> Option<Self> {
         // A variance of so many degrees of freedom is known to √(2/n); five of that.
         let limit = 1.0 + 5.0 * (2.0 / FREEDOM).sqrt();
         let strange = |b: &Option<Block>| b.is_none_or(|b| b.variance > limit * self.at(b.mean - black));

@@ -12,9 +12,9 @@ pub struct Sensor {
     pub(super) gain: f32,
     /// Variance of reading out, DN².
     read: f32,
-    /// Variance that a linear response adds in files of whole code values, DN²: rounding and compression.
+    /// Variance that a linear response curve adds in files of whole code values, DN²: rounding and compression.
     coding: f32,
-    /// When the response is not linear.
+    /// When the curve is not linear.
     encoding: Option<Encoding>,
 }
 
@@ -53,7 +53,7 @@ impl Sensor {
     /// The sensor that a rig file describes by itself, for files without compression; `"estimate"` and saved curves are taken for sRGB. `None`
     /// when its noise has to be measured.
     pub fn of_rig(rig: &Rig) -> Option<Self> {
-        let curve = (rig.camera.response != ResponseCurve::Linear).then(Curve::srgb);
+        let curve = (rig.camera.response_curve != ResponseCurve::Linear).then(Curve::srgb);
         rig.noise.as_ref().map(|noise| Self::with_curve(noise, curve, FileNoise::default()))
     }
 
@@ -101,7 +101,7 @@ impl Sensor {
         }
     }
 
-    /// Variance of no light, DN²: read-out, and with a linear response what whole code values add. Floating-point files were not rounded to DN.
+    /// Variance of no light, DN²: read-out, and with a linear response curve what whole code values add. Floating-point files were not rounded to DN.
     pub(super) fn floor(&self, samples: &Samples) -> f32 {
         let whole = !matches!(samples, Samples::F32(_));
         self.read + if whole { self.coding } else { 0.0 }
@@ -301,9 +301,9 @@ mod tests {
 
     #[test]
     fn a_rigs_own_sensor_needs_its_noise_and_takes_unknown_curves_for_srgb() {
-        let of = |response: ResponseCurve, noise: Option<Noise>| {
+        let of = |response_curve: ResponseCurve, noise: Option<Noise>| {
             let camera =
-                Camera { size_px: [9, 7], focal_px: 9.0, principal_px: [4.0; 2], response, vignetting: vec![] };
+                Camera { size_px: [9, 7], focal_px: 9.0, principal_px: [4.0; 2], response_curve, vignetting: vec![] };
             let projector = Projector { size_px: [64, 36], principal_px: None };
             let white_reference = WhiteReference { reflectance: [0.91, 0.74, 0.52] };
             Sensor::of_rig(&Rig { format: 1, camera, noise, projector, board: None, frame: None, white_reference })
@@ -311,8 +311,8 @@ mod tests {
         assert!(of(ResponseCurve::Linear, None).is_none());
         let linear = of(ResponseCurve::Linear, Some(NOISE)).unwrap();
         assert!(linear.curve().is_none() && linear.full_range() == 237.0);
-        for response in [ResponseCurve::Srgb, ResponseCurve::Estimate, ResponseCurve::File("a.toml".into())] {
-            assert_eq!(of(response, Some(NOISE)).unwrap().curve(), Some(&Curve::srgb()));
+        for response_curve in [ResponseCurve::Srgb, ResponseCurve::Estimate, ResponseCurve::File("a.toml".into())] {
+            assert_eq!(of(response_curve, Some(NOISE)).unwrap().curve(), Some(&Curve::srgb()));
         }
     }
 }

@@ -61,9 +61,12 @@ pub(super) fn percentile(values: &[f32], q: f64) -> f32 {
 mod tests {
     use super::*;
 
-    use super::super::pictures::{picture, share};
-    use crate::capture::{Rect, ResponseCurve};
-    use crate::geometry::Homography;
+    #[cfg(feature = "opencv")]
+    use {
+        super::super::pictures::{picture, share},
+        crate::capture::{Rect, ResponseCurve},
+        crate::geometry::Homography,
+    };
 
     #[test]
     fn percentiles_are_values_of_the_sorted_list() {
@@ -78,8 +81,8 @@ mod tests {
         (0..2).for_each(corners_of_a_board);
     }
 
-    #[cfg(feature = "opencv")]
     /// OpenCV begins at the one or the other end, by which squares are dark.
+    #[cfg(feature = "opencv")]
     fn corners_of_a_board(first_dark: i64) {
         // Squares of 2 mm, seen obliquely at about 6 and 5 px a millimetre; light inside the board only.
         let h = Homography { matrix: [[6.4, 0.4, 9.0], [-0.3, 5.3, 14.0], [2e-3, -1e-3, 1.0]] };
@@ -97,7 +100,7 @@ mod tests {
             size_px: [120, 90],
             focal_px: 400.0,
             principal_px: [59.5, 44.5],
-            response: ResponseCurve::Linear,
+            response_curve: ResponseCurve::Linear,
             vignetting: Vec::new(),
         };
         let pairs = find_board(&seen, &board, &camera).unwrap();

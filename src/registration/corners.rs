@@ -7,7 +7,7 @@ use crate::geometry::Point;
 /// # Errors
 /// OpenCV's own.
 #[cfg(feature = "opencv")]
-pub fn find_corners(picture: &[f32], height: usize, inner: [usize; 2]) -> Result<Vec<Point>, String> {
+pub(super) fn find_corners(picture: &[f32], height: usize, inner: [usize; 2]) -> Result<Vec<Point>, String> {
     use opencv::{calib3d, core, imgproc, prelude::*};
     let pattern = core::Size::new(inner[0] as i32, inner[1] as i32);
     let find = || -> opencv::Result<Vec<Point>> {
@@ -36,6 +36,6 @@ pub fn find_corners(picture: &[f32], height: usize, inner: [usize; 2]) -> Result
 /// # Errors
 /// Always.
 #[cfg(not(feature = "opencv"))]
-pub fn find_corners(_: &[f32], _: usize, _: [usize; 2]) -> Result<Vec<Point>, String> {
+pub(super) fn find_corners(_: &[f32], _: usize, _: [usize; 2]) -> Result<Vec<Point>, String> {
     Err("a board is found by OpenCV, and this program was built without it (feature `opencv`)".into())
 }

@@ -79,7 +79,7 @@ impl DotShape {
     ///
     /// Not detected: an edge between materials within the footprint itself, which moves the core's own light.
     pub fn find(&self, picture: &Radiance, start: Point) -> Option<FoundDot> {
-        let window = Window::new(picture);
+        let window = PixelLight::new(picture);
         let mut best: Option<FoundDot> = None;
         for template in &self.templates {
             let from = best.map_or(start, |b| b.at);
@@ -94,7 +94,7 @@ impl DotShape {
         best
     }
 
-    fn fit(&self, template: &[f64], window: &Window, start: Point) -> Option<FoundDot> {
+    fn fit(&self, template: &[f64], window: &PixelLight, start: Point) -> Option<FoundDot> {
         let mut at = start;
         let mut last = None;
         for _ in 0..STEPS {
@@ -128,7 +128,7 @@ impl DotShape {
     fn equations(
         &self,
         template: &[f64],
-        w: &Window,
+        w: &PixelLight,
         at: Point,
     ) -> Option<([[f64; UNKNOWNS]; UNKNOWNS], [f64; UNKNOWNS], Sums)> {
         let r = self.radius_px;
@@ -197,12 +197,12 @@ struct Sums {
 }
 
 /// Light and variance of a picture's pixels, `None` where no exposure measured them.
-struct Window {
+struct PixelLight {
     rect: crate::capture::Rect,
     light: Vec<Option<(f64, f64)>>,
 }
 
-impl Window {
+impl PixelLight {
     fn new(picture: &Radiance) -> Self {
         let used = picture.used.as_chunks::<3>().0.iter().map(|u| !u.contains(&0));
         let light = picture.luminance().into_iter().zip(picture.luminance_variance()).zip(used);

@@ -344,7 +344,7 @@ mod tests {
             size_px: [230, 140],
             focal_px: 400.0,
             principal_px: [110.0, 65.0],
-            response: ResponseCurve::Linear,
+            response_curve: ResponseCurve::Linear,
             vignetting: Vec::new(),
         }
     }

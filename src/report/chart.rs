@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 /// One axis: its range, its scale, its title.
 #[derive(Debug, Clone)]
-pub struct Axis {
+pub(crate) struct ChartAxis {
     /// Smallest value.
     pub min: f64,
     /// Largest value.
@@ -15,15 +15,15 @@ pub struct Axis {
     pub title: String,
 }
 
-impl Axis {
+impl ChartAxis {
     /// A linear axis; an empty range is widened.
-    pub fn linear(min: f64, max: f64, title: &str) -> Self {
+    pub(crate) fn linear(min: f64, max: f64, title: &str) -> Self {
         let (min, max) = if max > min { (min, max) } else { (min - 0.5, min + 0.5) };
         Self { min, max, log: false, title: title.to_owned() }
     }
 
     /// A logarithmic axis from the decade below `min` to the one above `max`; values that are not positive are replaced.
-    pub fn decades(min: f64, max: f64, title: &str) -> Self {
+    pub(crate) fn decades(min: f64, max: f64, title: &str) -> Self {
         let max = if max > 0.0 && max.is_finite() { max } else { 1.0 };
         let min = if min > 0.0 { min.min(max) } else { max * 1e-4 };
         let (low, high) = (min.log10().floor(), max.log10().ceil());
@@ -55,7 +55,7 @@ impl Axis {
 }
 
 /// The largest of 1, 2, 5 times a power of ten that is not above `v`.
-pub fn nice_below(v: f64) -> f64 {
+pub(crate) fn nice_below(v: f64) -> f64 {
     if !(v > 0.0 && v.is_finite()) {
         return 1.0;
     }
@@ -73,11 +73,11 @@ pub fn nice_below(v: f64) -> f64 {
 
 /// A chart under construction.
 #[derive(Debug)]
-pub struct Chart {
+pub(crate) struct Chart {
     width: f64,
     height: f64,
-    x: Axis,
-    y: Axis,
+    x: ChartAxis,
+    y: ChartAxis,
     body: String,
 }
 
@@ -88,14 +88,14 @@ const BOTTOM: f64 = 44.0;
 
 impl Chart {
     /// A chart of `width` × `height` CSS px with axes and grid lines.
-    pub fn new(width: f64, height: f64, x: Axis, y: Axis) -> Self {
+    pub(crate) fn new(width: f64, height: f64, x: ChartAxis, y: ChartAxis) -> Self {
         let mut chart = Self { width, height, x, y, body: String::new() };
         chart.axes();
         chart
     }
 
     /// Where the values (x, y) are drawn.
-    pub fn at(&self, x: f64, y: f64) -> [f64; 2] {
+    pub(crate) fn at(&self, x: f64, y: f64) -> [f64; 2] {
         [
             LEFT + self.x.place(x) * (self.width - LEFT - RIGHT),
             self.height - BOTTOM - self.y.place(y) * (self.height - TOP - BOTTOM),
@@ -103,7 +103,7 @@ impl Chart {
     }
 
     /// A line through the values, of CSS class `class`; it is broken where a logarithmic axis does not reach.
-    pub fn line(&mut self, values: impl IntoIterator<Item = (f64, f64)>, class: &str) {
+    pub(crate) fn line(&mut self, values: impl IntoIterator<Item = (f64, f64)>, class: &str) {
         let mut d = String::new();
         let mut pen = 'M';
         for (x, y) in values {
@@ -119,7 +119,7 @@ impl Chart {
     }
 
     /// A dot of radius `r` px at each value.
-    pub fn dots(&mut self, values: impl IntoIterator<Item = (f64, f64)>, r: f64, class: &str) {
+    pub(crate) fn dots(&mut self, values: impl IntoIterator<Item = (f64, f64)>, r: f64, class: &str) {
         for (x, y) in values {
             let p = self.at(x, y);
             let _ = write!(self.body, "<circle class=\"{class}\" cx=\"{:.1}\" cy=\"{:.1}\" r=\"{r}\"/>", p[0], p[1]);
@@ -127,7 +127,7 @@ impl Chart {
     }
 
     /// A vertical bar from `low` to `high` at `x`.
-    pub fn bar(&mut self, x: f64, low: f64, high: f64, class: &str) {
+    pub(crate) fn bar(&mut self, x: f64, low: f64, high: f64, class: &str) {
         let (a, b) = (self.at(x, low), self.at(x, high));
         let _ = write!(
             self.body,
@@ -137,13 +137,13 @@ impl Chart {
     }
 
     /// Text at the value (x, y), moved by `shift` px; `anchor` is start, middle or end.
-    pub fn text(&mut self, at: (f64, f64), shift: [f64; 2], anchor: &str, text: &str) {
+    pub(crate) fn text(&mut self, at: (f64, f64), shift: [f64; 2], anchor: &str, text: &str) {
         let p = self.at(at.0, at.1);
         self.label(p[0] + shift[0], p[1] + shift[1], anchor, text);
     }
 
     /// The finished SVG; `label` says what it shows to those who cannot see it.
-    pub fn finish(self, label: &str) -> String {
+    pub(crate) fn finish(self, label: &str) -> String {
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"chart\" viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\">{}</svg>",
             self.width,
@@ -189,16 +189,16 @@ mod tests {
 
     #[test]
     fn ticks_are_round_and_inside() {
-        assert_eq!(Axis::linear(-3.1, 3.1, "").ticks(), [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]);
-        assert_eq!(Axis::decades(0.003, 4.0, "").ticks(), [1e-3, 1e-2, 1e-1, 1.0, 10.0]);
-        assert!(Axis::linear(1.0, 1.0, "").ticks().len() > 1);
-        assert!(Axis::decades(0.0, 0.0, "").ticks().len() > 1);
+        assert_eq!(ChartAxis::linear(-3.1, 3.1, "").ticks(), [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]);
+        assert_eq!(ChartAxis::decades(0.003, 4.0, "").ticks(), [1e-3, 1e-2, 1e-1, 1.0, 10.0]);
+        assert!(ChartAxis::linear(1.0, 1.0, "").ticks().len() > 1);
+        assert!(ChartAxis::decades(0.0, 0.0, "").ticks().len() > 1);
         assert_eq!((nice_below(7.3), nice_below(0.49), nice_below(0.5), nice_below(0.0)), (5.0, 0.2, 0.5, 1.0));
     }
 
     #[test]
     fn logarithmic_axes_place_decades_evenly() {
-        let chart = Chart::new(300.0, 200.0, Axis::linear(0.0, 1.0, "a"), Axis::decades(1e-3, 1.0, "b"));
+        let chart = Chart::new(300.0, 200.0, ChartAxis::linear(0.0, 1.0, "a"), ChartAxis::decades(1e-3, 1.0, "b"));
         let y = |v: f64| chart.at(0.0, v)[1];
         assert!(((y(1e-3) - y(1e-2)) - (y(1e-2) - y(1e-1))).abs() < 1e-9);
         // What lies below the range, zero and negative values included, sits on its lower end.

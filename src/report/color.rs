@@ -1,10 +1,10 @@
 //! Colours of the report: tone mapping of radiance, false-colour scales.
 
 /// An sRGB colour.
-pub type Rgb = [u8; 3];
+pub(super) type Rgb = [u8; 3];
 
 /// What was not measured: a grey that no scale below contains.
-pub const INVALID: Rgb = [128, 128, 128];
+pub(super) const INVALID: Rgb = [128, 128, 128];
 
 /// Dark to bright, perceptually even and readable by colour-blind eyes (the "inferno" scale of matplotlib, at ten places).
 const SEQUENTIAL: [Rgb; 10] = [
@@ -40,34 +40,34 @@ const COUNTS: [Rgb; 7] =
     [[214, 39, 90], [243, 192, 77], [196, 206, 110], [127, 191, 139], [78, 163, 157], [62, 127, 158], [63, 88, 143]];
 
 /// The sequential scale at `t` in 0..=1; values outside are clamped.
-pub fn sequential(t: f64) -> Rgb {
+pub(super) fn sequential(t: f64) -> Rgb {
     between(&SEQUENTIAL, t)
 }
 
 /// The diverging scale at `t` in −1..=1; values outside are clamped.
-pub fn diverging(t: f64) -> Rgb {
+pub(super) fn diverging(t: f64) -> Rgb {
     between(&DIVERGING, 0.5 * (t + 1.0))
 }
 
 /// The colour of a pixel that `n` exposures measured.
-pub fn count(n: usize) -> Rgb {
+pub(super) fn count(n: usize) -> Rgb {
     COUNTS[n.min(COUNTS.len() - 1)]
 }
 
 /// `#rrggbb`.
-pub fn hex(c: Rgb) -> String {
+pub(super) fn hex(c: Rgb) -> String {
     format!("#{:02x}{:02x}{:02x}", c[0], c[1], c[2])
 }
 
 /// A position 0..=1 on a logarithmic scale that ends at `top` and spans `decades` below it.
-pub fn log_position(value: f64, top: f64, decades: f64) -> f64 {
+pub(super) fn log_position(value: f64, top: f64, decades: f64) -> f64 {
     if value > 0.0 && top > 0.0 { ((value / top).log10() / decades + 1.0).clamp(0.0, 1.0) } else { 0.0 }
 }
 
 /// Linear RGB radiance to display colour, with a logarithmic curve that keeps the ratios of the channels.
 ///
 /// `white` is the luminance that becomes white. The curve is ln(1 + 500 L/white) / ln 501: dots and their faint surroundings are both seen.
-pub fn tone_map(rgb: [f32; 3], white: f32) -> Rgb {
+pub(super) fn tone_map(rgb: [f32; 3], white: f32) -> Rgb {
     const STRENGTH: f32 = 500.0;
     let luminance = luminance(rgb).max(0.0);
     if !(luminance > 0.0 && white > 0.0) {
@@ -79,7 +79,7 @@ pub fn tone_map(rgb: [f32; 3], white: f32) -> Rgb {
 }
 
 /// Luminance of linear Rec. 709 RGB.
-pub fn luminance(rgb: [f32; 3]) -> f32 {
+pub(super) fn luminance(rgb: [f32; 3]) -> f32 {
     0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]
 }
 

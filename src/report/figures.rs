@@ -1,8 +1,8 @@
 //! The figures about the measurement: the shot with its grid, exposures, drift, singular values.
 
-use super::chart::{Axis, Chart, nice_below};
+use super::chart::{Chart, ChartAxis, nice_below};
 use super::color;
-use super::picture::{Picture, data_url, reduction};
+use super::picture::{SrgbPicture, data_url, reduction};
 use super::text::{escape, significant};
 use super::{Files, MaterialSummary, ReportInput};
 use crate::capture::Rect;
@@ -19,14 +19,14 @@ const LIMIT_PX: usize = 1600;
 const MANY: usize = 60;
 
 /// An SVG for the page, and the same as a file that brings its own colours.
-pub fn keep(files: &mut Files, name: &str, svg: &str) {
+pub(super) fn keep(files: &mut Files, name: &str, svg: &str) {
     let style = format!("<style>{}</style>", include_str!("chart.css"));
     let at = svg.find('>').map_or(0, |i| i + 1);
     files.push((name.to_owned(), format!("{}{style}{}", &svg[..at], &svg[at..]).into_bytes()));
 }
 
 /// The tone-mapped shot with slab, windows, lit points and reference dots; then a detail of one window.
-pub fn shot(input: &ReportInput, o: &Overview, files: &mut Files) -> Result<String> {
+pub(super) fn shot(input: &ReportInput, o: &Overview, files: &mut Files) -> Result<String> {
     let [width, height] = size(o)?;
     let n = reduction(width, height, LIMIT_PX);
     let (w, h) = (width / n, height / n);
@@ -42,7 +42,7 @@ pub fn shot(input: &ReportInput, o: &Overview, files: &mut Files) -> Result<Stri
     bright.sort_by(f32::total_cmp);
     // A few hot pixels must not darken the rest.
     let white = bright.get(bright.len().saturating_sub(1 + bright.len() / 2000)).copied().unwrap_or(1.0);
-    let png = Picture::from_fn(w, h, |x, y| color::tone_map(mean(x, y), white)).png()?;
+    let png = SrgbPicture::from_fn(w, h, |x, y| color::tone_map(mean(x, y), white)).png()?;
     let mut layers = format!(
         "<image href=\"{}\" x=\"-0.5\" y=\"-0.5\" width=\"{}\" height=\"{}\"/><g class=\"found\">",
         data_url(&png),
@@ -73,7 +73,7 @@ pub fn shot(input: &ReportInput, o: &Overview, files: &mut Files) -> Result<Stri
 }
 
 /// How many exposures measured each pixel, and the legend with shares.
-pub fn exposures(o: &Overview, files: &mut Files) -> Result<(String, String)> {
+pub(super) fn exposures(o: &Overview, files: &mut Files) -> Result<(String, String)> {
     let [width, height] = size(o)?;
     let n = reduction(width, height, LIMIT_PX);
     let used = |k: usize| o.radiance.used[3 * k..3 * k + 3].iter().copied().min().unwrap_or(0);
@@ -82,7 +82,7 @@ pub fn exposures(o: &Overview, files: &mut Files) -> Result<(String, String)> {
         let block = (0..n * n).map(|k| used((y * n + k / n) * width + x * n + k % n));
         usize::from(block.min().unwrap_or(0))
     };
-    let png = Picture::from_fn(width / n, height / n, |x, y| color::count(worst(x, y))).png()?;
+    let png = SrgbPicture::from_fn(width / n, height / n, |x, y| color::count(worst(x, y))).png()?;
     let img = format!(
         "<img src=\"{}\" width=\"{}\" height=\"{}\" alt=\"Number of exposures that measured each pixel\">",
         data_url(&png),
@@ -111,7 +111,7 @@ pub fn exposures(o: &Overview, files: &mut Files) -> Result<(String, String)> {
 }
 
 /// Every shot's drift as an arrow from the centre, x right and y down as in the photographs.
-pub fn drift_compass(shots: &[ShotRecord], files: &mut Files) -> String {
+pub(super) fn drift_compass(shots: &[ShotRecord], files: &mut Files) -> String {
     const R: f64 = 120.0;
     let largest = shots.iter().map(|s| s.drift_px[0].hypot(s.drift_px[1])).fold(0.0, f64::max);
     let full = if largest > 0.0 { largest * 1.1 } else { 1.0 };
@@ -144,15 +144,15 @@ pub fn drift_compass(shots: &[ShotRecord], files: &mut Files) -> String {
 }
 
 /// Drift along x and y against the shot's number, with two standard deviations.
-pub fn drift_series(shots: &[ShotRecord], files: &mut Files) -> String {
+pub(super) fn drift_series(shots: &[ShotRecord], files: &mut Files) -> String {
     let reach = shots
         .iter()
         .map(|s| s.drift_px[0].abs().max(s.drift_px[1].abs()) + 2.0 * s.drift_sd_px.unwrap_or(0.0))
         .fold(1e-3, f64::max)
         * 1.08;
     let last = shots.len().saturating_sub(1) as f64;
-    let x = Axis::linear(-0.5, last + 0.5, "shot");
-    let mut chart = Chart::new(560.0, 280.0, x, Axis::linear(-reach, reach, "drift, camera px"));
+    let x = ChartAxis::linear(-0.5, last + 0.5, "shot");
+    let mut chart = Chart::new(560.0, 280.0, x, ChartAxis::linear(-reach, reach, "drift, camera px"));
     chart.line([(-0.5, 0.0), (last + 0.5, 0.0)], "zero");
     let radius = if shots.len() > MANY { 1.4 } else { 3.0 };
     for (axis, class) in [(0, "a"), (1, "b")] {
@@ -176,13 +176,13 @@ pub fn drift_series(shots: &[ShotRecord], files: &mut Files) -> String {
 }
 
 /// Singular values on a logarithmic axis, the kept ones filled, and the noise level.
-pub fn singular_values(material: &MaterialSummary, files: &mut Files) -> String {
+pub(super) fn singular_values(material: &MaterialSummary, files: &mut Files) -> String {
     let shown = &material.singular_values[..material.singular_values.len().min(60)];
     let top = shown.first().copied().unwrap_or(1.0);
     // Values at rounding level say nothing and would stretch the axis.
     let low = shown.iter().copied().chain(material.noise_level).filter(|v| *v > top * 1e-8).fold(top, f64::min);
-    let x = Axis::linear(0.0, shown.len() as f64 + 1.0, "term");
-    let mut chart = Chart::new(560.0, 300.0, x, Axis::decades(low, top, "singular value"));
+    let x = ChartAxis::linear(0.0, shown.len() as f64 + 1.0, "term");
+    let mut chart = Chart::new(560.0, 300.0, x, ChartAxis::decades(low, top, "singular value"));
     if let Some(noise) = material.noise_level {
         chart.line([(0.0, noise), (shown.len() as f64 + 1.0, noise)], "noise");
         chart.text((shown.len() as f64 + 1.0, noise), [-4.0, -6.0], "end", "noise");
@@ -255,7 +255,7 @@ fn shot_scale_bar(input: &ReportInput, o: &Overview) -> Option<String> {
 }
 
 /// A labelled bar, drawn over a dark halo.
-pub fn scale_bar(x: f64, y: f64, length: f64, font: f64, label: &str) -> String {
+pub(super) fn scale_bar(x: f64, y: f64, length: f64, font: f64, label: &str) -> String {
     let end = x + length;
     let above = y - font * 0.45;
     format!(

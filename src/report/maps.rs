@@ -1,14 +1,14 @@
 //! One number per lit point, as pictures of the slab: albedo and reconstruction error.
 
-use super::picture::{Picture, data_url};
-use super::rows::bar_scale;
+use super::picture::{SrgbPicture, data_url};
+use super::row_pictures::bar_scale;
 use super::text::significant;
-use super::{Files, Survey, color};
+use super::{Files, RowSurvey, color};
 use crate::Result;
 use crate::transport::MatrixHeader;
 
 /// Both maps with their scales.
-pub fn section(header: &MatrixHeader, survey: &Survey, files: &mut Files) -> Result<String> {
+pub(super) fn section(header: &MatrixHeader, survey: &RowSurvey, files: &mut Files) -> Result<String> {
     let albedo = Map {
         values: &survey.albedo,
         name: "albedo",
@@ -44,7 +44,8 @@ impl Map<'_> {
         }
         let place = |v: f64| if high > low { (scale(v) - low) / (high - low) } else { 0.5 };
         let at = |x: usize, y: usize| self.values.get(y * nx + x).copied().flatten();
-        let picture = Picture::from_fn(nx, ny, |x, y| at(x, y).map_or(color::INVALID, |v| color::sequential(place(v))));
+        let picture =
+            SrgbPicture::from_fn(nx, ny, |x, y| at(x, y).map_or(color::INVALID, |v| color::sequential(place(v))));
         let png = picture.enlarged(320).png()?;
         let mut out =
             format!("<figure><img class=\"map\" src=\"{}\" alt=\"{} of every lit point\">", data_url(&png), self.name);

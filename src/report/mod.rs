@@ -1,6 +1,6 @@
 //! Report: one self-contained page with its pictures.
 //!
-//! Data in, files out: [`write()`] takes plain data ([`ReportInput`]) and knows nothing of how it was made. [`Survey`] reads the matrix once
+//! Data in, files out: [`write()`] takes plain data ([`ReportInput`]) and knows nothing of how it was made. [`RowSurvey`] reads the matrix once
 //! and picks the rows that the page shows.
 
 pub(crate) mod chart;
@@ -9,11 +9,11 @@ mod figures;
 mod maps;
 mod page;
 mod picture;
-mod rows;
-mod survey;
+mod row_pictures;
+mod row_survey;
 pub(crate) mod text;
 
-pub use survey::{RowView, Survey};
+pub use row_survey::{ComparedRow, RowSurvey};
 
 use crate::material::MaterialHeader;
 use crate::pipeline::Overview;
@@ -34,7 +34,7 @@ pub struct ReportInput<'a> {
     /// A photograph with what was found in it.
     pub overview: Option<&'a Overview>,
     /// The matrix beside its reconstruction.
-    pub survey: &'a Survey,
+    pub survey: &'a RowSurvey,
     /// Measures, the material against the matrix first.
     pub comparisons: &'a [Comparison],
     /// Stages in the order they ended.

@@ -1,7 +1,7 @@
 //! The page itself: sections in the order in which somebody asks.
 
 use super::text::{bytes, escape, seconds, significant};
-use super::{Comparison, Files, ReportInput, figures, maps, rows};
+use super::{Comparison, Files, ReportInput, figures, maps, row_pictures};
 use crate::Result;
 use std::fmt::Write;
 
@@ -28,7 +28,7 @@ const MEASURES: [Measure; 15] = [
 ];
 
 /// The whole page; the pictures that it embeds are also put into `files`.
-pub fn html(input: &ReportInput, files: &mut Files) -> Result<String> {
+pub(super) fn html(input: &ReportInput, files: &mut Files) -> Result<String> {
     let mut out = format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"><title>{} – acquire</title><style>\n{}{}</style></head><body>\n",
         escape(input.title),
@@ -41,7 +41,7 @@ pub fn html(input: &ReportInput, files: &mut Files) -> Result<String> {
     drift(&mut out, input, files);
     if !input.survey.rows.is_empty() {
         out.push_str("<h2>Rows of the matrix</h2><p class=\"lead\">What leaves around a lit point: as measured, as the material gives it back, the difference, and the difference over the standard deviation of the measurement (pure noise leaves no structure there). Dots are measurements with two standard deviations, lines the material, in the three channels. Grey was not measured.</p>");
-        out.push_str(&rows::section(input.matrix, &input.survey.rows, files)?);
+        out.push_str(&row_pictures::section(input.matrix, &input.survey.rows, files)?);
         out.push_str("<h2>Over the slab</h2><p class=\"lead\">One cell per lit point.</p>");
         out.push_str(&maps::section(input.matrix, input.survey, files)?);
     }

@@ -30,10 +30,10 @@ pub(super) fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
     }
 }
 
-fn survey(header: &MatrixHeader) -> Survey {
+fn survey(header: &MatrixHeader) -> RowSurvey {
     let [nx, ny] = header.window;
     let row = |index: usize, reason| {
-        let mut view = RowView {
+        let mut view = ComparedRow {
             index,
             reason,
             response: Vec::new(),
@@ -56,7 +56,7 @@ fn survey(header: &MatrixHeader) -> Survey {
     };
     let n = header.rows();
     let checker = |i: usize| (i % header.points[0] / 4 + i / header.points[0] / 4) % 2;
-    Survey {
+    RowSurvey {
         albedo: (0..n).map(|i| (i != 3).then(|| 0.5 + 0.3 * checker(i) as f64)).collect(),
         error: (0..n).map(|i| (i != 3).then(|| 0.01 + 0.02 * checker(i) as f64 + 0.001 * (i % 5) as f64)).collect(),
         rows: vec![row(n / 2, "middle of the grid"), row(n - 1, "the worst row")],

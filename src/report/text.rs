@@ -1,7 +1,7 @@
 //! Words and numbers of the page.
 
 /// `text` made safe inside HTML, SVG and their attributes.
-pub fn escape(text: &str) -> String {
+pub(crate) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {
@@ -19,7 +19,7 @@ pub fn escape(text: &str) -> String {
 }
 
 /// `v` with `digits` significant digits, as 1.23 × 10⁻⁵ when it is very small or large.
-pub fn significant(v: f64, digits: usize) -> String {
+pub(crate) fn significant(v: f64, digits: usize) -> String {
     if v == 0.0 || !v.is_finite() {
         return format!("{v}");
     }
@@ -35,7 +35,7 @@ pub fn significant(v: f64, digits: usize) -> String {
 }
 
 /// A label on an axis.
-pub fn tick(v: f64, log: bool) -> String {
+pub(crate) fn tick(v: f64, log: bool) -> String {
     if log {
         return format!("10{}", superscript(v.log10().round() as i32));
     }
@@ -44,7 +44,7 @@ pub fn tick(v: f64, log: bool) -> String {
 }
 
 /// A size in bytes, in powers of 1000.
-pub fn bytes(n: u64) -> String {
+pub(crate) fn bytes(n: u64) -> String {
     let v = n as f64;
     match n {
         0..1_000 => format!("{n} B"),
@@ -55,7 +55,7 @@ pub fn bytes(n: u64) -> String {
 }
 
 /// A duration.
-pub fn seconds(secs: f64) -> String {
+pub(crate) fn seconds(secs: f64) -> String {
     if secs < 1.0 {
         format!("{:.0} ms", secs * 1e3)
     } else if secs < 100.0 {

@@ -106,7 +106,7 @@ mod tests {
             size_px: SIZE_PX,
             focal_px: 20.0,
             principal_px: PRINCIPAL_PX,
-            response: ResponseCurve::Linear,
+            response_curve: ResponseCurve::Linear,
             vignetting: vec![-0.3, 0.1],
         };
         let projector = Projector { size_px: [64, 36], principal_px: None };

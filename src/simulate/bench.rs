@@ -1,12 +1,12 @@
 //! What lies on the bench before any photograph: the scene, the slab, and the light of each of its dots.
 
 use super::{
-    Options, Transport,
+    SimulateOptions, Transport,
     light::dots::{Dots, Glow},
     light::validity,
-    scene::Scene,
+    scene::SimulatedScene,
     slab::SlabRecord,
-    slab::layout::{self, Built, Place},
+    slab::layout::{self, Built, SlabPlace},
 };
 use crate::{Result, Warning, geometry::Point, progress::Progress, transport::Row};
 use std::sync::Mutex;
@@ -14,7 +14,7 @@ use std::sync::Mutex;
 /// The scene, its slab, and what solves for the slab's light.
 #[derive(Debug)]
 pub(super) struct Bench {
-    pub scene: Scene,
+    pub scene: SimulatedScene,
     pub dots: Dots,
     /// The slab, readable.
     pub record: SlabRecord,
@@ -26,10 +26,13 @@ pub(super) struct Bench {
 
 impl Bench {
     /// Sets the bench up.
-    pub fn new(options: &Options, progress: &Progress) -> Result<Self> {
-        let scene = Scene::new(options)?;
-        let place =
-            Place { lit_origin_mm: scene.lit_origin_mm, lit_size_mm: scene.lit_size_mm, size_mm: scene.slab_size_mm };
+    pub(super) fn new(options: &SimulateOptions, progress: &Progress) -> Result<Self> {
+        let scene = SimulatedScene::new(options)?;
+        let place = SlabPlace {
+            lit_origin_mm: scene.lit_origin_mm,
+            lit_size_mm: scene.lit_size_mm,
+            size_mm: scene.slab_size_mm,
+        };
         let Built { volume, record, mut warnings } = layout::build(options, &place)?;
         if options.transport == Transport::Diffusion {
             let [width, height] = options.window_mm();
@@ -41,12 +44,12 @@ impl Bench {
     }
 
     /// The light of one dot per unit of its flux.
-    pub fn glow(&self, dot: [usize; 2], drift_mm: Point) -> Result<Glow> {
+    pub(super) fn glow(&self, dot: [usize; 2], drift_mm: Point) -> Result<Glow> {
         self.dots.glow(&self.scene.beam(dot, drift_mm), self.scene.grid.row_index(dot))
     }
 
     /// Its flux under full white.
-    pub fn flux(&self, dot: [usize; 2], drift_mm: Point) -> [f64; 3] {
+    pub(super) fn flux(&self, dot: [usize; 2], drift_mm: Point) -> [f64; 3] {
         let side = self.scene.grid.dot_projector_px;
         let area_mm2 =
             (side * side) as f64 * self.scene.slab_from_projector.area_scale(self.scene.grid.dot_projector_px(dot));
@@ -54,7 +57,7 @@ impl Bench {
     }
 
     /// The true row of a dot; its photon noise is remembered.
-    pub fn row(&self, options: &Options, dot: [usize; 2], drift_mm: Point, glow: &Glow) -> Row {
+    pub(super) fn row(&self, options: &SimulateOptions, dot: [usize; 2], drift_mm: Point, glow: &Glow) -> Row {
         let response = glow.cell_means(self.scene.dot_mm(dot, drift_mm), options.window, options.pitch_mm);
         if let Ok(mut noise) = self.noise.lock() {
             let light = response.iter().map(|r| f64::from(*r).powi(2)).sum();
@@ -65,7 +68,7 @@ impl Bench {
     }
 
     /// The photon noise of the truth: the standard error of all rows over the rows, both Euclidean; `None` without noise.
-    pub fn photon_noise(&self) -> Option<f64> {
+    pub(super) fn photon_noise(&self) -> Option<f64> {
         let mut noise = self.noise.lock().map(|noise| noise.clone()).unwrap_or_default();
         // In the order of the rows, so that the sum does not depend on the threads.
         noise.sort_by_key(|(row, ..)| *row);

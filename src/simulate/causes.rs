@@ -1,6 +1,6 @@
 //! What makes a real bench differ from an ideal one, each with a switch, so that an error can be blamed on one cause.
 
-use super::{Options, Response};
+use super::{CameraCurve, SimulateOptions};
 use crate::{Error, Result};
 
 /// One imperfection of the bench.
@@ -18,7 +18,7 @@ pub enum Cause {
     Vignetting,
     /// Hot pixels.
     HotPixels,
-    /// A film-like response that the rig file does not tell.
+    /// A film-like response curve that the rig file does not tell.
     Film,
     /// Exposure times that EXIF gives wrong.
     Exif,
@@ -71,7 +71,7 @@ impl Cause {
     ];
 
     /// Its strength in the options, and one that a real bench may well have. `None` for the two that are on or off.
-    fn strength(self, options: &mut Options) -> Option<(&mut f64, f64)> {
+    fn strength(self, options: &mut SimulateOptions) -> Option<(&mut f64, f64)> {
         Some(match self {
             Self::Noise | Self::Film => return None,
             Self::Psf => (&mut options.psf_px, 0.5),
@@ -95,23 +95,23 @@ impl Cause {
     }
 
     /// Whether it does anything.
-    pub fn is_on(self, options: &Options) -> bool {
+    pub fn is_on(self, options: &SimulateOptions) -> bool {
         match self {
             Self::Noise => !options.noise_free,
-            Self::Film => options.response() == Response::Film,
+            Self::Film => options.response_curve() == CameraCurve::Film,
             _ => self.strength(&mut options.clone()).is_some_and(|(value, _)| *value != 0.0),
         }
     }
 
     /// Switches it off, or on: with the strength that the options have, or a realistic one when that is zero.
-    fn switch(self, on: bool, options: &mut Options) {
+    fn switch(self, on: bool, options: &mut SimulateOptions) {
         if on == self.is_on(options) {
             return;
         }
         match (self, self.strength(options)) {
             (Self::Noise, _) => options.noise_free = !on,
             // Off, the curve is the one that the rig file tells.
-            (Self::Film, _) => options.response = Some(if on { Response::Film } else { Response::Srgb }),
+            (Self::Film, _) => options.response_curve = Some(if on { CameraCurve::Film } else { CameraCurve::Srgb }),
             (_, Some((value, realistic))) => *value = if on { realistic } else { 0.0 },
             (_, None) => {}
         }
@@ -143,7 +143,7 @@ impl Cause {
     }
 }
 
-impl Options {
+impl SimulateOptions {
     /// Switches `causes` on and every other off. One whose strength is zero gets a realistic one.
     pub fn only(&mut self, causes: &[Cause]) {
         Cause::ALL.iter().for_each(|cause| cause.switch(causes.contains(cause), self));
@@ -190,7 +190,7 @@ mod tests {
     #[test]
     fn only_leaves_one_cause_on_and_without_takes_one_away() {
         for cause in Cause::ALL {
-            let mut options = Options::default();
+            let mut options = SimulateOptions::default();
             options.only(&[cause]);
             for other in Cause::ALL {
                 assert_eq!(other.is_on(&options), other == cause, "only {cause:?}: {other:?}");
@@ -199,7 +199,7 @@ mod tests {
             options.without(&[cause]);
             assert!(Cause::ALL.iter().all(|c| !c.is_on(&options)), "{cause:?} stays on");
 
-            let mut options = Options::default();
+            let mut options = SimulateOptions::default();
             options.with(&Cause::ALL);
             options.without(&[cause]);
             for other in Cause::ALL {
@@ -210,7 +210,7 @@ mod tests {
 
     #[test]
     fn a_strength_that_was_given_is_kept() {
-        let mut options = Options { psf_px: 1.7, ..Options::default() };
+        let mut options = SimulateOptions { psf_px: 1.7, ..SimulateOptions::default() };
         options.only(&[Cause::Psf]);
         assert_eq!(options.psf_px, 1.7);
     }
@@ -218,12 +218,14 @@ mod tests {
     #[test]
     fn contradictions_are_refused_by_the_name_of_the_switch() {
         let refused = |only: Option<&[Cause]>, with: &[Cause], without: &[Cause], noise_free| {
-            let mut options = Options { noise_free, ..Options::default() };
+            let mut options = SimulateOptions { noise_free, ..SimulateOptions::default() };
             options.switch(only, with, without).unwrap_err().to_string()
         };
         assert!(refused(Some(&[Cause::Psf]), &[], &[Cause::Psf], false).contains("without:"));
         assert!(refused(None, &[Cause::Glare], &[Cause::Glare], false).contains("glare"));
         assert!(refused(Some(&[Cause::Noise]), &[], &[], true).contains("noise_free:"));
-        Options { noise_free: true, ..Options::default() }.switch(Some(&[Cause::Drift]), &[], &[]).unwrap();
+        SimulateOptions { noise_free: true, ..SimulateOptions::default() }
+            .switch(Some(&[Cause::Drift]), &[], &[])
+            .unwrap();
     }
 }

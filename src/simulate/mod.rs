@@ -24,16 +24,16 @@ mod camera;
 mod causes;
 mod light;
 mod options;
-mod plan;
 mod scene;
+mod shot_list;
 pub mod slab;
 mod studio;
 
 pub use camera::photograph::{ExposureTime, PhotographWriter};
 pub use causes::Cause;
 pub use light::{beam::Beam, monte_carlo, solution::Balance};
-pub use options::{FileFormat, Options, Response, RigResponse, SensorKind, Transport};
-pub use slab::{Beyond, Material, Optics, SlabRecord, Volume};
+pub use options::{CameraCurve, FileFormat, RigCurve, SensorKind, SimulateOptions, Transport};
+pub use slab::{Beyond, Optics, SlabMaterial, SlabRecord, Volume};
 
 use crate::{
     Error, Result, Warning,
@@ -43,9 +43,9 @@ use crate::{
     transport::{MatrixHeader, MatrixWriter, ShotRecord},
 };
 use bench::Bench;
-use plan::Plan;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use shot_list::ShotList;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use studio::Studio;
@@ -83,14 +83,14 @@ pub struct Truth {
     pub photon_noise: Option<f64>,
     /// Thickness of the layers that diffusion solves on, mm.
     pub layers_mm: Vec<f64>,
-    /// The camera's response, whatever the rig file says: pairs of linear light and encoded value, both 0 to 1.
+    /// The camera's response curve, whatever the rig file says: pairs of linear light and encoded value, both 0 to 1.
     #[serde(default)]
     pub response_curve: Vec<[f64; 2]>,
     /// Exposure times: what EXIF says and what they are, s; those of reference shots first.
     #[serde(default)]
     pub exposures_secs: Vec<[f64; 2]>,
     /// All options.
-    pub options: Options,
+    pub options: SimulateOptions,
     /// The material's coefficients and layout.
     pub medium: SlabRecord,
     /// The camera's view of the slab, lens included.
@@ -123,12 +123,12 @@ pub struct ShotTruth {
 ///
 /// # Errors
 /// [`Error::Setting`] for options out of range or a `dir` that is not empty (unless `options.force`); [`Error::Io`].
-pub fn simulate(options: &Options, dir: &Path, progress: &Progress) -> Result<Summary> {
+pub fn simulate(options: &SimulateOptions, dir: &Path, progress: &Progress) -> Result<Summary> {
     options.check()?;
     let new = NewFolder::create(dir, options.force)?;
     let work = new.path();
     let bench = Bench::new(options, progress)?;
-    let options = &Options { voxels_blake3: bench.record.voxels_blake3.clone(), ..options.clone() };
+    let options = &SimulateOptions { voxels_blake3: bench.record.voxels_blake3.clone(), ..options.clone() };
     let summary = match options.truth_only {
         true => write_truth_only(options, bench, &work, progress)?,
         false => write_capture(options, Studio::new(options, bench)?, &work, progress)?,
@@ -143,8 +143,8 @@ fn create_folder(path: &Path) -> Result<()> {
 }
 
 /// Photographs, manifest and rig, and the truth beside them.
-fn write_capture(options: &Options, studio: Studio, work: &Path, progress: &Progress) -> Result<Summary> {
-    let plan = Plan::new(options, &studio.bench.scene, |pattern| studio.bracket(options, pattern).len());
+fn write_capture(options: &SimulateOptions, studio: Studio, work: &Path, progress: &Progress) -> Result<Summary> {
+    let plan = ShotList::new(options, &studio.bench.scene, |pattern| studio.bracket(options, pattern).len());
     create_folder(&work.join("photos"))?;
     create_folder(&work.join("calibration"))?;
     plan.manifest.write(work)?;
@@ -163,7 +163,7 @@ fn write_capture(options: &Options, studio: Studio, work: &Path, progress: &Prog
     matrix.finish()?;
     let truth = Truth {
         electrons_per_sec_per_radiance: Some(studio.electrons_per_sec),
-        response_curve: options.response().samples(),
+        response_curve: options.response_curve().samples(),
         exposures_secs: studio.exposures(options),
         ..truth(options, &studio.bench, &plan)
     };
@@ -173,13 +173,13 @@ fn write_capture(options: &Options, studio: Studio, work: &Path, progress: &Prog
 }
 
 /// The true matrix, and what else a lab cannot know; nothing that would be taken for a capture.
-fn write_truth_only(options: &Options, bench: Bench, work: &Path, progress: &Progress) -> Result<Summary> {
-    let plan = Plan::new(options, &bench.scene, |_| 0);
+fn write_truth_only(options: &SimulateOptions, bench: Bench, work: &Path, progress: &Progress) -> Result<Summary> {
+    let plan = ShotList::new(options, &bench.scene, |_| 0);
     let matrix = MatrixWriter::create(&work.join(TRUTH_MATRIX), header(options, &bench, &plan)?)?;
     let lit: Vec<([usize; 2], Point)> = plan.manifest.shots[plan.first_lattice..]
         .iter()
         .zip(&plan.lattices)
-        .flat_map(|(shot, moved)| plan::dots(shot).iter().map(|&dot| (dot, moved.drift_mm)))
+        .flat_map(|(shot, moved)| shot_list::dots(shot).iter().map(|&dot| (dot, moved.drift_mm)))
         .collect();
     let stage = progress.stage("solve", lit.len());
     lit.into_par_iter().try_for_each(|(dot, drift_mm)| -> Result<()> {
@@ -194,7 +194,7 @@ fn write_truth_only(options: &Options, bench: Bench, work: &Path, progress: &Pro
 }
 
 /// Without photographs.
-fn summary(bench: Bench, plan: &Plan) -> Summary {
+fn summary(bench: Bench, plan: &ShotList) -> Summary {
     Summary {
         shots: plan.manifest.shots.len(),
         photographs: 0,
@@ -206,7 +206,7 @@ fn summary(bench: Bench, plan: &Plan) -> Summary {
 }
 
 /// What can be known of the truth without a camera's sensor.
-fn truth(options: &Options, bench: &Bench, plan: &Plan) -> Truth {
+fn truth(options: &SimulateOptions, bench: &Bench, plan: &ShotList) -> Truth {
     Truth {
         electrons_per_sec_per_radiance: None,
         photon_noise: bench.photon_noise(),
@@ -230,12 +230,12 @@ impl Truth {
     }
 }
 
-fn header(options: &Options, bench: &Bench, plan: &Plan) -> Result<MatrixHeader> {
+fn header(options: &SimulateOptions, bench: &Bench, plan: &ShotList) -> Result<MatrixHeader> {
     let points = bench.scene.grid.points;
     let mut lit_mm = vec![[0.0; 2]; bench.scene.grid.len()];
     let mut shot_of = vec![None; lit_mm.len()];
     for (lattice, shot) in plan.manifest.shots[plan.first_lattice..].iter().enumerate() {
-        for &dot in plan::dots(shot) {
+        for &dot in shot_list::dots(shot) {
             let row = plan.manifest.grid.row_index(dot);
             lit_mm[row] = bench.scene.dot_mm(dot, plan.lattices[lattice].drift_mm);
             shot_of[row] = Some(lattice);

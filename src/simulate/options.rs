@@ -1,6 +1,6 @@
 //! What to simulate.
 
-use super::slab::Material;
+use super::slab::SlabMaterial;
 use crate::geometry::Point;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FileFormat {
-    /// 16-bit PNG. With a linear response it holds the sensor's code values unscaled.
+    /// 16-bit PNG. With a linear response curve it holds the sensor's code values unscaled.
     Png,
     /// 8-bit JPEG (quality 95, no chroma subsampling).
     Jpeg,
@@ -45,7 +45,7 @@ pub enum Transport {
 /// How code values encode light.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Response {
+pub enum CameraCurve {
     /// Code values in proportion to light, above the sensor's black level.
     Linear,
     /// The sRGB curve.
@@ -54,10 +54,10 @@ pub enum Response {
     Film,
 }
 
-/// What the rig file says of the response.
+/// What the rig file says of the response curve.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum RigResponse {
+pub enum RigCurve {
     /// Code values in proportion to light.
     Linear,
     /// The sRGB curve.
@@ -69,12 +69,12 @@ pub enum RigResponse {
 /// Everything that makes a simulated capture; the same options give the same bytes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Options {
+pub struct SimulateOptions {
     /// Replace DIR when it is an earlier simulation.
     #[serde(skip)]
     pub force: bool,
     /// The slab's material; the forms are listed below. Marble: the simplest truth.
-    pub material: Material,
+    pub material: SlabMaterial,
     /// Mean cosine of the scattering angle in every medium, −0.99 to 0.99; the reduced scattering stays as it is
     /// [default: 0]
     pub anisotropy: Option<f64>,
@@ -105,7 +105,7 @@ pub struct Options {
     pub spacing: Option<[usize; 2]>,
     /// Exposures of each lattice shot.
     pub exposures: usize,
-    /// Stops between exposures. 2: five exposures reach over the 16 bits of a response.
+    /// Stops between exposures. 2: five exposures reach over the 16 bits of a material's response.
     pub stops: f64,
     /// Seed of everything random: noise, drift, jumps, flicker, hot pixels, veins.
     pub seed: u64,
@@ -116,14 +116,16 @@ pub struct Options {
     /// Format of the photographs.
     pub format: FileFormat,
     /// Response curve; the rig file takes `film` for sRGB [default: linear for PNG, srgb for JPEG]
-    pub response: Option<Response>,
+    #[serde(rename = "response")]
+    pub response_curve: Option<CameraCurve>,
     /// Leave `[noise]` out of the rig file: it is to be estimated from the photographs.
     pub rig_without_noise: bool,
     /// The board is shot at the lattice's shortest exposure too: its black squares link the exposures of the references to those of
     /// the lattice.
     pub link_exposures: bool,
-    /// What the rig file says of the response [default: linear, or srgb for srgb and film]
-    pub rig_response: Option<RigResponse>,
+    /// What the rig file says of the response curve [default: linear, or srgb for srgb and film]
+    #[serde(rename = "rig_response")]
+    pub rig_curve: Option<RigCurve>,
     /// EXIF gives each distinct exposure time wrong by a fixed random amount of this size, root mean square, stops.
     pub exif_stops_error: f64,
     /// EXIF gives the usual name of the time: 1/250 for 1/256, thirds of stops.
@@ -192,10 +194,10 @@ pub struct Options {
     pub noise_free: bool,
 }
 
-impl Default for Options {
+impl Default for SimulateOptions {
     fn default() -> Self {
         Self {
-            material: Material::homogeneous(),
+            material: SlabMaterial::homogeneous(),
             anisotropy: None,
             voxels_blake3: None,
             transport: Transport::Diffusion,
@@ -214,9 +216,9 @@ impl Default for Options {
             format: FileFormat::Png,
             sensor: SensorKind::SonyA7r3,
             bits: None,
-            response: None,
+            response_curve: None,
             rig_without_noise: false,
-            rig_response: None,
+            rig_curve: None,
             link_exposures: false,
             exif_stops_error: 0.0,
             nominal_times: false,
@@ -256,7 +258,7 @@ impl Default for Options {
     }
 }
 
-impl Options {
+impl SimulateOptions {
     /// Nominal distance of lit points along the projector's axes, mm.
     pub fn lit_pitch_mm(&self) -> Point {
         let [x, y] = self.step_projector_px.map(|step| step as f64);
@@ -290,10 +292,10 @@ impl Options {
     }
 
     /// How code values encode light.
-    pub fn response(&self) -> Response {
-        self.response.unwrap_or(match self.format {
-            FileFormat::Png => Response::Linear,
-            FileFormat::Jpeg => Response::Srgb,
+    pub fn response_curve(&self) -> CameraCurve {
+        self.response_curve.unwrap_or(match self.format {
+            FileFormat::Png => CameraCurve::Linear,
+            FileFormat::Jpeg => CameraCurve::Srgb,
         })
     }
 

@@ -4,18 +4,20 @@
 mod tests;
 
 use super::{
-    Options, Plan, ShotTruth,
+    ShotList, ShotTruth, SimulateOptions,
     bench::Bench,
     camera::photograph::{ExposureTime, PhotographWriter},
-    camera::{hot_pixels::hot_pixels, psf, sensor::Sensor},
+    camera::{hot_pixels::hot_pixels, psf, sensor::SimulatedSensor},
     light::domain::Domain,
     light::dots::Glow,
     light::field::Field,
-    mix_seed, plan,
+    mix_seed,
     scene::FRAME_ALBEDO,
     scene::render::{
-        Brightness, FieldMean, GAUSS_1, GAUSS_6, GrayCode, Picture, Pixel, PixelGrid, Rule, board_albedo, board_rule,
+        Brightness, FieldMean, GAUSS_1, GAUSS_6, GrayCode, Pixel, PixelGrid, RenderedPicture, Rule, board_albedo,
+        board_rule,
     },
+    shot_list,
 };
 use crate::{
     Result,
@@ -44,14 +46,14 @@ const PILOTS: usize = 5;
 #[derive(Debug)]
 pub(super) struct Studio {
     pub bench: Bench,
-    pub sensor: Sensor,
+    pub sensor: SimulatedSensor,
     pixels: PixelGrid,
     vignetting: Vec<f32>,
     /// Index and dark current (electrons per second) of the hot photosites.
     hot: Vec<(usize, f32)>,
     /// The light of the sample under the projector's black and the ambient light, and a picture of it.
     dark_field: Option<Field>,
-    dark_sample: Picture,
+    dark_sample: RenderedPicture,
     /// Electrons per second and unit of radiance at the principal point.
     pub electrons_per_sec: f64,
     white_shortest: ExposureTime,
@@ -62,7 +64,7 @@ pub(super) struct Studio {
 /// What the pictures of a shot are made in.
 #[derive(Debug)]
 struct Darkroom {
-    picture: Picture,
+    picture: RenderedPicture,
     rate: Vec<f32>,
     codes: Vec<u16>,
     writer: PhotographWriter,
@@ -70,14 +72,14 @@ struct Darkroom {
 
 impl Studio {
     /// Solves for the light all over the sample, and chooses the sensitivity.
-    pub fn new(options: &Options, bench: Bench) -> Result<Self> {
+    pub(super) fn new(options: &SimulateOptions, bench: Bench) -> Result<Self> {
         let scene = &bench.scene;
         let pixels = PixelGrid::new(scene, [0.0; 2], psf::parts(options.psf_px))?;
         let [width, height] = scene.camera.size_px;
         let sensitivity = |i: usize| scene.camera.vignetting_at([(i % width) as f64, (i / width) as f64]) as f32;
         let vignetting = (0..width * height).map(sensitivity).collect();
         let mut studio = Self {
-            sensor: Sensor::new(options),
+            sensor: SimulatedSensor::new(options),
             vignetting,
             hot: hot_pixels(3 * width * height, options.hot_pixels, options.seed),
             dark_field: None,
@@ -95,24 +97,26 @@ impl Studio {
     }
 
     /// The exposure times of a shot.
-    pub fn bracket(&self, options: &Options, pattern: &Pattern) -> Vec<ExposureTime> {
+    pub(super) fn bracket(&self, options: &SimulateOptions, pattern: &Pattern) -> Vec<ExposureTime> {
         match pattern {
             // The frame is darker than the white reference by four stops.
-            Pattern::Frame | Pattern::GrayCode { on: Surface::Frame, .. } => plan::bracket(self.white_shortest, 3, 2.0),
+            Pattern::Frame | Pattern::GrayCode { on: Surface::Frame, .. } => {
+                shot_list::bracket(self.white_shortest, 3, 2.0)
+            }
             Pattern::Board if options.link_exposures => {
-                let mut bracket = plan::bracket(self.white_shortest, 2, 2.0);
+                let mut bracket = shot_list::bracket(self.white_shortest, 2, 2.0);
                 bracket.push(ExposureTime::one_over(SHORTEST_PER_SEC));
                 bracket
             }
             Pattern::Board | Pattern::CalibrationBoard | Pattern::ReferenceWhite | Pattern::GrayCode { .. } => {
-                plan::bracket(self.white_shortest, 2, 2.0)
+                shot_list::bracket(self.white_shortest, 2, 2.0)
             }
-            _ => plan::bracket(ExposureTime::one_over(SHORTEST_PER_SEC), options.exposures, options.stops),
+            _ => shot_list::bracket(ExposureTime::one_over(SHORTEST_PER_SEC), options.exposures, options.stops),
         }
     }
 
     /// Every exposure time that is used: what EXIF says and what it is, s.
-    pub fn exposures(&self, options: &Options) -> Vec<[f64; 2]> {
+    pub(super) fn exposures(&self, options: &SimulateOptions) -> Vec<[f64; 2]> {
         let mut all = self.bracket(options, &Pattern::ReferenceWhite);
         all.extend(self.bracket(options, &Pattern::SampleBlack));
         let told = |t: &ExposureTime| t.told(options.exif_stops_error, options.nominal_times, options.seed).secs();
@@ -120,10 +124,17 @@ impl Studio {
     }
 
     /// Renders a shot, writes its photographs and, for dots, the rows of the truth. Returns the bytes of the photographs.
-    pub fn shoot(&self, options: &Options, plan: &Plan, shot: usize, dir: &Path, truth: &MatrixWriter) -> Result<u64> {
+    pub(super) fn shoot(
+        &self,
+        options: &SimulateOptions,
+        plan: &ShotList,
+        shot: usize,
+        dir: &Path,
+        truth: &MatrixWriter,
+    ) -> Result<u64> {
         let entry = &plan.manifest.shots[shot];
         let mut room = self.spare.lock().ok().and_then(|mut spare| spare.pop()).unwrap_or_else(|| Darkroom {
-            picture: Picture::new(),
+            picture: RenderedPicture::new(),
             rate: Vec::new(),
             codes: Vec::new(),
             writer: PhotographWriter::new(options.format, self.bench.scene.camera.size_px),
@@ -166,7 +177,7 @@ impl Studio {
     }
 
     /// Electrons per second of a picture, R G B interleaved, in the memory of `rate`.
-    fn rate(&self, options: &Options, picture: &Picture, mut rate: Vec<f32>) -> Vec<f32> {
+    fn rate(&self, options: &SimulateOptions, picture: &RenderedPicture, mut rate: Vec<f32>) -> Vec<f32> {
         let scale = (self.electrons_per_sec / PI) as f32;
         let (size_px, parts) = (self.bench.scene.camera.size_px, psf::parts(options.psf_px));
         rate.resize(3 * picture.len(), 0.0);
@@ -178,7 +189,7 @@ impl Studio {
     }
 
     /// A shot without dots.
-    fn still(&self, options: &Options, pattern: &Pattern) -> Picture {
+    fn still(&self, options: &SimulateOptions, pattern: &Pattern) -> RenderedPicture {
         let (scene, black) = (&self.bench.scene, options.projector_black);
         let irradiance = |p: Point, lit: f64| {
             let projected = black + (1.0 - black) * lit;
@@ -219,7 +230,7 @@ impl Studio {
     }
 
     /// An upper bound of a camera pixel's extent, projector px.
-    fn pixel_projector_px(&self, options: &Options) -> f64 {
+    fn pixel_projector_px(&self, options: &SimulateOptions) -> f64 {
         let [x, y] = options.projector_px_mm();
         let (sin, cos) = options.projector_turn_deg.to_radians().sin_cos();
         // The projector's keystone adds little to a pixel's extent in projector px, its turn up to the diagonal.
@@ -227,14 +238,14 @@ impl Studio {
     }
 
     /// The board under white light; in another pose it is lit as in the slab's plane, which moves no corner.
-    fn board(&self, options: &Options, pixels: &PixelGrid) -> Picture {
+    fn board(&self, options: &SimulateOptions, pixels: &PixelGrid) -> RenderedPicture {
         let (scene, pixel_mm) = (&self.bench.scene, pixels.pixel_mm());
         let lit = |p: Point| scene.white_irradiance(p).map(|e| e + options.ambient);
         pixels.picture(|p| board_rule(scene, pixel_mm, p), |p| lit(p).map(|e| e * board_albedo(scene, p)))
     }
 
     /// The pixels of a shot before or after the lattice shots: a camera that has moved stays where it is.
-    fn pixels_at(&self, options: &Options, plan: &Plan, shot: usize) -> Result<PixelGrid> {
+    fn pixels_at(&self, options: &SimulateOptions, plan: &ShotList, shot: usize) -> Result<PixelGrid> {
         let last = plan.lattices.last().filter(|_| shot > plan.first_lattice);
         PixelGrid::new(&self.bench.scene, last.map_or([0.0; 2], |l| l.camera_drift_px), psf::parts(options.psf_px))
     }
@@ -246,12 +257,12 @@ impl Studio {
     /// middle: blurred over two samples it changes little within a pixel.
     fn lit_sample(
         &self,
-        options: &Options,
+        options: &SimulateOptions,
         pixels: &PixelGrid,
         rule: impl Fn(&Pixel) -> Rule + Sync,
         sharp: impl Fn(Point) -> f64 + Sync,
         blurred: impl Fn(Point) -> f64 + Sync,
-    ) -> Picture {
+    ) -> RenderedPicture {
         let (scene, black, pixel_mm) = (&self.bench.scene, options.projector_black, pixels.pixel_mm());
         let dark = black + options.ambient;
         let projector_px = |p: Point| scene.slab_from_projector.projector_from_slab(p);
@@ -284,12 +295,12 @@ impl Studio {
     /// A shot of dots, in the memory of `picture`; `keep` receives the truth of each.
     fn lattice(
         &self,
-        options: &Options,
+        options: &SimulateOptions,
         dots: &[[usize; 2]],
         moved: &ShotTruth,
         keep: impl Fn([usize; 2], Row) -> Result<()> + Sync,
-        mut picture: Picture,
-    ) -> Result<Picture> {
+        mut picture: RenderedPicture,
+    ) -> Result<RenderedPicture> {
         let (lit, drift_mm) = (1.0 - options.projector_black, moved.drift_mm);
         // A camera that has moved sees every pixel elsewhere.
         let own_pixels = match moved.camera_drift_px {
@@ -322,7 +333,7 @@ impl Studio {
     }
 
     /// The light of the sample under the projector's black and the ambient light; `None` without either.
-    fn solve_dark_sample(&self, options: &Options) -> Result<Option<Field>> {
+    fn solve_dark_sample(&self, options: &SimulateOptions) -> Result<Option<Field>> {
         if options.projector_black == 0.0 && options.ambient == 0.0 {
             return Ok(None);
         }
@@ -347,12 +358,12 @@ impl Studio {
         self.bench.dots.diffuse(&domain, [&flux[0], &flux[1], &flux[2]]).map(Some)
     }
 
-    fn dark_irradiance(&self, options: &Options, p: Point) -> [f64; 3] {
+    fn dark_irradiance(&self, options: &SimulateOptions, p: Point) -> [f64; 3] {
         self.bench.scene.white_irradiance(p).map(|e| e * options.projector_black + options.ambient)
     }
 
     /// Sample and frame under the projector's black and the ambient light.
-    fn render_dark_sample(&self, options: &Options, pixels: &PixelGrid) -> Picture {
+    fn render_dark_sample(&self, options: &SimulateOptions, pixels: &PixelGrid) -> RenderedPicture {
         match self.dark_field {
             Some(_) => self.lit_sample(options, pixels, |_| GAUSS_1, |_| 0.0, |_| 0.0),
             None => pixels.black(),
@@ -360,7 +371,7 @@ impl Studio {
     }
 
     /// Sets the sensitivity so that the brightest of some dots reaches [`BRIGHTEST`] in the shortest exposure.
-    fn set_sensitivity(&mut self, options: &Options) -> Result<()> {
+    fn set_sensitivity(&mut self, options: &SimulateOptions) -> Result<()> {
         let pilots = options.grid.map(|n| PILOTS.min(n));
         let place = |n: usize, a: usize| ((2 * n + 1) * options.grid[a]) / (2 * pilots[a]);
         let px_mm = options.pitch_mm / options.camera_px_per_sample;

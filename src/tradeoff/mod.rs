@@ -5,7 +5,7 @@
 mod page;
 
 use crate::evaluate::evaluate;
-use crate::factor::{Backend, Factored, Options as FactorOptions, factor, regression_conditions};
+use crate::factor::{Backend, FactorOptions, Factored, factor, regression_conditions};
 use crate::material::{self, Material, Model, Precision, Source, coded, legendre};
 use crate::output::ScratchFolder;
 use crate::progress::Progress;
@@ -32,7 +32,7 @@ const FULL_ENTRIES: usize = 20_000_000;
 
 /// What to try.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Options {
+pub struct TradeoffOptions {
     /// Only a block of 24 × 24 lit points in the middle, and fewer settings.
     pub quick: bool,
     /// Memory for the rows, see [`FactorOptions::memory_bytes`].
@@ -41,7 +41,7 @@ pub struct Options {
 
 /// One factorization, stored one way.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Point {
+pub struct TradePoint {
     /// The model.
     pub model: Model,
     /// How the SVD was computed.
@@ -91,7 +91,7 @@ pub struct Tradeoff {
     /// One plain read of the looked-at responses through the store, seconds.
     pub read_secs: f64,
     /// Every point, in the order in which they were run.
-    pub measured: Vec<Point>,
+    pub measured: Vec<TradePoint>,
     /// Median and largest condition number of the colour fits of the published `tucker` setting, per degree from 0.
     pub regression_conditions: Vec<[f64; 2]>,
 }
@@ -100,7 +100,7 @@ pub struct Tradeoff {
 ///
 /// # Errors
 /// Those of the reader, of [`factor`], of [`coded::encode`] and of writing temporary files.
-pub fn tradeoff(reader: &MatrixReader, options: &Options, progress: &Progress) -> Result<Tradeoff> {
+pub fn tradeoff(reader: &MatrixReader, options: &TradeoffOptions, progress: &Progress) -> Result<Tradeoff> {
     let folder = ScratchFolder::new(&std::env::temp_dir(), "acquire-tradeoff-", reader.path())?;
     let part = match options.quick {
         true => Some(middle(reader, &folder.path().join("part.rd.zarr"))?),
@@ -185,7 +185,7 @@ struct Run<'a> {
     matrix: &'a MatrixReader,
     folder: &'a Path,
     setting: Setting,
-    options: &'a Options,
+    options: &'a TradeoffOptions,
     silent: &'a Progress,
 }
 
@@ -232,7 +232,7 @@ impl Run<'_> {
         for (k, &error) in errors.iter().enumerate() {
             let start = Instant::now();
             let quality = coded::Quality::AddedError(error);
-            let coded = coded::encode(material, &coded::Options { quality, ..coded::Options::default() })?;
+            let coded = coded::encode(material, &coded::EncodeOptions { quality, ..coded::EncodeOptions::default() })?;
             let file = path(format!("coded-{k}.acq"));
             crate::output::write_whole(&file, &coded.bytes)?;
             all.push(Stored { path: file, precision: Precision::Coded, secs: start.elapsed().as_secs_f64() });
@@ -240,14 +240,14 @@ impl Run<'_> {
         Ok(all)
     }
 
-    fn measure(&self, stored: Stored, secs: f64, peak_bytes: Option<u64>) -> Result<Point> {
+    fn measure(&self, stored: Stored, secs: f64, peak_bytes: Option<u64>) -> Result<TradePoint> {
         let source = Source::open(&stored.path)?;
         let measures = evaluate(&source, self.matrix, self.silent)?;
         let Source::Material(material, _) = &source else {
             return Err(Error::internal("a material was saved and is none"));
         };
         let h = &material.header;
-        Ok(Point {
+        Ok(TradePoint {
             model: h.model,
             backend: self.setting.backend.unwrap_or(Backend::Randomized),
             terms: h.terms,
@@ -272,8 +272,8 @@ impl Run<'_> {
 }
 
 /// Marks the points that no other beats in both bytes and `psnr_db`.
-fn mark_pareto(points: &mut [Point]) {
-    let quality = |p: &Point| p.psnr_db.unwrap_or(f64::INFINITY);
+fn mark_pareto(points: &mut [TradePoint]) {
+    let quality = |p: &TradePoint| p.psnr_db.unwrap_or(f64::INFINITY);
     let all: Vec<(u64, f64)> = points.iter().map(|p| (p.bytes, quality(p))).collect();
     for (k, point) in points.iter_mut().enumerate() {
         let (bytes, db) = all[k];
@@ -333,8 +333,8 @@ fn peak_bytes() -> Option<u64> {
 mod tests {
     use super::*;
 
-    fn point(bytes: u64, psnr_db: f64) -> Point {
-        Point {
+    fn point(bytes: u64, psnr_db: f64) -> TradePoint {
+        TradePoint {
             model: Model::Joint,
             backend: Backend::Full,
             terms: 1,

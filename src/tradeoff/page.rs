@@ -1,8 +1,8 @@
 //! The trade-off as a table for programs and as a page that opens offline.
 
-use super::{Point, Tradeoff};
+use super::{TradePoint, Tradeoff};
 use crate::material::{Model, Precision};
-use crate::report::chart::{Axis, Chart};
+use crate::report::chart::{Chart, ChartAxis};
 use crate::report::text::{bytes, escape, seconds};
 use std::fmt::Write;
 
@@ -72,7 +72,7 @@ pub fn html(t: &Tradeoff) -> String {
     );
     out.push_str(&error_time(t));
     out.push_str("<h2>The front</h2>");
-    let mut front: Vec<&Point> = t.measured.iter().filter(|p| p.pareto).collect();
+    let mut front: Vec<&TradePoint> = t.measured.iter().filter(|p| p.pareto).collect();
     front.sort_by_key(|p| p.bytes);
     table(&mut out, &front);
     if !t.regression_conditions.is_empty() {
@@ -105,30 +105,30 @@ td:first-child::before { content: '● '; visibility: hidden; } tr.pareto td:fir
 
 const LEGEND: &str = "<span class=\"key joint\">joint</span>, <span class=\"key tucker\">tucker</span>, <span class=\"key peers2006\">peers2006</span>; full dots are f32, pale ones coded, dashed circles f16.";
 
-fn error(p: &Point) -> f64 {
+fn error(p: &TradePoint) -> f64 {
     p.rel_rmse.unwrap_or(0.0)
 }
 
-fn class(p: &Point) -> String {
+fn class(p: &TradePoint) -> String {
     format!("{} {}", p.model, p.precision)
 }
 
-fn axis(points: &[Point], value: impl Fn(&Point) -> f64, title: &str) -> Axis {
+fn axis(points: &[TradePoint], value: impl Fn(&TradePoint) -> f64, title: &str) -> ChartAxis {
     let values = || points.iter().map(&value).filter(|v| *v > 0.0);
-    Axis::decades(values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max), title)
+    ChartAxis::decades(values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max), title)
 }
 
 fn error_bytes(t: &Tradeoff) -> String {
     let x = axis(&t.measured, |p| p.bytes as f64, "bytes");
     let mut chart = Chart::new(860.0, 460.0, x, axis(&t.measured, error, "rel_rmse"));
-    let mut front: Vec<&Point> = t.measured.iter().filter(|p| p.pareto && error(p) > 0.0).collect();
+    let mut front: Vec<&TradePoint> = t.measured.iter().filter(|p| p.pareto && error(p) > 0.0).collect();
     front.sort_by_key(|p| p.bytes);
     chart.line(front.iter().map(|p| (p.bytes as f64, error(p))), "front");
     for p in t.measured.iter().filter(|p| error(p) > 0.0) {
         chart.dots([(p.bytes as f64, error(p))], 4.0, &class(p));
     }
     let published =
-        |p: &&Point| p.model == Model::Tucker && (p.terms, p.degree, p.precision) == (15, Some(7), Precision::F32);
+        |p: &&TradePoint| p.model == Model::Tucker && (p.terms, p.degree, p.precision) == (15, Some(7), Precision::F32);
     if let Some(p) = t.measured.iter().find(published) {
         chart.text((p.bytes as f64, error(p)), [8.0, -8.0], "start", "tucker, T = 15, P = 7");
     }
@@ -144,7 +144,7 @@ fn error_time(t: &Tradeoff) -> String {
     chart.finish("error against time of every factorization")
 }
 
-fn table(out: &mut String, points: &[&Point]) {
+fn table(out: &mut String, points: &[&TradePoint]) {
     out.push_str("<div class=\"scroll\"><table><tr><th>model</th><th>back end</th><th>T</th><th>P</th><th>maps</th><th>stored as</th><th>bytes</th><th>rel_rmse</th><th>psnr</th><th>log_rmse</th><th>relit psnr</th><th>time</th><th>memory</th></tr>");
     let count = |v: Option<usize>| v.map(|v| v.to_string()).unwrap_or_default();
     let number = |v: Option<f64>, digits: usize| v.map(|v| format!("{v:.digits$}")).unwrap_or("–".into());

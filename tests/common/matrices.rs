@@ -2,7 +2,7 @@
 #![allow(dead_code)]
 
 use acquire::Result;
-use acquire::factor::{Factored, Options, factor};
+use acquire::factor::{FactorOptions, Factored, factor};
 use acquire::material::{self, Material, Model, Precision};
 use acquire::progress::Progress;
 use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row};
@@ -11,7 +11,7 @@ use rand_distr::{Distribution, StandardNormal};
 use std::path::Path;
 
 /// The header of a matrix with samples of half a millimetre, lit points `lit_pitch_mm` apart at known places, and nothing else known.
-pub fn header(points: [usize; 2], window: [usize; 2], lit_pitch_mm: [f64; 2]) -> MatrixHeader {
+pub(crate) fn header(points: [usize; 2], window: [usize; 2], lit_pitch_mm: [f64; 2]) -> MatrixHeader {
     let rows = points[0] * points[1];
     let place = |i: usize| [(i % points[0]) as f64 * lit_pitch_mm[0], (i / points[0]) as f64 * lit_pitch_mm[1]];
     MatrixHeader {
@@ -30,7 +30,7 @@ pub fn header(points: [usize; 2], window: [usize; 2], lit_pitch_mm: [f64; 2]) ->
 }
 
 /// A matrix of `points` rows: `response(index, [dx, dy] in samples from the lit point, channel)`.
-pub fn write(
+pub(crate) fn write(
     path: &Path,
     points: [usize; 2],
     window: [usize; 2],
@@ -55,8 +55,8 @@ pub fn write(
     MatrixReader::open(path)
 }
 
-pub fn run(
-    options: &Options,
+pub(crate) fn run(
+    options: &FactorOptions,
     points: [usize; 2],
     window: [usize; 2],
     response: impl Fn(usize, [f64; 2], usize) -> f32,
@@ -71,20 +71,20 @@ pub fn run(
     Ok(factored)
 }
 
-pub fn profile([x, y]: [f64; 2], width: f64) -> f64 {
+pub(crate) fn profile([x, y]: [f64; 2], width: f64) -> f64 {
     (-(x * x + y * y).sqrt() / width).exp()
 }
 
-pub fn noise(index: usize, d: [f64; 2], c: usize) -> f64 {
+pub(crate) fn noise(index: usize, d: [f64; 2], c: usize) -> f64 {
     let seed = (index as u64) << 32 | ((d[0] + 500.0) as u64) << 18 | ((d[1] + 500.0) as u64) << 4 | c as u64;
     StandardNormal.sample(&mut rand_pcg::Pcg64::seed_from_u64(seed))
 }
 
-pub fn fixed(terms: usize, degree: usize) -> Options {
-    Options { terms: Some(terms), degree: Some(degree), ..tucker() }
+pub(crate) fn fixed(terms: usize, degree: usize) -> FactorOptions {
+    FactorOptions { terms: Some(terms), degree: Some(degree), ..tucker() }
 }
 
 /// The paper's model, its terms and degree chosen from the noise.
-pub fn tucker() -> Options {
-    Options { model: Some(Model::Tucker), ..Options::default() }
+pub(crate) fn tucker() -> FactorOptions {
+    FactorOptions { model: Some(Model::Tucker), ..FactorOptions::default() }
 }

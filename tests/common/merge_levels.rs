@@ -8,7 +8,7 @@ use rand::SeedableRng;
 
 /// A sensor and its exposures.
 #[derive(Debug, Clone, Copy)]
-pub struct Bracketing {
+pub(crate) struct Bracketing {
     pub sensor: PhotonSensor,
     pub shortest_secs: f64,
     pub exposures: usize,
@@ -17,7 +17,7 @@ pub struct Bracketing {
 
 /// What merging made of one level.
 #[derive(Debug, Clone, Copy)]
-pub struct Found {
+pub(crate) struct Found {
     /// Mean squared error over the Cramér–Rao bound.
     pub of_bound: f64,
     /// Mean error over the truth, and its standard error.
@@ -30,18 +30,18 @@ pub struct Found {
 }
 
 impl Bracketing {
-    pub fn times(&self) -> Vec<f64> {
+    pub(crate) fn times(&self) -> Vec<f64> {
         (0..self.exposures).map(|k| self.shortest_secs * (k as f64 * self.stops).exp2()).collect()
     }
 
     /// The highest level, electrons per second: three standard deviations below the shortest exposure's saturation.
-    pub fn top(&self) -> f64 {
+    pub(crate) fn top(&self) -> f64 {
         let full = self.sensor.full_electrons();
         (full - 3.0 * full.sqrt().hypot(self.sensor.read_noise_electrons)) / self.shortest_secs
     }
 
     /// Levels over so many decades down from the top, and around the saturation of every exposure but the shortest.
-    pub fn levels(&self, decades: usize, per_decade: usize) -> Vec<f64> {
+    pub(crate) fn levels(&self, decades: usize, per_decade: usize) -> Vec<f64> {
         let full = self.sensor.full_electrons();
         let sd = full.sqrt().hypot(self.sensor.read_noise_electrons);
         let step = |k: usize| self.top() * 10f64.powf(-(k as f64) / per_decade as f64);
@@ -53,7 +53,7 @@ impl Bracketing {
     }
 
     /// Whether some exposure of this level is saturated by chance: within three standard deviations of it.
-    pub fn near_saturation(&self, electrons_per_sec: f64) -> bool {
+    pub(crate) fn near_saturation(&self, electrons_per_sec: f64) -> bool {
         let full = self.sensor.full_electrons();
         self.times().iter().any(|t| {
             let mean = electrons_per_sec * t;
@@ -62,11 +62,11 @@ impl Bracketing {
     }
 
     /// Least variance of an unbiased estimate, (e⁻/s)².
-    pub fn bound(&self, electrons_per_sec: f64) -> f64 {
+    pub(crate) fn bound(&self, electrons_per_sec: f64) -> f64 {
         1.0 / self.times().iter().map(|t| t * t * self.sensor.information(electrons_per_sec * t)).sum::<f64>()
     }
 
-    pub fn merger(&self) -> Sensor {
+    pub(crate) fn merger(&self) -> Sensor {
         let s = &self.sensor;
         let noise = Noise {
             black_dn: s.black_dn,
@@ -79,13 +79,13 @@ impl Bracketing {
 }
 
 /// Code values of one level, an exposure each, and what merging made of them.
-pub struct Taken {
+pub(crate) struct Taken {
     pub codes: Vec<Vec<u16>>,
     pub merged: Radiance,
 }
 
 /// Takes `samples` brackets of one level, three a pixel, and merges them.
-pub fn take(bracketing: &Bracketing, electrons_per_sec: f64, samples: usize, seed: u64) -> Taken {
+pub(crate) fn take(bracketing: &Bracketing, electrons_per_sec: f64, samples: usize, seed: u64) -> Taken {
     let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(seed ^ electrons_per_sec.to_bits());
     let times = bracketing.times();
     let codes: Vec<Vec<u16>> =
@@ -98,7 +98,7 @@ pub fn take(bracketing: &Bracketing, electrons_per_sec: f64, samples: usize, see
 }
 
 /// How far the merge of some samples of one level is from the truth and from the bound.
-pub fn measure(bracketing: &Bracketing, electrons_per_sec: f64, samples: usize, seed: u64) -> Found {
+pub(crate) fn measure(bracketing: &Bracketing, electrons_per_sec: f64, samples: usize, seed: u64) -> Found {
     let samples = samples.next_multiple_of(3);
     let merged = take(bracketing, electrons_per_sec, samples, seed).merged;
     let truth = electrons_per_sec * bracketing.sensor.gain_dn_per_electron;

@@ -2,17 +2,17 @@
 #![allow(dead_code)]
 
 use acquire::progress::Progress;
-use acquire::simulate::{Options, simulate};
+use acquire::simulate::{SimulateOptions, simulate};
 use std::path::{Path, PathBuf};
 
 /// The default bench with coarser voxels and a looser solver: a chessboard takes half of the processor time or less. Photographs and truth are of the same light,
 /// so the two still agree; rows of one medium, though, differ by where their dots lie on the voxels, and nearly opaque slabs need the default's.
-pub fn bench() -> Options {
-    Options { voxels_per_sample: 1, tolerance: 1e-4, ..Options::default() }
+pub(crate) fn bench() -> SimulateOptions {
+    SimulateOptions { voxels_per_sample: 1, tolerance: 1e-4, ..SimulateOptions::default() }
 }
 
 /// A capture folder of its own for the test, simulated with `options`.
-pub fn capture(options: &Options) -> (tempfile::TempDir, PathBuf) {
+pub(crate) fn capture(options: &SimulateOptions) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path().join("capture");
     simulate(options, &dir, &Progress::silent()).unwrap();
@@ -20,12 +20,12 @@ pub fn capture(options: &Options) -> (tempfile::TempDir, PathBuf) {
 }
 
 /// Copies a folder with all that is in it.
-pub fn copy_folder(from: &Path, to: &Path) {
+pub(crate) fn copy_folder(from: &Path, to: &Path) {
     lay_folder(from, to, &|file, target| std::fs::copy(file, target).map(|_| ()));
 }
 
 /// The same folders, and in them what `put` makes of each file.
-pub fn lay_folder(from: &Path, to: &Path, put: &dyn Fn(&Path, &Path) -> std::io::Result<()>) {
+pub(crate) fn lay_folder(from: &Path, to: &Path, put: &dyn Fn(&Path, &Path) -> std::io::Result<()>) {
     std::fs::create_dir_all(to).unwrap();
     for entry in std::fs::read_dir(from).unwrap() {
         let entry = entry.unwrap();
@@ -39,7 +39,7 @@ pub fn lay_folder(from: &Path, to: &Path, put: &dyn Fn(&Path, &Path) -> std::io:
 }
 
 /// Runs the program and gives (exit status, stdout, stderr).
-pub fn acquire(args: &[&str]) -> (i32, String, String) {
+pub(crate) fn acquire(args: &[&str]) -> (i32, String, String) {
     let output = std::process::Command::new(env!("CARGO_BIN_EXE_acquire")).args(args).output().unwrap();
     let text = |b: Vec<u8>| String::from_utf8_lossy(&b).into_owned();
     (output.status.code().unwrap_or(-1), text(output.stdout), text(output.stderr))
@@ -47,7 +47,7 @@ pub fn acquire(args: &[&str]) -> (i32, String, String) {
 
 /// A matrix against its truth, computed here and not by the code under test.
 #[derive(Debug)]
-pub struct Comparison {
+pub(crate) struct Comparison {
     /// ‖R − truth‖ / ‖truth‖ over valid entries.
     pub rel_rmse: f64,
     /// Share of valid entries within two stated standard deviations of the truth.
@@ -59,7 +59,7 @@ pub struct Comparison {
 }
 
 /// Compares two matrices of the same shape entry by entry.
-pub fn compare(measured: &Path, truth: &Path) -> Comparison {
+pub(crate) fn compare(measured: &Path, truth: &Path) -> Comparison {
     use acquire::transport::MatrixReader;
     let (a, b) = (MatrixReader::open(measured).unwrap(), MatrixReader::open(truth).unwrap());
     let rows = 0..a.header().rows();

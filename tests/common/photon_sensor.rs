@@ -6,7 +6,7 @@ use rand_distr::{Distribution, Normal, Poisson};
 
 /// Poisson photons, normal read noise, a pedestal, rounding, clipping.
 #[derive(Debug, Clone, Copy)]
-pub struct PhotonSensor {
+pub(crate) struct PhotonSensor {
     pub gain_dn_per_electron: f64,
     pub read_noise_electrons: f64,
     pub black_dn: f64,
@@ -17,7 +17,7 @@ pub struct PhotonSensor {
 
 impl PhotonSensor {
     /// The default sensor of the simulator (Sony A7R III): 14 bits, 7.5 e⁻ of read noise.
-    pub const SONY_A7R3: Self = Self {
+    pub(crate) const SONY_A7R3: Self = Self {
         gain_dn_per_electron: 0.4,
         read_noise_electrons: 7.533597,
         black_dn: 512.0,
@@ -25,7 +25,7 @@ impl PhotonSensor {
         max_dn: 16_383.0,
     };
     /// A Canon T1i: 14 bits, 4.3 e⁻, three code values an electron.
-    pub const CANON_T1: Self = Self {
+    pub(crate) const CANON_T1: Self = Self {
         gain_dn_per_electron: 1.2,
         read_noise_electrons: 4.2711,
         black_dn: 1024.0,
@@ -33,7 +33,7 @@ impl PhotonSensor {
         max_dn: 16_383.0,
     };
     /// A phone: 10 bits, 7.8 e⁻.
-    pub const PHONE: Self = Self {
+    pub(crate) const PHONE: Self = Self {
         gain_dn_per_electron: 0.31,
         read_noise_electrons: 7.8143,
         black_dn: 64.0,
@@ -42,12 +42,12 @@ impl PhotonSensor {
     };
 
     /// Electrons at which codes begin to count as clipped.
-    pub fn full_electrons(&self) -> f64 {
+    pub(crate) fn full_electrons(&self) -> f64 {
         (self.saturation_dn - self.black_dn) / self.gain_dn_per_electron
     }
 
     /// `n` code values for a mean of so many electrons.
-    pub fn expose(&self, electrons: f64, n: usize, rng: &mut impl Rng) -> Vec<u16> {
+    pub(crate) fn expose(&self, electrons: f64, n: usize, rng: &mut impl Rng) -> Vec<u16> {
         let read = Normal::new(0.0, self.read_noise_electrons).unwrap();
         let photons = (electrons > 0.0).then(|| Poisson::new(electrons).unwrap());
         let code = |rng: &mut _| {
@@ -59,7 +59,7 @@ impl PhotonSensor {
 
     /// Fisher information of one code value about the mean count of electrons, from the exact probabilities of all codes;
     /// codes at or above saturation are one outcome: that they are is known, how far is not.
-    pub fn information(&self, electrons: f64) -> f64 {
+    pub(crate) fn information(&self, electrons: f64) -> f64 {
         let (m, read) = (electrons.max(1e-9), self.read_noise_electrons);
         let sd = (m + read * read).sqrt();
         let to_electrons = |code: f64| (code - self.black_dn) / self.gain_dn_per_electron;

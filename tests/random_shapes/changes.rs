@@ -4,13 +4,13 @@ use super::*;
 
 /// What may be done to a matrix and to a material's rows alike.
 #[derive(Debug, Clone, Copy)]
-pub enum Change {
+pub(crate) enum Change {
     Channels([usize; 3]),
     Mirror(usize),
     Transpose,
 }
 
-pub fn changes() -> impl Strategy<Value = Change> {
+pub(crate) fn changes() -> impl Strategy<Value = Change> {
     let orders = [[0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
     prop_oneof![
         proptest::sample::select(orders.to_vec()).prop_map(Change::Channels),
@@ -20,12 +20,12 @@ pub fn changes() -> impl Strategy<Value = Change> {
 }
 
 impl Change {
-    pub fn axes<T: Copy>(self, v: [T; 2]) -> [T; 2] {
+    pub(crate) fn axes<T: Copy>(self, v: [T; 2]) -> [T; 2] {
         if matches!(self, Self::Transpose) { [v[1], v[0]] } else { v }
     }
 
     /// The number that comes to `at` of a grid of `size`.
-    pub fn from(self, at: [usize; 2], size: [usize; 2]) -> usize {
+    pub(crate) fn from(self, at: [usize; 2], size: [usize; 2]) -> usize {
         let [x, y] = match self {
             Self::Mirror(0) => [size[0] - 1 - at[0], at[1]],
             Self::Mirror(_) => [at[0], size[1] - 1 - at[1]],
@@ -36,7 +36,7 @@ impl Change {
     }
 
     /// Rows with entries `[dy][dx][channel]` of a header, changed.
-    pub fn rows<T: Copy>(self, rows: &[Vec<T>], points: [usize; 2], window: [usize; 2]) -> Vec<Vec<T>> {
+    pub(crate) fn rows<T: Copy>(self, rows: &[Vec<T>], points: [usize; 2], window: [usize; 2]) -> Vec<Vec<T>> {
         let (points, window) = (self.axes(points), self.axes(window));
         let channel = |c: usize| if let Self::Channels(order) = self { order[c] } else { c };
         let row = |i: usize| {
@@ -50,7 +50,7 @@ impl Change {
         (0..points[0] * points[1]).map(row).collect()
     }
 
-    pub fn matrix(self, m: &Matrix) -> Matrix {
+    pub(crate) fn matrix(self, m: &Matrix) -> Matrix {
         let (points, window) = (m.header.points, m.header.window);
         let mut out = Matrix::of(self.axes(points), self.axes(window), |_, _, _| 0.0);
         out.header.lit_pitch_mm = self.axes(m.header.lit_pitch_mm);

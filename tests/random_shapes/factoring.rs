@@ -12,7 +12,7 @@ fn as_many_terms_as_a_matrix_has_reproduce_it_and_any_crop_of_it() {
         let window = case.window.map(|w| w - 2 * draw.below(w / 2 + 1));
         for part in [matrix.crop(first, points, window), matrix] {
             let terms = part.rows.len();
-            let options = Options { peak_shift: draw.chance(0.7), ..joint(terms) };
+            let options = FactorOptions { peak_shift: draw.chance(0.7), ..joint(terms) };
             let f = part.factored(&options);
             let energy = part.energy();
             let error = (part.error(&rows_of(&f.material)) / energy.max(f64::MIN_POSITIVE)).sqrt();
@@ -49,7 +49,7 @@ fn a_crop_of_a_matrix_of_low_rank_and_its_rows_in_any_order_take_as_many_terms()
         let window = case.window.map(|w| w - 2 * draw.below(w / 2 + 1));
         let order = draw.order(matrix.rows.len());
         let other = Matrix { rows: order.iter().map(|&i| matrix.rows[i].clone()).collect(), ..matrix.clone() };
-        let options = Options { peak_shift: false, ..joint(rank) };
+        let options = FactorOptions { peak_shift: false, ..joint(rank) };
         let mut values = Vec::new();
         for part in [matrix.crop(first, points, window), matrix, other] {
             let f = part.factored(&options);
@@ -74,7 +74,7 @@ fn a_crop_is_factored_no_worse_than_the_factored_matrix_is_cropped() {
         let first = [0, 1].map(|a| draw.below(case.points[a] - points[a] + 1));
         let window = case.window.map(|w| w - 2 * draw.below(w / 2 + 1));
         let terms = 1 + draw.below(4);
-        let options = Options { peak_shift: false, ..joint(terms) };
+        let options = FactorOptions { peak_shift: false, ..joint(terms) };
         let whole = rows_of(&matrix.factored(&options).material);
         let part = matrix.crop(first, points, window);
         let cropped = crop(&matrix.header, |i| whole[i].clone(), first, points, window);
@@ -93,7 +93,7 @@ fn a_changed_matrix_is_factored_to_the_changed_material() {
         let matrix = Matrix::coloured(case);
         let terms = 1 + draw.below(4);
         let options = match tucker {
-            true => Options { model: Some(Model::Tucker), degree: Some(draw.below(4)), ..joint(terms) },
+            true => FactorOptions { model: Some(Model::Tucker), degree: Some(draw.below(4)), ..joint(terms) },
             false => joint(terms),
         };
         let (f, g) = (matrix.factored(&options), change.matrix(&matrix).factored(&options));
@@ -119,18 +119,18 @@ fn a_changed_matrix_is_factored_to_the_changed_material() {
 #[test]
 fn a_matrix_times_a_power_of_two_is_factored_to_the_material_times_it_to_the_last_bit() {
     let ways = |way: usize, terms: usize| {
-        let base = Options { terms: Some(terms), ..Options::default() };
+        let base = FactorOptions { terms: Some(terms), ..FactorOptions::default() };
         let (tucker, peers) = (Some(Model::Tucker), Some(Model::Peers2006));
         match way {
-            0 => Options { model: Some(Model::Joint), ..base },
-            1 => Options { model: tucker, degree: Some(terms), ..base },
-            2 => Options { model: peers, ..base },
-            3 => Options { model: peers, color_regression: true, degree: Some(1), ..base },
-            4 => Options { backend: Some(Backend::Gram), ..base },
-            5 => Options { backend: Some(Backend::Randomized), ..base },
-            6 => Options::default(),
-            7 => Options { model: tucker, ..Options::default() },
-            _ => Options { goal: Goal::Psnr(20.0 * terms as f64), ..Options::default() },
+            0 => FactorOptions { model: Some(Model::Joint), ..base },
+            1 => FactorOptions { model: tucker, degree: Some(terms), ..base },
+            2 => FactorOptions { model: peers, ..base },
+            3 => FactorOptions { model: peers, color_regression: true, degree: Some(1), ..base },
+            4 => FactorOptions { backend: Some(Backend::Gram), ..base },
+            5 => FactorOptions { backend: Some(Backend::Randomized), ..base },
+            6 => FactorOptions::default(),
+            7 => FactorOptions { model: tucker, ..FactorOptions::default() },
+            _ => FactorOptions { goal: Goal::Psnr(20.0 * terms as f64), ..FactorOptions::default() },
         }
     };
     // Scaled variances are to be normal numbers, too.

@@ -108,7 +108,7 @@ fn a_coded_material_comes_back_as_the_encoder_said() {
     holds(12, (cases(), 0..KINDS, 1.0..4.5_f64), |(case, kind, digits)| {
         let m = material(case, kind);
         let asked = 10_f64.powf(-digits);
-        let options = coded::Options { quality: Quality::AddedError(asked), ..coded::Options::default() };
+        let options = coded::EncodeOptions { quality: Quality::AddedError(asked), ..coded::EncodeOptions::default() };
         let coded = coded::encode(&m, &options).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.acq");

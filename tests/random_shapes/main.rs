@@ -5,7 +5,7 @@
 
 use acquire::Warning;
 use acquire::evaluate::{Measures, evaluate};
-use acquire::factor::{Backend, Factored, Goal, Options, factor};
+use acquire::factor::{Backend, FactorOptions, Factored, Goal, factor};
 use acquire::material::coded::{self, Quality};
 use acquire::material::{
     Evaluator, Exitance, Material, MaterialHeader, Model, OffsetFactors, Precision, SharedBasis, Source, save,
@@ -123,8 +123,13 @@ fn rows_of(material: &Material) -> Vec<Vec<f32>> {
     (0..material.header.rows()).map(|i| material.evaluate_row(i)).collect()
 }
 
-fn joint(terms: usize) -> Options {
-    Options { model: Some(Model::Joint), terms: Some(terms), backend: Some(Backend::Full), ..Options::default() }
+fn joint(terms: usize) -> FactorOptions {
+    FactorOptions {
+        model: Some(Model::Joint),
+        terms: Some(terms),
+        backend: Some(Backend::Full),
+        ..FactorOptions::default()
+    }
 }
 
 /// What storing `terms` orthonormal terms as f32 changes, over ‖R‖: rows are divided by the peak, then weights, both factors, shared maps and

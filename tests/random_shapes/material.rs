@@ -4,7 +4,7 @@ use super::*;
 
 /// A material of random numbers of size one. Kinds: all planes one's own or shared on either side, with a profile or not, shared maps,
 /// polynomials.
-pub fn material(case: Case, kind: usize) -> Material {
+pub(crate) fn material(case: Case, kind: usize) -> Material {
     let mut draw = Draw::new(case.seed ^ 2);
     let (model, [a, b], profile, degree) = [
         (Model::Joint, [1, 3], false, None),
@@ -63,11 +63,11 @@ pub fn material(case: Case, kind: usize) -> Material {
     }
 }
 
-pub const KINDS: usize = 8;
+pub(crate) const KINDS: usize = 8;
 
 /// Row `i` by the formula of docs/materials.md, and what an error of each rounding may be relative to: Σ |g f h m|, and where polynomials make
 /// colours of it Σ |β_p| (1 + p² · 2 Σ |g f h m| / (range)), as |dL_p/du| ≤ p².
-pub fn formula(m: &Material, i: usize) -> (Vec<[f64; 3]>, f64) {
+pub(crate) fn formula(m: &Material, i: usize) -> (Vec<[f64; 3]>, f64) {
     let h = &m.header;
     let samples = h.extended[0] * h.extended[1];
     let factors = factors(m, samples);
@@ -129,11 +129,11 @@ fn factors(m: &Material, samples: usize) -> Vec<f32> {
     }
 }
 
-pub fn source(material: &Material) -> Source {
+pub(crate) fn source(material: &Material) -> Source {
     Source::Material(Box::new(material.clone()), "m".into())
 }
 
 /// All numbers of a material, as bits: zeros have signs.
-pub fn bits(m: &Material) -> Vec<Vec<u32>> {
+pub(crate) fn bits(m: &Material) -> Vec<Vec<u32>> {
     m.tensors().map(|(_, _, values)| values.iter().map(|v| v.to_bits()).collect()).collect()
 }

@@ -4,25 +4,25 @@ use super::*;
 
 /// A matrix in memory.
 #[derive(Debug, Clone)]
-pub struct Matrix {
+pub(crate) struct Matrix {
     pub header: MatrixHeader,
     pub rows: Vec<Row>,
 }
 
 /// A matrix on disk.
-pub struct Stored {
+pub(crate) struct Stored {
     _folder: tempfile::TempDir,
     pub reader: MatrixReader,
 }
 
 /// Of a window's numbers: the sample along x and y, and the channel.
-pub fn place(k: usize, window: [usize; 2]) -> ([usize; 2], usize) {
+pub(crate) fn place(k: usize, window: [usize; 2]) -> ([usize; 2], usize) {
     ([k / 3 % window[0], k / 3 / window[0]], k % 3)
 }
 
 impl Matrix {
     /// `response(row, sample, channel)`, without variance, all measured; points stand at every second sample along x and every third along y.
-    pub fn of(
+    pub(crate) fn of(
         points: [usize; 2],
         window: [usize; 2],
         mut response: impl FnMut(usize, [usize; 2], usize) -> f64,
@@ -43,7 +43,7 @@ impl Matrix {
     }
 
     /// Bells of three widths, each point and channel with its own amounts of them, a twentieth of noise; of some rows the peak is displaced.
-    pub fn coloured(case: Case) -> Self {
+    pub(crate) fn coloured(case: Case) -> Self {
         let mut draw = Draw::new(case.seed);
         let n = case.points[0] * case.points[1];
         let amounts: Vec<[[f64; 3]; 3]> = (0..n).map(|_| [0; 3].map(|_| [0; 3].map(|_| 0.2 + draw.unit()))).collect();
@@ -57,7 +57,7 @@ impl Matrix {
     }
 
     /// Takes out single entries, all of some rows, and makes some rows zero.
-    pub fn with_gaps(mut self, seed: u64) -> Self {
+    pub(crate) fn with_gaps(mut self, seed: u64) -> Self {
         let mut draw = Draw::new(seed ^ 1);
         for row in &mut self.rows {
             let (unlit, zero) = (draw.chance(0.05), draw.chance(0.1));
@@ -71,13 +71,13 @@ impl Matrix {
         self
     }
 
-    pub fn scaled(mut self, scale: f64) -> Self {
+    pub(crate) fn scaled(mut self, scale: f64) -> Self {
         self.rows.iter_mut().flat_map(|r| &mut r.response).for_each(|v| *v = (f64::from(*v) * scale) as f32);
         self.rows.iter_mut().flat_map(|r| &mut r.variance).for_each(|v| *v = (f64::from(*v) * scale * scale) as f32);
         self
     }
 
-    pub fn stored(&self) -> Stored {
+    pub(crate) fn stored(&self) -> Stored {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.rd.zarr");
         let writer = MatrixWriter::create(&path, self.header.clone()).unwrap();
@@ -86,17 +86,17 @@ impl Matrix {
         Stored { reader: MatrixReader::open(&path).unwrap(), _folder: folder }
     }
 
-    pub fn factored(&self, options: &Options) -> Factored {
+    pub(crate) fn factored(&self, options: &FactorOptions) -> Factored {
         factor(&self.stored().reader, options, &Progress::silent()).unwrap()
     }
 
     /// Σ of squares over measured entries.
-    pub fn energy(&self) -> f64 {
+    pub(crate) fn energy(&self) -> f64 {
         self.error(&vec![vec![0.0; self.header.row_len()]; self.rows.len()])
     }
 
     /// Σ of squared differences from it, over measured entries.
-    pub fn error(&self, fit: &[Vec<f32>]) -> f64 {
+    pub(crate) fn error(&self, fit: &[Vec<f32>]) -> f64 {
         let one = |(row, fit): (&Row, &Vec<f32>)| -> f64 {
             let entries = row.response.iter().zip(fit).zip(&row.valid).filter(|(_, v)| **v);
             entries.map(|((&a, &b), _)| (f64::from(a) - f64::from(b)).powi(2)).sum()
@@ -105,7 +105,7 @@ impl Matrix {
     }
 
     /// Rows of `points` points from `first` on, the middle `window` of each.
-    pub fn crop(&self, first: [usize; 2], points: [usize; 2], window: [usize; 2]) -> Self {
+    pub(crate) fn crop(&self, first: [usize; 2], points: [usize; 2], window: [usize; 2]) -> Self {
         let cropped = |rows: &dyn Fn(usize) -> Vec<f32>| crop(&self.header, rows, first, points, window);
         let mut out = Self::of(points, window, |_, _, _| 0.0);
         let response = cropped(&|i| self.rows[i].response.clone());
@@ -117,7 +117,7 @@ impl Matrix {
     }
 }
 
-pub fn crop(
+pub(crate) fn crop(
     header: &MatrixHeader,
     rows: impl Fn(usize) -> Vec<f32>,
     first: [usize; 2],

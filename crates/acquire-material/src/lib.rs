@@ -56,7 +56,7 @@ pub use splat::splat;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
-/// A place or an extent along x and y.
+/// A point, vector or extent of the plane, (x, y).
 pub type Point = [f64; 2];
 
 const CHANNELS: usize = 3;

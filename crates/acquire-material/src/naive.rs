@@ -4,21 +4,21 @@
 use super::{Material, MaterialHeader, Model};
 
 /// Lit points along x and y.
-pub const POINTS: [usize; 2] = [5, 3];
+pub(super) const POINTS: [usize; 2] = [5, 3];
 /// Their number.
-pub const ROWS: usize = 15;
+pub(super) const ROWS: usize = 15;
 /// Samples of a window.
-pub const WINDOW: [usize; 2] = [7, 5];
+pub(super) const WINDOW: [usize; 2] = [7, 5];
 /// Of the common window: a shift of 2 along x loses a column.
-pub const EXTENDED: [usize; 2] = [9, 7];
+pub(super) const EXTENDED: [usize; 2] = [9, 7];
 /// Side of a sample, mm.
-pub const PITCH_MM: f64 = 0.5;
+pub(super) const PITCH_MM: f64 = 0.5;
 /// Where the first lit point is, mm, and the steps to the next along each index: a lattice that is turned and sheared a little.
-pub const ORIGIN_MM: [f64; 2] = [1.25, -2.0];
-pub const STEPS_MM: [[f64; 2]; 2] = [[0.75, 0.0625], [-0.03125, 1.0]];
+pub(super) const ORIGIN_MM: [f64; 2] = [1.25, -2.0];
+pub(super) const STEPS_MM: [[f64; 2]; 2] = [[0.75, 0.0625], [-0.03125, 1.0]];
 
 /// Joint, non-negative with a profile, grey with a profile, and a cubic colour; positive and negative numbers of size one.
-pub fn materials() -> Vec<Material> {
+pub(super) fn materials() -> Vec<Material> {
     let kinds = [
         (Model::Joint, [1, 3], false, None),
         (Model::Peers2006, [3, 3], true, None),
@@ -71,7 +71,7 @@ fn material(model: Model, [a, b]: [usize; 2], profile: bool, degree: Option<usiz
 }
 
 /// v_k at a sample of the common window.
-pub fn plane(m: &Material, k: usize, i: usize, [ex, ey]: [usize; 2]) -> f64 {
+pub(super) fn plane(m: &Material, k: usize, i: usize, [ex, ey]: [usize; 2]) -> f64 {
     let h = &m.header;
     let (a, b) = (if h.incident_planes == 1 { 0 } else { k }, if h.offset_planes == 1 { 0 } else { k });
     let mut sum = 0.0;
@@ -84,14 +84,14 @@ pub fn plane(m: &Material, k: usize, i: usize, [ex, ey]: [usize; 2]) -> f64 {
 }
 
 /// The sample of the common window at an offset of a row; `None` where nothing is modelled.
-pub fn sample(m: &Material, i: usize, d: [isize; 2]) -> Option<[usize; 2]> {
+pub(super) fn sample(m: &Material, i: usize, d: [isize; 2]) -> Option<[usize; 2]> {
     let x = d[0] - isize::from(m.shift[i][0]) + 4;
     let y = d[1] - isize::from(m.shift[i][1]) + 3;
     ((0..9).contains(&x) && (0..7).contains(&y)).then_some([x as usize, y as usize])
 }
 
 /// Colours of the planes' values, for row i.
-pub fn colored(m: &Material, i: usize, planes: [f64; 3]) -> [f64; 3] {
+pub(super) fn colored(m: &Material, i: usize, planes: [f64; 3]) -> [f64; 3] {
     let Some(degree) = m.header.degree else { return planes };
     let [low, high] = m.header.intensity_range.map(f64::from);
     let u = ((2.0 * planes[0] - low - high) / (high - low)).clamp(-1.0, 1.0);
@@ -103,22 +103,22 @@ pub fn colored(m: &Material, i: usize, planes: [f64; 3]) -> [f64; 3] {
 }
 
 /// The three planes, a single one repeated.
-pub fn planes(m: &Material, i: usize, e: [usize; 2]) -> [f64; 3] {
+pub(super) fn planes(m: &Material, i: usize, e: [usize; 2]) -> [f64; 3] {
     let one = m.header.incident_planes.max(m.header.offset_planes) == 1;
     [0, 1, 2].map(|k| plane(m, if one { 0 } else { k }, i, e))
 }
 
 /// R̂_d at an offset of a row's window; `None` outside the window.
-pub fn response(m: &Material, i: usize, d: [isize; 2]) -> Option<[f64; 3]> {
+pub(super) fn response(m: &Material, i: usize, d: [isize; 2]) -> Option<[f64; 3]> {
     (d[0].abs() <= 3 && d[1].abs() <= 2).then(|| sample(m, i, d).map_or([0.0; 3], |e| colored(m, i, planes(m, i, e))))
 }
 
 /// All offsets of a window, line by line.
-pub fn offsets() -> impl Iterator<Item = [isize; 2]> {
+pub(super) fn offsets() -> impl Iterator<Item = [isize; 2]> {
     (-2..=2).flat_map(|y| (-3..=3).map(move |x| [x, y]))
 }
 
 /// How much a sample at `at` adds to one at whole number `k`, both in steps: linear between neighbours.
-pub fn tent(at: f64, k: f64) -> f64 {
+pub(super) fn tent(at: f64, k: f64) -> f64 {
     (1.0 - (at - k).abs()).max(0.0)
 }

@@ -41,7 +41,7 @@ impl std::fmt::Display for Backend {
 }
 
 /// A matrix of f32 that comes in blocks of consecutive rows, the same each time.
-pub trait Rows {
+pub(super) trait Rows {
     /// Number of rows and columns.
     fn shape(&self) -> (usize, usize);
 
@@ -54,7 +54,7 @@ pub trait Rows {
 
 /// Leading singular triplets without their left vectors, which a second pass gives.
 #[derive(Debug, Clone)]
-pub struct LowRank {
+pub(super) struct LowRank {
     /// Descending.
     pub singular_values: Vec<f64>,
     /// One unit row for each, \[k, columns\]; its largest entry in magnitude is positive.
@@ -73,7 +73,7 @@ const GRAM_COLUMNS: usize = 4500;
 const F32_ACCURACY: f64 = 1e-6;
 
 /// The back end for rows of this shape: the quickest that reaches `accuracy`.
-pub fn choose(rows: usize, columns: usize, accuracy: f64) -> Backend {
+pub(super) fn choose(rows: usize, columns: usize, accuracy: f64) -> Backend {
     let work = rows.saturating_mul(columns).saturating_mul(rows.min(columns));
     if work <= FULL_WORK {
         Backend::Full
@@ -91,7 +91,7 @@ pub fn choose(rows: usize, columns: usize, accuracy: f64) -> Backend {
 ///
 /// # Errors
 /// Those of the source; [`Error::Internal`] when a decomposition does not converge.
-pub fn low_rank(
+pub(super) fn low_rank(
     rows: &dyn Rows,
     k: usize,
     backend: Backend,
@@ -115,7 +115,7 @@ pub fn low_rank(
 
 /// The factors of the first `terms` triplets.
 #[derive(Debug, Clone)]
-pub struct Triplets {
+pub(super) struct Triplets {
     /// g_j, \[terms\].
     pub weights: Vec<f64>,
     /// f_j, unit norm over rows (zeros where the weight is zero), \[rows, terms\].
@@ -129,7 +129,7 @@ pub struct Triplets {
 ///
 /// # Errors
 /// Those of the source.
-pub fn triplets(rows: &dyn Rows, low: &LowRank, terms: usize, exact: bool) -> Result<Triplets> {
+pub(super) fn triplets(rows: &dyn Rows, low: &LowRank, terms: usize, exact: bool) -> Result<Triplets> {
     let (n, m) = rows.shape();
     let all = low.singular_values.len();
     let terms = terms.min(all);
@@ -224,7 +224,7 @@ pub(super) fn eigenpairs(gram: MatRef<'_, f64>, k: usize) -> Result<(Vec<f64>, M
 
 impl LowRank {
     /// Triplets that need no iteration.
-    pub fn new(singular_values: Vec<f64>, vectors: Vec<f64>) -> Self {
+    pub(super) fn new(singular_values: Vec<f64>, vectors: Vec<f64>) -> Self {
         Self { singular_values, vectors, passes: 1, residual: 0.0 }
     }
 }
@@ -234,14 +234,14 @@ pub(super) mod tests {
     use super::*;
     use rand::{Rng, SeedableRng};
 
-    pub struct InMemory {
+    pub(crate) struct InMemory {
         values: Vec<f32>,
         columns: usize,
         block: usize,
     }
 
     impl InMemory {
-        pub fn new(values: &[f64], columns: usize, block: usize) -> Self {
+        pub(crate) fn new(values: &[f64], columns: usize, block: usize) -> Self {
             Self { values: values.iter().map(|&v| v as f32).collect(), columns, block }
         }
     }

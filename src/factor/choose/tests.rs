@@ -37,7 +37,7 @@ fn an_uncertain_place_moves_a_row_by_its_slopes_and_curvatures_along_each_axis()
 }
 
 /// A small matrix of two terms, which intensity alone does not colour.
-fn matrix(points: [usize; 2]) -> super::super::test_matrices::Stored {
+fn matrix(points: [usize; 2]) -> super::super::test_matrices::StoredMatrix {
     stored(
         points,
         [5, 3],
@@ -61,13 +61,20 @@ fn matrix(points: [usize; 2]) -> super::super::test_matrices::Stored {
 }
 
 /// What `factor` makes of it with these options.
-fn made(reader: &MatrixReader, options: &Options) -> Factored {
+fn made(reader: &MatrixReader, options: &FactorOptions) -> Factored {
     super::super::factor(reader, options, &Progress::silent()).unwrap()
 }
 
-fn options(terms: usize, degree: usize) -> Options {
+fn options(terms: usize, degree: usize) -> FactorOptions {
     let (model, backend) = (Some(Model::Tucker), Some(Backend::Full));
-    Options { model, backend, terms: Some(terms), degree: Some(degree), peak_shift: false, ..Options::default() }
+    FactorOptions {
+        model,
+        backend,
+        terms: Some(terms),
+        degree: Some(degree),
+        peak_shift: false,
+        ..FactorOptions::default()
+    }
 }
 
 #[test]
@@ -147,7 +154,7 @@ fn rows_of_one_colour_look_grey_and_others_do_not() {
 #[test]
 fn errors_of_sampled_rows_are_those_of_a_factorization() {
     let matrix = matrix([4, 3]);
-    let top = made(&matrix.reader, &Options { degree: Some(3), ..options(2, 3) });
+    let top = made(&matrix.reader, &FactorOptions { degree: Some(3), ..options(2, 3) });
     let mut bare = top.material.clone();
     (bare.header.degree, bare.color_coefficients) = (None, Vec::new());
     let (table, energy) = sampled_errors(&matrix.reader, &bare, 3).unwrap();
@@ -169,7 +176,7 @@ fn errors_of_sampled_rows_are_those_of_a_factorization() {
 #[test]
 fn goals_choose_among_all_terms_and_degrees() {
     let matrix = matrix([4, 3]);
-    let most = Options { max_degree: 3, ..options(2, 3) };
+    let most = FactorOptions { max_degree: 3, ..options(2, 3) };
     let mut bare = made(&matrix.reader, &most).material;
     (bare.header.degree, bare.color_coefficients) = (None, Vec::new());
     let survey = super::super::survey::survey(
@@ -180,7 +187,7 @@ fn goals_choose_among_all_terms_and_degrees() {
         &Progress::silent(),
     )
     .unwrap();
-    let free = Options { terms: None, degree: None, max_degree: 3, ..options(2, 3) };
+    let free = FactorOptions { terms: None, degree: None, max_degree: 3, ..options(2, 3) };
     // 1 weight, 12 + 15 factors a term, 36 coefficients a degree, 2 ends of the range.
     let bytes = |t: usize, p: usize| 4 * (28 * t + 36 * (p + 1) + 2) as u64;
     let all: Vec<(usize, usize, u64, f64)> = (1..=2)
@@ -204,7 +211,7 @@ fn goals_choose_among_all_terms_and_degrees() {
         assert_eq!(chosen(Goal::Bytes(limit)), ((expected.0, expected.1), expected.0 == 2), "{limit} bytes: {all:?}");
     }
     assert_eq!(chosen(Goal::Bytes(bytes(1, 0) - 1)), ((1, 0), false), "the smallest");
-    let fixed = Options { degree: Some(2), ..free };
+    let fixed = FactorOptions { degree: Some(2), ..free };
     let found = terms_and_degree(&matrix.reader, &bare, &survey, Goal::Psnr(1.0), &fixed).unwrap();
     assert_eq!((found.terms, found.degree), (1, 2), "a degree that was asked for stays");
 }
@@ -233,7 +240,7 @@ fn conditions_are_the_median_and_the_largest_over_rows() {
 }
 
 /// Channels are a line and a square of the intensity, whose squares sum to nothing; rows of noise of variance `noise`, which say `stated`.
-fn squares(noise: f64, stated: f64) -> super::super::test_matrices::Stored {
+fn squares(noise: f64, stated: f64) -> super::super::test_matrices::StoredMatrix {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
     let value = |i: usize, k: usize, c: usize| {

@@ -1,4 +1,4 @@
-use super::super::test_matrices::{Stored, stored};
+use super::super::test_matrices::{StoredMatrix, stored};
 use super::*;
 use crate::transport::Row;
 use crate::transport::rows::gradient;
@@ -47,7 +47,7 @@ fn intensity(i: usize) -> (Vec<f64>, Vec<bool>) {
     ((0..35).map(|k| if measured[k] { mean(k) } else { 0.0 }).collect(), measured)
 }
 
-fn matrix() -> Stored {
+fn matrix() -> StoredMatrix {
     let row = |i: usize| {
         let place: Vec<Vec<f64>> = (0..3).map(|c| channel(i, c)).map(|(v, m)| steep(i, &v, &m)).collect();
         let all = || (0..105).map(|s| (s / 3, s % 3));

@@ -1,4 +1,4 @@
-use super::super::test_matrices::{Stored, stored};
+use super::super::test_matrices::{StoredMatrix, stored};
 use super::super::{Factored, factor};
 use super::*;
 use crate::Warning;
@@ -35,7 +35,11 @@ fn exact(terms: usize, i: usize, e: usize, c: usize) -> f64 {
     (0..terms).map(term).sum()
 }
 
-fn matrix(variance: f32, value: impl Fn(usize, usize, usize) -> f64, valid: impl Fn(usize, usize) -> bool) -> Stored {
+fn matrix(
+    variance: f32,
+    value: impl Fn(usize, usize, usize) -> f64,
+    valid: impl Fn(usize, usize) -> bool,
+) -> StoredMatrix {
     stored(
         POINTS,
         WINDOW,
@@ -48,12 +52,12 @@ fn matrix(variance: f32, value: impl Fn(usize, usize, usize) -> f64, valid: impl
     )
 }
 
-fn options(model: Model) -> Options {
+fn options(model: Model) -> FactorOptions {
     let backend = Some(Backend::Full);
-    Options { model: Some(model), backend, peak_shift: false, ..Options::default() }
+    FactorOptions { model: Some(model), backend, peak_shift: false, ..FactorOptions::default() }
 }
 
-fn made(matrix: &Stored, options: &Options) -> Factored {
+fn made(matrix: &StoredMatrix, options: &FactorOptions) -> Factored {
     factor(&matrix.reader, options, &Progress::silent()).unwrap()
 }
 
@@ -93,7 +97,7 @@ fn misfit(m: &Material, real: impl Fn(usize, usize, usize) -> f64, valid: impl F
 fn a_joint_material_is_the_triplets_in_the_unit_of_the_matrix() {
     let matrix = matrix(0.0, |i, e, c| exact(4, i, e, c), |_, _| true);
     for terms in 1..=4 {
-        let found = made(&matrix, &Options { terms: Some(terms), ..options(Model::Joint) });
+        let found = made(&matrix, &FactorOptions { terms: Some(terms), ..options(Model::Joint) });
         let m = &found.material;
         assert_eq!((m.header.terms, m.header.incident_planes, m.header.offset_planes), (terms, 1, 3));
         for i in 0..ROWS {
@@ -124,11 +128,11 @@ fn the_noise_chooses_the_terms_above_it_and_says_why() {
     let level = found.material.header.noise_level;
     assert!((level - 0.55).abs() < 1e-6, "variance in f32: {level}");
     assert!(found.choice.contains("terms 3: singular values 4 … are below the noise"), "{}", found.choice);
-    let few = made(&matrix, &Options { max_terms: 2, ..options(Model::Joint) });
+    let few = made(&matrix, &FactorOptions { max_terms: 2, ..options(Model::Joint) });
     assert_eq!(few.material.header.terms, 2);
     let why = "terms 2: the most allowed, singular values 3 … are still above the noise";
     assert!(few.choice.contains(why), "{}", few.choice);
-    let asked = made(&matrix, &Options { terms: Some(1), ..options(Model::Joint) });
+    let asked = made(&matrix, &FactorOptions { terms: Some(1), ..options(Model::Joint) });
     assert!(asked.choice.contains("terms 1: as asked"), "{}", asked.choice);
 }
 
@@ -160,7 +164,7 @@ fn goals_choose_terms_and_shared_maps_among_all_numbers_of_both() {
     let psnr = |error: f64| 20.0 * (peak / (error / (ROWS * 45) as f64).sqrt()).log10();
     let all = candidates();
     for goal_db in [psnr(20.0), psnr(9.0), psnr(5.0), psnr(3.0), psnr(0.3)] {
-        let found = made(&matrix, &Options { goal: Goal::Psnr(goal_db), ..options(Model::Joint) });
+        let found = made(&matrix, &FactorOptions { goal: Goal::Psnr(goal_db), ..options(Model::Joint) });
         let expected = all.iter().filter(|a| psnr(a.1) >= goal_db).min_by_key(|a| a.0).unwrap();
         assert_eq!(found.material.bytes_f32(), expected.0, "{goal_db} dB: {}", found.choice);
         let db = found.psnr_db.unwrap();
@@ -168,7 +172,7 @@ fn goals_choose_terms_and_shared_maps_among_all_numbers_of_both() {
         assert!((found.rel_rmse - (expected.1 / energy).sqrt()).abs() < 1e-6, "{}", found.rel_rmse);
     }
     for limit in [160, 200, 260, 340, 420, 520, 600] {
-        let found = made(&matrix, &Options { goal: Goal::Bytes(limit), ..options(Model::Joint) });
+        let found = made(&matrix, &FactorOptions { goal: Goal::Bytes(limit), ..options(Model::Joint) });
         let expected = all.iter().filter(|a| a.0 <= limit).min_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
         let db = found.psnr_db.unwrap();
         assert!(found.material.bytes_f32() <= limit, "{limit}: {}", found.choice);
@@ -180,7 +184,8 @@ fn goals_choose_terms_and_shared_maps_among_all_numbers_of_both() {
 fn a_goal_looks_for_up_to_four_times_the_terms_that_noise_may_have() {
     let matrix = matrix(0.0, |i, e, c| exact(4, i, e, c), |_, _| true);
     for backend in [Backend::Full, Backend::Randomized] {
-        let one = Options { max_terms: 1, goal: Goal::Psnr(60.0), backend: Some(backend), ..options(Model::Joint) };
+        let one =
+            FactorOptions { max_terms: 1, goal: Goal::Psnr(60.0), backend: Some(backend), ..options(Model::Joint) };
         let found = made(&matrix, &one);
         assert_eq!(found.material.header.terms, 4, "{}", found.choice);
         assert!(found.psnr_db.unwrap() > 60.0);
@@ -197,7 +202,7 @@ fn a_grey_matrix_is_measured_over_all_its_valid_entries() {
     };
     let whole = matrix(0.0, real, |_, _| true);
     for terms in 1..=2 {
-        let found = made(&whole, &Options { terms: Some(terms), ..options(Model::Joint) });
+        let found = made(&whole, &FactorOptions { terms: Some(terms), ..options(Model::Joint) });
         assert_eq!(found.material.header.planes(), 1);
         let (left, all): (f64, f64) =
             (SIGMA[terms..3].iter().map(|s| s * s).sum(), SIGMA[..3].iter().map(|s| s * s).sum());
@@ -207,12 +212,12 @@ fn a_grey_matrix_is_measured_over_all_its_valid_entries() {
         }
         // The goal that this reaches by a tenth of a decibel: what is planned is what comes out.
         let goal = Goal::Psnr(found.psnr_db.unwrap() - 0.1);
-        let planned = made(&whole, &Options { goal, ..options(Model::Joint) });
+        let planned = made(&whole, &FactorOptions { goal, ..options(Model::Joint) });
         assert_eq!(planned.material.header.terms, terms, "{}", planned.choice);
     }
     let valid = |i: usize, s: usize| !(i == 2 && s / 3 == 4 || i == 7 && s / 3 % 5 == 1);
     let gaps = matrix(0.0, real, valid);
-    let found = made(&gaps, &Options { terms: Some(1), ..options(Model::Joint) });
+    let found = made(&gaps, &FactorOptions { terms: Some(1), ..options(Model::Joint) });
     let [error, energy] = misfit(&found.material, real, valid);
     assert!((found.rel_rmse - (error / energy).sqrt()).abs() < 1e-6, "f32: {} {error} {energy}", found.rel_rmse);
 }
@@ -223,16 +228,17 @@ fn gaps_do_not_count_and_are_filled_from_all_terms() {
         |i: usize, s: usize| !(i == 2 && s % 3 == 1 && s / 3 > 9 || i == 7 && s / 3 % 5 == 1 || i == 9 && s == 0);
     let gaps = matrix(0.0, |i, e, c| exact(2, i, e, c), valid);
     for terms in 1..=2 {
-        let found = made(&gaps, &Options { terms: Some(terms), ..options(Model::Joint) });
+        let found = made(&gaps, &FactorOptions { terms: Some(terms), ..options(Model::Joint) });
         let [error, energy] = misfit(&found.material, |i, e, c| exact(2, i, e, c), valid);
         assert!((found.rel_rmse - (error / energy).sqrt()).abs() < 1e-6, "f32: {} {error} {energy}", found.rel_rmse);
     }
     // One round more than gaps are filled, each one pass of a full decomposition.
-    let rounds = |fill_rounds: usize| made(&gaps, &Options { terms: Some(2), fill_rounds, ..options(Model::Joint) });
+    let rounds =
+        |fill_rounds: usize| made(&gaps, &FactorOptions { terms: Some(2), fill_rounds, ..options(Model::Joint) });
     assert!(rounds(3).choice.contains("full, 4 passes"), "{}", rounds(3).choice);
     assert!(rounds(0).choice.contains("full, 1 pass"), "{}", rounds(0).choice);
     // Estimated from both terms again and again, the rows become the two terms that they are, measured or not.
-    let found = made(&gaps, &Options { terms: Some(2), fill_rounds: 40, ..options(Model::Joint) });
+    let found = made(&gaps, &FactorOptions { terms: Some(2), fill_rounds: 40, ..options(Model::Joint) });
     let [error, energy] = misfit(&found.material, |i, e, c| exact(2, i, e, c), |_, _| true);
     assert!((error / energy).sqrt() < 1e-5, "where the iteration ends: {error} {energy}");
 }
@@ -251,7 +257,8 @@ fn shifted(i: usize, e: usize, c: usize) -> f64 {
 #[test]
 fn shifts_and_findings_are_kept_and_shifts_count_in_bytes() {
     let matrix = matrix(1e-9, shifted, |_, _| true);
-    let with = |goal, terms| Options { goal, terms, peak_shift: true, max_shift: Some(1), ..options(Model::Joint) };
+    let with =
+        |goal, terms| FactorOptions { goal, terms, peak_shift: true, max_shift: Some(1), ..options(Model::Joint) };
     let found = made(&matrix, &with(Goal::Noise, Some(12)));
     let m = &found.material;
     assert_eq!((m.shift.as_slice(), m.header.extended), (SHIFTS.as_slice(), [7, 5]));
@@ -275,7 +282,7 @@ fn positive(i: usize, e: usize, c: usize) -> f64 {
 #[test]
 fn a_non_negative_material_has_the_mean_of_each_channel_for_its_profile() {
     let matrix = matrix(0.0, positive, |_, _| true);
-    let found = made(&matrix, &Options { terms: Some(2), ..options(Model::Peers2006) });
+    let found = made(&matrix, &FactorOptions { terms: Some(2), ..options(Model::Peers2006) });
     let m = &found.material;
     assert_eq!((m.header.incident_planes, m.header.offset_planes, m.header.profile), (3, 3, true));
     assert_eq!(m.weights, [1.0, 1.0]);
@@ -295,7 +302,8 @@ fn a_non_negative_material_has_the_mean_of_each_channel_for_its_profile() {
     assert!((found.rel_rmse - (error / energy).sqrt()).abs() < 1e-6, "f32: {}", found.rel_rmse);
     // T weights, factors of 12 points and 15 samples for each channel and term, three profiles.
     let bytes = |terms: usize| 4 * (terms + 3 * ROWS * terms + 3 * SAMPLES * terms + 3 * SAMPLES) as u64;
-    let limited = |limit| made(&matrix, &Options { goal: Goal::Bytes(limit), ..options(Model::Peers2006) }).material;
+    let limited =
+        |limit| made(&matrix, &FactorOptions { goal: Goal::Bytes(limit), ..options(Model::Peers2006) }).material;
     assert_eq!(limited(bytes(1)).bytes_f32(), bytes(1));
     assert_eq!(limited(bytes(2) - 1).bytes_f32(), bytes(1));
 }

@@ -223,12 +223,12 @@ fn a_pile_of_codes_is_sixteen_at_least_and_eight_times_those_just_below() {
 }
 
 /// A grid of 12 × 8 blocks on a line of variance over level, a third of them dark.
-fn on_line(at_black: f64, slope: f64) -> Grid {
+fn on_line(at_black: f64, slope: f64) -> BlockGrid {
     let block = |k: usize| {
         let level = if k % 3 == 2 { 2.0 + (k % 7) as f64 } else { 100.0 + 3.0 * k as f64 };
         Some(Block { mean: 256.0 + level, variance: at_black + slope * level })
     };
-    Grid { size: [12, 8], blocks: (0..288).map(block).collect() }
+    BlockGrid { size: [12, 8], blocks: (0..288).map(block).collect() }
 }
 
 #[test]
@@ -310,7 +310,7 @@ fn thirty_blocks_in_light_and_thirty_in_the_dark_are_needed() {
                 200.0
             })
         });
-        Grid { size: [12, 8], blocks: blocks.collect() }
+        BlockGrid { size: [12, 8], blocks: blocks.collect() }
     };
     let of = |lit, dark| fit(&[grid(lit, dark)], (256.0, 0.1), (4000.0, true), 0.0);
     assert!(of(30, 30).is_ok());

@@ -20,7 +20,7 @@ fn sensitivity() -> Sensitivity {
         size_px: SIZE_PX,
         focal_px: FOCAL_PX,
         principal_px: PRINCIPAL_PX,
-        response: ResponseCurve::Linear,
+        response_curve: ResponseCurve::Linear,
         vignetting: vec![VIGNETTING],
     };
     let projector = Projector { size_px: [64, 36], principal_px: None };

@@ -17,7 +17,7 @@ pub(crate) struct Device {
 
 impl Device {
     /// Gain and noise as published from photon transfer; the noise of converters dominates but in the A7R.
-    pub const fn of(kind: SensorKind) -> Self {
+    pub(crate) const fn of(kind: SensorKind) -> Self {
         let (gain_dn_per_electron, read_noise_electrons, adc_noise_dn, bits, black_dn) = match kind {
             SensorKind::SonyA7r3 => (0.40, 0.71, 3.0, 14, 512.0),
             SensorKind::SonyA7r1 => (0.33, 0.70, 0.04, 14, 512.0),
@@ -28,7 +28,7 @@ impl Device {
     }
 
     /// Both noises together, electrons.
-    pub fn noise_electrons(&self) -> f64 {
+    pub(crate) fn noise_electrons(&self) -> f64 {
         self.read_noise_electrons.hypot(self.adc_noise_dn / self.gain_dn_per_electron)
     }
 }

@@ -21,7 +21,7 @@ pub(crate) struct Normals {
 
 impl Normals {
     /// The same seed gives the same deviates.
-    pub fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         let word = |word: usize, lane: usize| (mix_seed(seed, (word * LANES + lane) as u64) >> 32) as u32;
         // A state of all zeros would stay there.
         Self { state: std::array::from_fn(|w| std::array::from_fn(|l| word(w, l) | u32::from(w == 0))) }
@@ -47,7 +47,7 @@ impl Normals {
 
     /// Fills a block.
     #[inline(always)]
-    pub fn fill(&mut self, out: &mut [f32; BLOCK]) {
+    pub(crate) fn fill(&mut self, out: &mut [f32; BLOCK]) {
         let (first, second) = out.split_at_mut(HALF);
         for (first, second) in first.chunks_exact_mut(LANES).zip(second.chunks_exact_mut(LANES)) {
             let (for_radius, for_angle) = (self.next(), self.next());

@@ -1,12 +1,12 @@
 //! Light to code values: photons, read-out, pedestal, conversion, response curve, clipping.
 
 use super::{
+    curve::Table,
     devices::Device,
     normal::{BLOCK, Normals},
-    response::Table,
 };
 use crate::capture::Noise;
-use crate::simulate::{FileFormat, Options, Response};
+use crate::simulate::{CameraCurve, FileFormat, SimulateOptions};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -21,7 +21,7 @@ const ROUNDER: f32 = 8_388_608.0;
 
 /// The sensor of one capture.
 #[derive(Debug, Clone)]
-pub(crate) struct Sensor {
+pub(crate) struct SimulatedSensor {
     /// Of the converter, DN.
     black_dn: f32,
     max_dn: f32,
@@ -45,9 +45,9 @@ enum Development {
     Curve(Table),
 }
 
-impl Sensor {
+impl SimulatedSensor {
     /// The sensor that the options ask for.
-    pub fn new(options: &Options) -> Self {
+    pub(crate) fn new(options: &SimulateOptions) -> Self {
         let device = Device::of(options.sensor);
         let own_max = f64::from((1u32 << device.bits) - 1);
         let max = f64::from((1u32 << options.bits.unwrap_or(device.bits)) - 1);
@@ -58,9 +58,9 @@ impl Sensor {
             FileFormat::Jpeg => 255.0,
         };
         // The rig counts the linear signal of encoded files from 0 to 255, whatever their bits.
-        let (development, file_black_dn, file_max_dn) = match (options.response(), options.format) {
-            (Response::Linear, FileFormat::Png) => (Development::Raw, black, max),
-            (Response::Linear, FileFormat::Jpeg) => {
+        let (development, file_black_dn, file_max_dn) = match (options.response_curve(), options.format) {
+            (CameraCurve::Linear, FileFormat::Png) => (Development::Raw, black, max),
+            (CameraCurve::Linear, FileFormat::Jpeg) => {
                 (Development::Scaled((max_code / max) as f32), black * max_code / max, max_code)
             }
             (curve, _) => (Development::Curve(Table::new(curve, max_code)), 0.0, 255.0),
@@ -78,7 +78,7 @@ impl Sensor {
     }
 
     /// What the rig file says of it.
-    pub fn noise(&self) -> Noise {
+    pub(crate) fn noise(&self) -> Noise {
         let gain =
             f64::from(self.gain) * (self.file_max_dn - self.file_black_dn) / f64::from(self.max_dn - self.black_dn);
         let (gain, read) = if self.noise_free { (0.0, 0.0) } else { (gain, f64::from(self.read_electrons)) };
@@ -92,13 +92,13 @@ impl Sensor {
     }
 
     /// Electrons that fill the range.
-    pub fn full_range_electrons(&self) -> f64 {
+    pub(crate) fn full_range_electrons(&self) -> f64 {
         f64::from((self.max_dn - self.black_dn) / self.gain)
     }
 
     /// Code values for mean electron counts `rate · lit_secs`, and `dark_secs` of the currents of `hot` photosites
     /// besides (index, electrons per second; in order). The same seed gives the same picture on every processor.
-    pub fn expose(
+    pub(crate) fn expose(
         &self,
         rate: &[f32],
         hot: &[(usize, f32)],
@@ -150,7 +150,7 @@ impl Sensor {
 
 /// One exposure, as a value: so all of it is compiled for each kind of processor. A closure would not be.
 struct Exposure<'a> {
-    sensor: &'a Sensor,
+    sensor: &'a SimulatedSensor,
     rate: &'a [f32],
     hot: &'a [(usize, f32)],
     lit_secs: f32,
@@ -222,7 +222,7 @@ mod tests {
     const KINDS: [SensorKind; 4] = [SensorKind::SonyA7r3, SensorKind::SonyA7r1, SensorKind::CanonT1, SensorKind::Phone];
 
     fn expose(
-        sensor: &Sensor,
+        sensor: &SimulatedSensor,
         rate: &[f32],
         hot: &[(usize, f32)],
         lit_secs: f64,
@@ -238,12 +238,16 @@ mod tests {
     fn wide_vectors_give_the_codes_of_narrow_ones() {
         let rate: Vec<f32> = (0..100_003).map(|i| (i as f32 * 0.37) % 50_000.0).collect();
         let hot = hot_pixels(rate.len(), 1e-3, 8);
-        for (kind, response) in [
-            (SensorKind::SonyA7r3, Response::Linear),
-            (SensorKind::SonyA7r1, Response::Srgb),
-            (SensorKind::Phone, Response::Film),
+        for (kind, curve) in [
+            (SensorKind::SonyA7r3, CameraCurve::Linear),
+            (SensorKind::SonyA7r1, CameraCurve::Srgb),
+            (SensorKind::Phone, CameraCurve::Film),
         ] {
-            let sensor = Sensor::new(&Options { sensor: kind, response: Some(response), ..Options::default() });
+            let sensor = SimulatedSensor::new(&SimulateOptions {
+                sensor: kind,
+                response_curve: Some(curve),
+                ..SimulateOptions::default()
+            });
             let mut narrow = vec![0; rate.len()];
             let (rate, hot, codes) = (&rate[..], &hot[..], &mut narrow[..]);
             pulp::NullaryFnOnce::call(Exposure {
@@ -270,7 +274,7 @@ mod tests {
         for (sensor, bits) in
             KINDS.map(|s| (s, None)).into_iter().chain([12, 14, 16].map(|b| (SensorKind::SonyA7r3, Some(b))))
         {
-            let sensor = Sensor::new(&Options { sensor, bits, ..Options::default() });
+            let sensor = SimulatedSensor::new(&SimulateOptions { sensor, bits, ..SimulateOptions::default() });
             let noise = sensor.noise();
             let (gain, read) = (noise.gain_dn_per_electron, noise.read_noise_electrons);
             for electrons in [0.0, 0.7, 5.0, 11.9, 24.9, 25.1, 40.0, 300.0, 1190.0, 2400.0] {
@@ -321,7 +325,8 @@ mod tests {
     #[test]
     fn photons_are_poisson_down_to_the_third_moment() {
         for kind in KINDS {
-            let sensor = Sensor::new(&Options { sensor: kind, bits: Some(16), ..Options::default() });
+            let sensor =
+                SimulatedSensor::new(&SimulateOptions { sensor: kind, bits: Some(16), ..SimulateOptions::default() });
             let (gain, black) = (sensor.noise().gain_dn_per_electron, sensor.noise().black_dn);
             for mean in [2.0f64, 20.0, 60.0] {
                 let n = 400_000;
@@ -339,18 +344,20 @@ mod tests {
 
     #[test]
     fn without_noise_only_rounding_remains() {
-        let sensor = Sensor::new(&Options { noise_free: true, ..Options::default() });
+        let sensor = SimulatedSensor::new(&SimulateOptions { noise_free: true, ..SimulateOptions::default() });
         assert_eq!(expose(&sensor, &[0.0, 1000.0, 1e9], &[], 1.0, 1.0, 0), vec![512, 912, 16_383]);
         assert_eq!(sensor.noise().gain_dn_per_electron, 0.0);
-        let wide = Sensor::new(&Options { noise_free: true, bits: Some(16), ..Options::default() });
+        let wide =
+            SimulatedSensor::new(&SimulateOptions { noise_free: true, bits: Some(16), ..SimulateOptions::default() });
         assert_eq!(expose(&wide, &[-1e9, 1e9], &[], 1.0, 1.0, 0), vec![0, 65_535]);
     }
 
     #[test]
     fn the_pedestal_is_kept_in_linear_files() {
         for (format, black) in [(FileFormat::Png, 512.0), (FileFormat::Jpeg, 512.0 * 255.0 / 16_383.0)] {
-            let options = Options { format, response: Some(Response::Linear), ..Options::default() };
-            let sensor = Sensor::new(&options);
+            let options =
+                SimulateOptions { format, response_curve: Some(CameraCurve::Linear), ..SimulateOptions::default() };
+            let sensor = SimulatedSensor::new(&options);
             assert!((sensor.noise().black_dn - black).abs() < 1e-6);
             let codes = expose(&sensor, &[0.0; 100_000], &[], 1.0, 1.0, 4);
             let (mean, variance) = moments(&codes);
@@ -364,15 +371,20 @@ mod tests {
     #[test]
     fn encoded_files_decode_to_the_light_that_made_them() {
         for format in [FileFormat::Png, FileFormat::Jpeg] {
-            let options = Options { format, response: Some(Response::Srgb), noise_free: true, ..Options::default() };
-            let sensor = Sensor::new(&options);
+            let options = SimulateOptions {
+                format,
+                response_curve: Some(CameraCurve::Srgb),
+                noise_free: true,
+                ..SimulateOptions::default()
+            };
+            let sensor = SimulatedSensor::new(&options);
             let full = sensor.full_range_electrons();
             let top = if format == FileFormat::Png { 65_535.0 } else { 255.0 };
             for share in [0.001, 0.02, 0.2, 0.7] {
                 let code = expose(&sensor, &[(share * full) as f32], &[], 1.0, 1.0, 0)[0];
-                let expected = top * Response::Srgb.encode(share);
+                let expected = top * CameraCurve::Srgb.encode(share);
                 // Half a code value, and half a step of the converter times the slope of the curve.
-                let slope = top * (Response::Srgb.encode(share + 1e-6) - Response::Srgb.encode(share)) / 1e-6;
+                let slope = top * (CameraCurve::Srgb.encode(share + 1e-6) - CameraCurve::Srgb.encode(share)) / 1e-6;
                 assert!(
                     (f64::from(code) - expected).abs() <= 0.55 + 0.5 * slope / 15_871.0,
                     "{share}: {code} {expected}"
@@ -384,7 +396,7 @@ mod tests {
 
     #[test]
     fn hot_pixels_stay_in_place_and_grow_with_exposure() {
-        let sensor = Sensor::new(&Options { noise_free: true, ..Options::default() });
+        let sensor = SimulatedSensor::new(&SimulateOptions { noise_free: true, ..SimulateOptions::default() });
         let (rate, hot) = (vec![100.0; 30_000], hot_pixels(30_000, 1e-3, 8));
         let bright = |secs: f64| {
             let codes = expose(&sensor, &rate, &hot, secs, secs, 1);

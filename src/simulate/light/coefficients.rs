@@ -1,6 +1,6 @@
 //! The slab on the solver's grid: its layers, and the mean coefficients of its voxels.
 
-use super::domain::{Domain, LEAST_EXTINCTION_PER_MM, Slab};
+use super::domain::{Domain, LEAST_EXTINCTION_PER_MM, SolverSlab};
 
 /// σ'_s and σ_a (mm⁻¹) of one channel on the solver's voxels.
 #[derive(Debug)]
@@ -12,7 +12,7 @@ pub(crate) struct Coefficients {
 
 impl Coefficients {
     /// Means over the voxels of `domain`: products of the shares along x, y and z.
-    pub fn new(slab: &Slab, domain: &Domain, channel: usize) -> Self {
+    pub(crate) fn new(slab: &SolverSlab, domain: &Domain, channel: usize) -> Self {
         let volume = &slab.volume;
         let along = |a: usize| -> Vec<Vec<(usize, f64)>> {
             let at = |i: usize| domain.corner_mm[a] + i as f64 * domain.voxel_mm;
@@ -55,12 +55,12 @@ impl Coefficients {
     }
 
     /// All planes there are.
-    pub fn all(&self) -> &[(f64, f64)] {
+    pub(crate) fn all(&self) -> &[(f64, f64)] {
         &self.values
     }
 
     /// The plane of layer `k`.
-    pub fn layer(&self, k: usize) -> &[(f64, f64)] {
+    pub(crate) fn layer(&self, k: usize) -> &[(f64, f64)] {
         match self.values.len() == self.plane {
             true => &self.values,
             false => &self.values[k * self.plane..(k + 1) * self.plane],
@@ -69,7 +69,7 @@ impl Coefficients {
 }
 
 /// The material layers of each solver layer with their shares; once for all when there is but one material layer.
-fn depths(slab: &Slab) -> Vec<Vec<(usize, f64)>> {
+fn depths(slab: &SolverSlab) -> Vec<Vec<(usize, f64)>> {
     if slab.volume.layers_mm.len() == 1 {
         return vec![vec![(0, 1.0)]];
     }

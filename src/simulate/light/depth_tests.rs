@@ -1,7 +1,7 @@
 //! Slabs whose coefficients vary with depth, and slabs at the ends of every range.
 
 use super::domain::layers_mm;
-use super::domain::{Domain, Slab};
+use super::domain::{Domain, SolverSlab};
 use super::multigrid::{Columns, Multigrid};
 use crate::simulate::slab::{Beyond, Optics, Volume, boundary_factor, normal_reflectance, table};
 
@@ -16,7 +16,7 @@ fn domain(voxel_mm: f64, voxels: usize) -> Domain {
 /// The exitance of light that falls on four columns in the middle, and where it went, relative to the source.
 fn solve(volume: &Volume, domain: &Domain, channel: usize) -> (Vec<f32>, f64) {
     // Diffusion alone: what it is compared with has no flights before it.
-    let slab = Slab { flights: 0, ..Slab::new(volume.clone(), domain.voxel_mm, 1e-6) };
+    let slab = SolverSlab { flights: 0, ..SolverSlab::new(volume.clone(), domain.voxel_mm, 1e-6) };
     let mut flux = vec![0.0; domain.columns()];
     let [nx, ny] = domain.voxels;
     for i in [0, 1, nx, nx + 1] {
@@ -61,11 +61,11 @@ fn equal_layers_are_one_slab() {
     // Where one voxel far away forbids to join the layers, the maps per layer are used: a different sum, the same slab.
     let mut deep = Volume { voxels: [2, 1], voxel_mm: [100.0, 100.0], ..Volume::uniform(milk, 1.3, 4.0) };
     (deep.layers_mm, deep.optics) = (vec![4.0 - 0.1, 0.1], vec![milk, milk, milk, optics(2.5, 0.0011)]);
-    let slab = Slab::new(deep, 0.25, 1e-6);
-    let uniform = Slab { volume: Volume::uniform(milk, 1.3, 4.0), ..slab.clone() };
+    let slab = SolverSlab::new(deep, 0.25, 1e-6);
+    let uniform = SolverSlab { volume: Volume::uniform(milk, 1.3, 4.0), ..slab.clone() };
     let domain = domain(0.25, 48);
     let flux: Vec<f64> = (0..48 * 48).map(|i| f64::from(u8::from(i == 24 * 48 + 24))).collect();
-    let solve = |slab: &Slab| slab.solve(&domain, &flux, 0).unwrap().exitance();
+    let solve = |slab: &SolverSlab| slab.solve(&domain, &flux, 0).unwrap().exitance();
     let (maps, plane) = (solve(&slab), solve(&uniform));
     let largest = plane.iter().copied().fold(0.0, f32::max);
     let worst = maps.iter().zip(&plane).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
@@ -201,7 +201,7 @@ fn the_solvers_layers_end_where_the_materials_do() {
 }
 
 /// Every named medium in slabs of 0.05 to 50 mm at pitches of 0.05 to 2 mm: finite, no brighter than its light, and balanced to a
-/// thousandth, which [`Slab::solve`] itself demands.
+/// thousandth, which [`SolverSlab::solve`] itself demands.
 #[test]
 fn every_extreme_converges() {
     let media = table::MEDIA.iter().filter(|m| !m.measured || ["spectralon", "ketchup"].contains(&m.name));

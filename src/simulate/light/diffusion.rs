@@ -34,7 +34,7 @@
 //! [`dEonIrving2011`]: https://doi.org/10.1145/1964921.1964951
 
 use super::coefficients::Coefficients;
-use super::domain::{Domain, Slab};
+use super::domain::{Domain, SolverSlab};
 use super::first_flights::{Flights, Flown};
 use super::last_flight::Lit;
 use super::multigrid::{Columns, Convergence, Multigrid};
@@ -53,12 +53,12 @@ const REFINEMENT: f64 = 1e-3;
 /// Channels as messages name them.
 pub(crate) const CHANNEL_NAMES: [char; 3] = ['R', 'G', 'B'];
 
-impl Slab {
+impl SolverSlab {
     /// Solves for `flux` arriving at the columns (row-major).
     ///
     /// # Errors
     /// [`Error::Diffusion`] when the solver finds no solution that keeps all light.
-    pub fn solve(&self, domain: &Domain, flux: &[f64], channel: usize) -> Result<Solution> {
+    pub(crate) fn solve(&self, domain: &Domain, flux: &[f64], channel: usize) -> Result<Solution> {
         let coefficients = Coefficients::new(self, domain, channel);
         let (columns, sides) = self.operator(domain, &coefficients);
         let (top, bottom) = (columns.top.clone(), columns.bottom.clone());
@@ -102,7 +102,7 @@ impl Slab {
     }
 
     /// π times the radiance towards the eye above each column of what `flux` scatters there the first time, mm⁻²: exact, without a solve.
-    pub fn first_radiance(&self, domain: &Domain, flux: &[f64], channel: usize, eye_mm: [f64; 3]) -> Vec<f32> {
+    pub(crate) fn first_radiance(&self, domain: &Domain, flux: &[f64], channel: usize, eye_mm: [f64; 3]) -> Vec<f32> {
         let refractive_index = self.volume.refractive_index;
         let enters = domain.entering_per_mm2(refractive_index);
         let lit = Lit {

@@ -38,24 +38,24 @@ pub(crate) struct Domain {
 
 impl Domain {
     /// First corner of voxel `[x, y]`, mm.
-    pub fn voxel_corner_mm(&self, voxel: [usize; 2]) -> Point {
+    pub(crate) fn voxel_corner_mm(&self, voxel: [usize; 2]) -> Point {
         std::array::from_fn(|a| self.corner_mm[a] + voxel[a] as f64 * self.voxel_mm)
     }
 
     /// Number of columns.
-    pub fn columns(&self) -> usize {
+    pub(crate) fn columns(&self) -> usize {
         self.voxels[0] * self.voxels[1]
     }
 
     /// What enters per mm² of a column at which a unit of flux arrives.
-    pub fn entering_per_mm2(&self, refractive_index: f64) -> f64 {
+    pub(crate) fn entering_per_mm2(&self, refractive_index: f64) -> f64 {
         (1.0 - normal_reflectance(refractive_index)) / self.voxel_mm.powi(2)
     }
 }
 
 /// The slab as the solver sees it.
 #[derive(Debug, Clone)]
-pub(crate) struct Slab {
+pub(crate) struct SolverSlab {
     pub volume: Volume,
     /// Thickness of the solver's layers from the top, mm.
     pub layers_mm: Vec<f64>,
@@ -65,9 +65,9 @@ pub(crate) struct Slab {
     pub flights: usize,
 }
 
-impl Slab {
+impl SolverSlab {
     /// The slab for a solver whose voxels are `voxel_mm` wide.
-    pub fn new(volume: Volume, voxel_mm: f64, tolerance: f64) -> Self {
+    pub(crate) fn new(volume: Volume, voxel_mm: f64, tolerance: f64) -> Self {
         let volume = volume.merged();
         Self { layers_mm: layers_mm(&volume, voxel_mm), volume, tolerance, flights: FLIGHTS }
     }
@@ -76,7 +76,7 @@ impl Slab {
     ///
     /// # Errors
     /// [`Error::Setting`] naming `voxels_per_sample`.
-    pub fn check_size(&self, domain: &Domain) -> Result<()> {
+    pub(crate) fn check_size(&self, domain: &Domain) -> Result<()> {
         let voxels = domain.columns().saturating_mul(self.layers_mm.len());
         match voxels <= MOST_VOXELS {
             true => Ok(()),

@@ -2,11 +2,11 @@
 
 use super::{
     beam::Beam,
-    domain::{Domain, Slab},
+    domain::{Domain, SolverSlab},
     field::Field,
-    monte_carlo::{self, BATCHES, Medium, Outcome, Setup, Window},
+    monte_carlo::{self, BATCHES, Medium, Outcome, Setup, TallyWindow},
 };
-use crate::simulate::{Options, Transport, mix_seed, slab::Volume};
+use crate::simulate::{SimulateOptions, Transport, mix_seed, slab::Volume};
 use crate::{Result, geometry::Point, progress::Progress};
 use rayon::prelude::*;
 
@@ -33,7 +33,7 @@ pub(crate) struct Glow {
 #[derive(Debug)]
 pub(crate) struct Dots {
     /// The slab as diffusion sees it.
-    pub slab: Slab,
+    pub slab: SolverSlab,
     /// Side of its voxels, mm.
     pub voxel_mm: f64,
     eye_mm: [f64; 3],
@@ -54,7 +54,7 @@ struct Tracer {
 
 impl Glow {
     /// Means over `cells` × `cells` squares of side `cell_mm`, centred as a whole on `center_mm`: `[y][x][channel]`, exact.
-    pub fn cell_means(&self, center_mm: Point, cells: [usize; 2], cell_mm: f64) -> Vec<f32> {
+    pub(crate) fn cell_means(&self, center_mm: Point, cells: [usize; 2], cell_mm: f64) -> Vec<f32> {
         let mut sum = vec![0.0; cells[0] * cells[1] * 3];
         for field in &self.fields {
             sum.iter_mut().zip(field.cell_means(center_mm, cells, cell_mm)).for_each(|(sum, mean)| *sum += mean);
@@ -66,8 +66,8 @@ impl Glow {
 impl Dots {
     /// Prepares the solver. A slab that is the same everywhere has one answer for all dots: it is found here, for `middle`.
     /// The others' footprints differ from that by the projector's keystone, and the camera sees them from a little more aside.
-    pub fn new(
-        options: &Options,
+    pub(crate) fn new(
+        options: &SimulateOptions,
         volume: Volume,
         eye_mm: [f64; 3],
         middle: &Beam,
@@ -83,7 +83,7 @@ impl Dots {
         };
         let uniform = volume.is_laterally_uniform();
         let mut dots = Self {
-            slab: Slab::new(volume, voxel_mm, options.tolerance),
+            slab: SolverSlab::new(volume, voxel_mm, options.tolerance),
             voxel_mm,
             eye_mm,
             pitch_mm: options.pitch_mm,
@@ -102,7 +102,7 @@ impl Dots {
     }
 
     /// The light of `beam`; `number` tells its random numbers from other dots'.
-    pub fn glow(&self, beam: &Beam, number: usize) -> Result<Glow> {
+    pub(crate) fn glow(&self, beam: &Beam, number: usize) -> Result<Glow> {
         if let Some((glow, center_mm)) = &self.everywhere {
             let by = std::array::from_fn(|a| beam.center_mm[a] - center_mm[a]);
             let fields = glow.fields.iter().map(|field| field.moved(by)).collect();
@@ -124,7 +124,7 @@ impl Dots {
     }
 
     /// What is seen by diffusion for flux arriving at the columns of `domain`, per channel.
-    pub fn diffuse(&self, domain: &Domain, flux: [&[f64]; 3]) -> Result<Field> {
+    pub(crate) fn diffuse(&self, domain: &Domain, flux: [&[f64]; 3]) -> Result<Field> {
         let channel = |c: usize| Ok(self.slab.solve(domain, flux[c], c)?.radiance(self.eye_mm));
         Self::through(domain, channel)
     }
@@ -183,7 +183,7 @@ impl Dots {
     ) -> Result<Glow> {
         let cell_mm = self.cell_mm();
         let cells = domain.voxels.map(|n| (n as f64 * domain.voxel_mm / cell_mm).round() as usize);
-        let window = Window { corner_mm: domain.corner_mm, cell_mm, cells };
+        let window = TallyWindow { corner_mm: domain.corner_mm, cell_mm, cells };
         let stage = progress.stage("trace", 3 * BATCHES as usize);
         let channel = |c: usize| -> Result<Outcome> {
             let setup = Setup {
@@ -193,7 +193,7 @@ impl Dots {
                 ..Setup::totals(&tracer.media[c])
             };
             let seed = mix_seed(mix_seed(tracer.seed, number as u64), c as u64);
-            monte_carlo::trace(&setup, &monte_carlo::Options { photons, seed }, Some(&stage))
+            monte_carlo::trace(&setup, &monte_carlo::TraceOptions { photons, seed }, Some(&stage))
         };
         let outcomes: Vec<Outcome> = (0..3).into_par_iter().map(channel).collect::<Result<_>>()?;
         let maps: Vec<_> = outcomes.into_iter().filter_map(|o| o.radiance).collect();

@@ -17,7 +17,7 @@ pub(crate) struct Field {
 
 impl Field {
     /// Interpolates `channels` (row-major over `size`), voxels of side `voxel_mm`, the first with its corner at `corner_mm`.
-    pub fn interpolate(corner_mm: Point, voxel_mm: f64, size: [usize; 2], channels: [&[f32]; 3]) -> Self {
+    pub(crate) fn interpolate(corner_mm: Point, voxel_mm: f64, size: [usize; 2], channels: [&[f32]; 3]) -> Self {
         let mut field = Self::smooth(corner_mm, voxel_mm, size, channels);
         for row in field.coefficients.chunks_exact_mut(size[0]) {
             prefilter(row, 1, size[0]);
@@ -30,7 +30,7 @@ impl Field {
 
     /// Spreads the content of every cell as a cubic B-spline: nowhere negative, noise is not amplified, the integral stays.
     /// Blurs by a standard deviation of 0.58 cells, that of the spline.
-    pub fn smooth(corner_mm: Point, cell_mm: f64, size: [usize; 2], channels: [&[f32]; 3]) -> Self {
+    pub(crate) fn smooth(corner_mm: Point, cell_mm: f64, size: [usize; 2], channels: [&[f32]; 3]) -> Self {
         let mut coefficients = vec![[0.0; 4]; size[0] * size[1]];
         for (c, values) in channels.iter().enumerate() {
             coefficients.iter_mut().zip(values.iter()).for_each(|(to, v)| to[c] = *v);
@@ -39,19 +39,19 @@ impl Field {
     }
 
     /// The same field elsewhere.
-    pub fn moved(&self, by_mm: Point) -> Self {
+    pub(crate) fn moved(&self, by_mm: Point) -> Self {
         let origin_mm = std::array::from_fn(|a| self.origin_mm[a] + by_mm[a]);
         Self { origin_mm, ..self.clone() }
     }
 
     /// Side of a cell, mm.
-    pub fn cell_mm(&self) -> f64 {
+    pub(crate) fn cell_mm(&self) -> f64 {
         1.0 / self.per_mm
     }
 
     /// The field at `p` (mm), zero where the spline's support leaves the box.
     #[inline(always)]
-    pub fn at(&self, p: Point) -> [f32; 3] {
+    pub(crate) fn at(&self, p: Point) -> [f32; 3] {
         let nodes = Nodes { share: [[1.0], [0.0], [0.0], [0.0]], weight: [1.0] };
         self.mean_over(&nodes, [p; 4]).unwrap_or_default()
     }
@@ -59,7 +59,7 @@ impl Field {
     /// The mean over a quadrilateral (mm; first and second corner above third and fourth), bilinear between its corners, by
     /// the points of `nodes`; `None` where the spline's support leaves the box.
     #[inline(always)]
-    pub fn mean_over<const P: usize>(&self, nodes: &Nodes<P>, corners_mm: [Point; 4]) -> Option<[f32; 3]> {
+    pub(crate) fn mean_over<const P: usize>(&self, nodes: &Nodes<P>, corners_mm: [Point; 4]) -> Option<[f32; 3]> {
         let ((column, across), (row, down)) = (self.places(nodes, corners_mm, 0)?, self.places(nodes, corners_mm, 1)?);
         let (wx, wy) = (all_weights(&across), all_weights(&down));
         let mut sum = [[0.0f32; 4]; 4];
@@ -115,7 +115,7 @@ impl Field {
     }
 
     /// Means over `cells` × `cells` squares of side `cell_mm`, centred as a whole on `center_mm`: `[y][x][channel]`, exact.
-    pub fn cell_means(&self, center_mm: Point, cells: [usize; 2], cell_mm: f64) -> Vec<f32> {
+    pub(crate) fn cell_means(&self, center_mm: Point, cells: [usize; 2], cell_mm: f64) -> Vec<f32> {
         let side = cell_mm * self.per_mm;
         let weights: [Vec<(usize, Vec<f64>)>; 2] = std::array::from_fn(|a| {
             let middle = (center_mm[a] - self.origin_mm[a]) * self.per_mm;
@@ -141,7 +141,7 @@ impl Field {
     }
 
     /// The rectangle outside which the field is zero, mm: first and last corner.
-    pub fn bounds_mm(&self) -> [Point; 2] {
+    pub(crate) fn bounds_mm(&self) -> [Point; 2] {
         let at = |i: [f64; 2]| std::array::from_fn(|a| self.origin_mm[a] + i[a] / self.per_mm);
         [at([1.0, 1.0]), at([self.size[0] as f64 - 2.0, self.size[1] as f64 - 2.0])]
     }
@@ -156,7 +156,7 @@ pub(crate) struct Nodes<const P: usize> {
 
 impl<const P: usize> Nodes<P> {
     /// The products of a rule on −½..½ of √P points and weights.
-    pub fn new(rule: &[(f64, f64)]) -> Self {
+    pub(crate) fn new(rule: &[(f64, f64)]) -> Self {
         let side = rule.len();
         debug_assert_eq!(side * side, P);
         let (mut u, mut v, mut weight) = ([0.0; P], [0.0; P], [0.0; P]);

@@ -6,7 +6,7 @@
 //! leaves in every voxel what collides there, expected (no roulette), is reflected by the faces after Fresnel, and keeps all energy.
 
 use super::coefficients::Coefficients;
-use super::domain::{Domain, Slab};
+use super::domain::{Domain, SolverSlab};
 use super::fresnel;
 use std::f64::consts::PI;
 
@@ -32,7 +32,7 @@ pub(crate) struct Flown {
 
 impl Flown {
     /// Adds a further flight.
-    pub fn add(&mut self, next: &Self) {
+    pub(crate) fn add(&mut self, next: &Self) {
         self.scattered.iter_mut().zip(&next.scattered).for_each(|(sum, q)| *sum += q);
         self.absorbed += next.absorbed;
         self.top += next.top;
@@ -63,7 +63,12 @@ struct Ray {
 
 impl<'a> Flights<'a> {
     /// Through `slab`'s voxels in `domain`; `None` for a source (`flux` per column) too wide for it.
-    pub fn new(slab: &Slab, domain: &'a Domain, coefficients: &'a Coefficients, flux: &[f64]) -> Option<Self> {
+    pub(super) fn new(
+        slab: &SolverSlab,
+        domain: &'a Domain,
+        coefficients: &'a Coefficients,
+        flux: &[f64],
+    ) -> Option<Self> {
         let mut faces_mm = vec![0.0];
         let mut depth = 0.0;
         faces_mm.extend(slab.layers_mm.iter().map(|dz| {
@@ -75,7 +80,7 @@ impl<'a> Flights<'a> {
     }
 
     /// One flight of light that starts isotropically in voxels, as much as `source` has (layer by layer).
-    pub fn fly(&self, source: &[f64]) -> Flown {
+    pub(super) fn fly(&self, source: &[f64]) -> Flown {
         let mut flown = Flown { scattered: vec![0.0; source.len()], ..Flown::default() };
         let total: f64 = source.iter().sum();
         if !(total > 0.0) {

@@ -2,10 +2,10 @@
 
 use super::beam::Beam;
 use super::coefficients::Coefficients;
-use super::domain::{Domain, Slab};
+use super::domain::{Domain, SolverSlab};
 use super::field::Field;
 use super::last_flight::Lit;
-use super::monte_carlo::{self, Medium, Setup, Window};
+use super::monte_carlo::{self, Medium, Setup, TallyWindow};
 use crate::simulate::slab::{Optics, Volume, table};
 
 const EYE_MM: [f64; 3] = [0.0, -4.0, -45.0];
@@ -21,7 +21,7 @@ fn the_last_flight_equals_a_sum_along_the_line_of_sight() {
     let optics =
         |s: f64, a: f64| Optics { reduced_scattering_per_mm: [s; 3], absorption_per_mm: [a; 3], anisotropy: [0.0; 3] };
     let volume = Volume::layered(&[(optics(2.0, 0.1), 0.7), (optics(0.5, 0.3), 2.3)], 1.4);
-    let (slab, domain) = (Slab::new(volume, 0.25, 1e-6), domain(8));
+    let (slab, domain) = (SolverSlab::new(volume, 0.25, 1e-6), domain(8));
     let coefficients = Coefficients::new(&slab, &domain, 0);
     let faces: Vec<f64> = (0..=slab.layers_mm.len()).map(|k| slab.layers_mm[..k].iter().sum()).collect();
     let fluence = |z: f64| 5.0 - z;
@@ -56,13 +56,13 @@ fn both(name: &str, photons: u64) -> (Vec<f32>, Vec<f32>) {
     let volume = Volume::uniform(medium.optics, medium.refractive_index, 4.0);
     let domain = domain(64);
     let beam = Beam { mm_from_px: [[0.125, 0.0], [0.0, 0.125]], side_px: 3.0, blur_px: 0.3, ..Beam::pencil([0.0; 2]) };
-    let slab = Slab::new(volume.clone(), domain.voxel_mm, 1e-5);
+    let slab = SolverSlab::new(volume.clone(), domain.voxel_mm, 1e-5);
     let radiance = slab.solve(&domain, &beam.footprint(&domain), 0).unwrap().radiance(EYE_MM);
     let field = Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&radiance; 3]);
-    let window = Window { corner_mm: domain.corner_mm, cell_mm: 0.125, cells: [128; 2] };
+    let window = TallyWindow { corner_mm: domain.corner_mm, cell_mm: 0.125, cells: [128; 2] };
     let traced = Medium::new(&volume, 0);
     let setup = Setup { beam, window: Some(window), eye_mm: Some(EYE_MM), ..Setup::totals(&traced) };
-    let outcome = monte_carlo::trace(&setup, &monte_carlo::Options { photons, seed: 3 }, None).unwrap();
+    let outcome = monte_carlo::trace(&setup, &monte_carlo::TraceOptions { photons, seed: 3 }, None).unwrap();
     let plane: Vec<f32> = outcome.radiance.unwrap().mean.iter().map(|v| *v as f32).collect();
     let photons = Field::smooth(window.corner_mm, window.cell_mm, window.cells, [&plane; 3]);
     (field.cell_means([0.0; 2], [15; 2], 0.5), photons.cell_means([0.0; 2], [15; 2], 0.5))
@@ -84,7 +84,7 @@ fn radiance_agrees_with_photon_monte_carlo_to_the_stated_error() {
 #[test]
 fn flights_keep_all_light_and_are_the_same_every_time() {
     let medium = table::medium("chicken1").unwrap();
-    let slab = Slab::new(Volume::uniform(medium.optics, medium.refractive_index, 4.0), 0.25, 1e-5);
+    let slab = SolverSlab::new(Volume::uniform(medium.optics, medium.refractive_index, 4.0), 0.25, 1e-5);
     let domain = domain(32);
     let flux: Vec<f64> = (0..32 * 32).map(|i| f64::from(u8::from(i == 16 * 32 + 16))).collect();
     let solve = || slab.solve(&domain, &flux, 1).unwrap();
@@ -102,7 +102,7 @@ fn what_is_seen_is_light_at_every_extreme() {
     for medium in table::MEDIA.iter().filter(|m| !m.measured) {
         for thickness_mm in [0.05, 4.0, 50.0] {
             let volume = Volume::uniform(medium.optics, medium.refractive_index, thickness_mm);
-            let (slab, domain) = (Slab::new(volume, 0.25, 1e-5), domain(24));
+            let (slab, domain) = (SolverSlab::new(volume, 0.25, 1e-5), domain(24));
             let flux: Vec<f64> = (0..24 * 24).map(|i| f64::from(u8::from(i == 12 * 24 + 12))).collect();
             for channel in [0, 2] {
                 let radiance = slab.solve(&domain, &flux, channel).unwrap().radiance(EYE_MM);

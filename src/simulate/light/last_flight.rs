@@ -32,7 +32,7 @@ pub(super) struct Lit<'a> {
 
 impl Lit<'_> {
     /// π times the radiance towards the eye above each column.
-    pub fn radiance(&self, eye_mm: [f64; 3], refractive_index: f64) -> Vec<f32> {
+    pub(super) fn radiance(&self, eye_mm: [f64; 3], refractive_index: f64) -> Vec<f32> {
         let plane = self.domain.columns();
         let middle = |i: usize| {
             let corner = self.domain.voxel_corner_mm([i % self.domain.voxels[0], i / self.domain.voxels[0]]);

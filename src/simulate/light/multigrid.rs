@@ -88,7 +88,7 @@ pub(crate) struct Convergence {
 
 impl Multigrid {
     /// Builds the hierarchy for layers of these thicknesses (mm, from the top).
-    pub fn new(mut columns: Columns, thickness_mm: &[f64]) -> Self {
+    pub(crate) fn new(mut columns: Columns, thickness_mm: &[f64]) -> Self {
         let thickness: Vec<f32> = thickness_mm.iter().map(|&t| t as f32).collect();
         let link: Vec<f32> = thickness_mm.windows(2).map(|t| (2.0 / (t[0] + t[1])) as f32).collect();
         let finest = columns.clone();
@@ -101,23 +101,23 @@ impl Multigrid {
     }
 
     /// A zero vector of the finest grid, padded.
-    pub fn zeros(&self) -> Vec<f32> {
+    pub(crate) fn zeros(&self) -> Vec<f32> {
         self.levels[0].zeros(self.thickness.len())
     }
 
     /// Voxels of a padded vector of the finest grid.
-    pub fn voxels<'a>(&self, vector: &'a [f32]) -> &'a [f32] {
+    pub(crate) fn voxels<'a>(&self, vector: &'a [f32]) -> &'a [f32] {
         &vector[self.levels[0].nx..vector.len() - self.levels[0].nx]
     }
 
     /// The same, to be written.
-    pub fn voxels_mut<'a>(&self, vector: &'a mut [f32]) -> &'a mut [f32] {
+    pub(crate) fn voxels_mut<'a>(&self, vector: &'a mut [f32]) -> &'a mut [f32] {
         let (pad, len) = (self.levels[0].nx, vector.len());
         &mut vector[pad..len - pad]
     }
 
     /// Solves A x = b by preconditioned conjugate gradients from x = 0 until the residual has fallen by `tolerance`.
-    pub fn solve(&mut self, b: &[f32], tolerance: f64, most: usize) -> (Vec<f32>, Convergence) {
+    pub(crate) fn solve(&mut self, b: &[f32], tolerance: f64, most: usize) -> (Vec<f32>, Convergence) {
         let mut x = self.zeros();
         let mut residual = b.to_vec();
         let start = dot(&residual, &residual).sqrt();
@@ -151,7 +151,7 @@ impl Multigrid {
 
     /// Adds to `x` what solves A d = b − A x, the right side in f64 and by differences: where little is lost and much flows, the
     /// f32 diagonal rounds the loss away. Padded vectors, as everywhere.
-    pub fn refine(&mut self, b: &[f32], x: &mut [f64], tolerance: f64, most: usize) -> Convergence {
+    pub(crate) fn refine(&mut self, b: &[f32], x: &mut [f64], tolerance: f64, most: usize) -> Convergence {
         let missing = self.exact_residual(b, x);
         let (correction, convergence) = self.solve(&missing, tolerance, most);
         x.iter_mut().zip(correction).for_each(|(x, d)| *x += f64::from(d));

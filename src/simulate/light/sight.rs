@@ -18,7 +18,7 @@ pub(crate) struct Sight {
 
 impl Sight {
     /// From `at` (mm) to `eye_mm` (z negative: above), out of a slab of this refractive index.
-    pub fn new(at: Point, eye_mm: [f64; 3], refractive_index: f64) -> Self {
+    pub(super) fn new(at: Point, eye_mm: [f64; 3], refractive_index: f64) -> Self {
         let to = [eye_mm[0] - at[0], eye_mm[1] - at[1], eye_mm[2]];
         let length = to.iter().map(|v| v * v).sum::<f64>().sqrt();
         let Passage { reflectance, cosine } = face(1.0 / refractive_index, -to[2] / length);
@@ -28,7 +28,7 @@ impl Sight {
 
     /// Where light from `p` on this way, up or down, is at depth `z` (mm).
     #[inline]
-    pub fn along(&self, p: [f64; 3], z: f64) -> [f64; 3] {
+    pub(super) fn along(&self, p: [f64; 3], z: f64) -> [f64; 3] {
         let depth = (p[2] - z).abs();
         [p[0] + depth * self.slope[0], p[1] + depth * self.slope[1], z]
     }

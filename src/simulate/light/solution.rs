@@ -58,19 +58,19 @@ pub(crate) struct Solution {
 impl Solution {
     /// The exitance through the top of each column of what diffused, per mm² of slab for the unit of the flux.
     #[cfg(test)]
-    pub fn exitance(&self) -> Vec<f32> {
+    pub(crate) fn exitance(&self) -> Vec<f32> {
         let area = self.domain.voxel_mm.powi(2) as f32;
         self.fluence.iter().zip(&self.top).map(|(phi, g)| phi * g / area).collect()
     }
 
     /// π times the radiance towards the eye above each column, mm⁻² for the unit of the flux.
-    pub fn radiance(&self, eye_mm: [f64; 3]) -> Vec<f32> {
+    pub(crate) fn radiance(&self, eye_mm: [f64; 3]) -> Vec<f32> {
         let enters = self.domain.entering_per_mm2(self.refractive_index);
         self.shown(eye_mm, &|i| self.flux[i] * enters)
     }
 
-    /// The same without what is scattered towards the eye the first time: see [`super::domain::Slab::first_radiance`].
-    pub fn radiance_but_first(&self, eye_mm: [f64; 3]) -> Vec<f32> {
+    /// The same without what is scattered towards the eye the first time: see [`super::domain::SolverSlab::first_radiance`].
+    pub(crate) fn radiance_but_first(&self, eye_mm: [f64; 3]) -> Vec<f32> {
         self.shown(eye_mm, &|_| 0.0)
     }
 
@@ -105,7 +105,7 @@ impl Solution {
     }
 
     /// Where the light went.
-    pub fn balance(&self) -> Balance {
+    pub(crate) fn balance(&self) -> Balance {
         let through = |map: &[f32], layer: &[f32]| -> f64 {
             map.iter().zip(layer).map(|(g, phi)| f64::from(*g) * f64::from(*phi)).sum()
         };

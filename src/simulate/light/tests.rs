@@ -1,14 +1,14 @@
 //! The transport solver against an analytic solution, and the laws that it must keep.
 
 use super::beam::Beam;
-use super::domain::{Domain, Slab};
+use super::domain::{Domain, SolverSlab};
 use super::field::Field;
 use super::multigrid::{Columns, Multigrid};
 use super::solution::Balance;
 use crate::geometry::Point;
-use crate::simulate::slab::layout::{Place, build};
-use crate::simulate::slab::{Material, Volume, boundary_factor, normal_reflectance};
-use crate::simulate::{FileFormat, Options, bench::Bench};
+use crate::simulate::slab::layout::{SlabPlace, build};
+use crate::simulate::slab::{SlabMaterial, Volume, boundary_factor, normal_reflectance};
+use crate::simulate::{FileFormat, SimulateOptions, bench::Bench};
 use std::f64::consts::PI;
 
 const THICKNESS_MM: f64 = 4.0;
@@ -18,10 +18,10 @@ const DOT_PX: usize = 3;
 const BLUR_PX: f64 = 0.3;
 
 /// The slab of diffusion alone, without flights before it.
-fn slab(material: Material, voxel_mm: f64) -> Slab {
-    let place = Place { lit_origin_mm: [-8.0; 2], lit_size_mm: [16.0; 2], size_mm: [16.0; 2] };
-    let options = Options { material, thickness_mm: Some(THICKNESS_MM), ..Options::default() };
-    Slab { flights: 0, ..Slab::new(build(&options, &place).unwrap().volume, voxel_mm, 1e-6) }
+fn slab(material: SlabMaterial, voxel_mm: f64) -> SolverSlab {
+    let place = SlabPlace { lit_origin_mm: [-8.0; 2], lit_size_mm: [16.0; 2], size_mm: [16.0; 2] };
+    let options = SimulateOptions { material, thickness_mm: Some(THICKNESS_MM), ..SimulateOptions::default() };
+    SolverSlab { flights: 0, ..SolverSlab::new(build(&options, &place).unwrap().volume, voxel_mm, 1e-6) }
 }
 
 fn domain(voxel_mm: f64, voxels: usize, center: Point) -> Domain {
@@ -29,7 +29,7 @@ fn domain(voxel_mm: f64, voxels: usize, center: Point) -> Domain {
 }
 
 /// The exitance of a dot at `center`, red in all channels, and where its light went.
-fn respond(slab: &Slab, domain: &Domain, center: Point) -> (Field, Balance) {
+fn respond(slab: &SolverSlab, domain: &Domain, center: Point) -> (Field, Balance) {
     let mm_from_px = [[PX_MM, 0.0], [0.0, PX_MM]];
     let flux = Beam { center_mm: center, mm_from_px, side_px: DOT_PX as f64, blur_px: BLUR_PX }.footprint(domain);
     let solution = slab.solve(domain, &flux, 0).unwrap();
@@ -85,7 +85,7 @@ fn bessel_j0(x: f64) -> f64 {
 
 /// Largest relative error along x at 1, 1.5, … 4 mm.
 fn analytic_error(voxel_mm: f64, voxels: usize) -> f64 {
-    let slab = slab(Material::homogeneous(), voxel_mm);
+    let slab = slab(SlabMaterial::homogeneous(), voxel_mm);
     let (field, _) = respond(&slab, &domain(voxel_mm, voxels, [0.0, 0.0]), [0.0, 0.0]);
     let radii: Vec<f64> = (2..=8).map(|i| 0.5 * f64::from(i)).collect();
     let exact = analytic_exitance(&slab.volume, &radii);
@@ -103,7 +103,7 @@ fn a_homogeneous_slab_agrees_with_the_analytic_solution_and_refinement_converges
 
 #[test]
 fn the_sides_of_the_box_do_not_shape_the_window() {
-    let slab = slab(Material::homogeneous(), 0.25);
+    let slab = slab(SlabMaterial::homogeneous(), 0.25);
     let (small, _) = respond(&slab, &domain(0.25, 48, [0.0, 0.0]), [0.0, 0.0]);
     let (large, _) = respond(&slab, &domain(0.25, 128, [0.0, 0.0]), [0.0, 0.0]);
     let (a, b) = (small.cell_means([0.0; 2], [15, 15], 0.5), large.cell_means([0.0; 2], [15, 15], 0.5));
@@ -115,9 +115,9 @@ fn the_sides_of_the_box_do_not_shape_the_window() {
 
 #[test]
 fn energy_balances() {
-    for material in [Material::homogeneous(), Material::chessboard([4, 3]), Material::marble()] {
+    for material in [SlabMaterial::homogeneous(), SlabMaterial::chessboard([4, 3]), SlabMaterial::marble()] {
         for flights in [0, 2] {
-            let slab = Slab { flights, ..slab(material.clone(), 0.25) };
+            let slab = SolverSlab { flights, ..slab(material.clone(), 0.25) };
             let (_, b) = respond(&slab, &domain(0.25, 64, [0.7, -0.3]), [0.7, -0.3]);
             let spent = b.spent();
             // The residual's sum: the solver's tolerance (1e-6, Euclidean) times the root of the voxels it may add up over.
@@ -160,7 +160,12 @@ fn point_sources_and_detectors_are_reciprocal() {
 
 #[test]
 fn the_response_moves_with_its_dot() {
-    let options = Options { grid: [5, 4], window: [11, 7], material: Material::homogeneous(), ..Options::default() };
+    let options = SimulateOptions {
+        grid: [5, 4],
+        window: [11, 7],
+        material: SlabMaterial::homogeneous(),
+        ..SimulateOptions::default()
+    };
     let bench = Bench::new(&options, &crate::progress::Progress::silent()).unwrap();
     let means = |drift: Point| {
         let field = bench.glow([1, 2], drift).unwrap();
@@ -175,7 +180,7 @@ fn the_response_moves_with_its_dot() {
         assert!(worst < 1e-2, "{drift:?}: {worst}");
     }
     // Over a chessboard of 1 mm squares, towards an edge, the peak changes smoothly: second differences stay small.
-    let options = Options { material: Material::chessboard([8, 6]), grid: [18, 14], ..options };
+    let options = SimulateOptions { material: SlabMaterial::chessboard([8, 6]), grid: [18, 14], ..options };
     let bench = Bench::new(&options, &crate::progress::Progress::silent()).unwrap();
     let peak = |x: f64| {
         let field = bench.glow([1, 2], [x, 0.0]).unwrap();
@@ -191,15 +196,15 @@ fn the_response_moves_with_its_dot() {
 
 #[test]
 fn defaults_are_sound_and_bad_options_are_named() {
-    Options::default().check().unwrap();
-    let even = Options { window: [9, 8], ..Options::default() };
+    SimulateOptions::default().check().unwrap();
+    let even = SimulateOptions { window: [9, 8], ..SimulateOptions::default() };
     assert!(even.check().unwrap_err().to_string().contains("window"));
-    let wide = Options { dot_projector_px: 9, ..Options::default() };
+    let wide = SimulateOptions { dot_projector_px: 9, ..SimulateOptions::default() };
     assert!(wide.check().unwrap_err().to_string().contains("dot_projector_px"));
-    assert_eq!(Options { window: [31, 11], ..Options::default() }.spacing(), [47, 20]);
-    let sideways = Options { window: [31, 11], projector_turn_deg: -80.0, ..Options::default() };
+    assert_eq!(SimulateOptions { window: [31, 11], ..SimulateOptions::default() }.spacing(), [47, 20]);
+    let sideways = SimulateOptions { window: [31, 11], projector_turn_deg: -80.0, ..SimulateOptions::default() };
     // 46.5 samples along the projector's y, whose dots are 1.25 samples apart.
     assert_eq!(sideways.spacing(), [24, 38]);
-    let text = toml::to_string(&Options { format: FileFormat::Jpeg, ..Options::default() }).unwrap();
-    assert_eq!(toml::from_str::<Options>(&text).unwrap().format, FileFormat::Jpeg);
+    let text = toml::to_string(&SimulateOptions { format: FileFormat::Jpeg, ..SimulateOptions::default() }).unwrap();
+    assert_eq!(toml::from_str::<SimulateOptions>(&text).unwrap().format, FileFormat::Jpeg);
 }

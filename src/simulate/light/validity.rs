@@ -69,12 +69,14 @@ fn of_voxels(volume: &Volume, channel: usize, shortest: (&str, f64)) -> Vec<Warn
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulate::Options;
-    use crate::simulate::slab::layout::{Place, build};
+    use crate::simulate::SimulateOptions;
+    use crate::simulate::slab::layout::{SlabPlace, build};
 
     fn found(material: &str) -> Vec<Warning> {
-        let place = Place { lit_origin_mm: [0.0; 2], lit_size_mm: [8.0; 2], size_mm: [16.0; 2] };
-        let built = build(&Options { material: material.parse().unwrap(), ..Options::default() }, &place).unwrap();
+        let place = SlabPlace { lit_origin_mm: [0.0; 2], lit_size_mm: [8.0; 2], size_mm: [16.0; 2] };
+        let built =
+            build(&SimulateOptions { material: material.parse().unwrap(), ..SimulateOptions::default() }, &place)
+                .unwrap();
         warnings(&built.volume, &built.record, 7.5)
     }
 
@@ -102,8 +104,8 @@ mod tests {
         };
         let optics = vec![medium(1.0, 0.0), medium(0.1, 0.0), medium(0.0, 0.0), medium(1.0, 2.0)];
         let volume = Volume { voxels: [4, 1], optics, ..Volume::uniform(medium(1.0, 0.0), 1.3, 4.0) };
-        let place = Place { lit_origin_mm: [0.0; 2], lit_size_mm: [8.0; 2], size_mm: [16.0; 2] };
-        let mut record = build(&Options::default(), &place).unwrap().record;
+        let place = SlabPlace { lit_origin_mm: [0.0; 2], lit_size_mm: [8.0; 2], size_mm: [16.0; 2] };
+        let mut record = build(&SimulateOptions::default(), &place).unwrap().record;
         record.media.clear();
         let found = warnings(&volume, &record, 7.5);
         assert_eq!(found.len(), 6);

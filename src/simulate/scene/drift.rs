@@ -22,7 +22,7 @@ pub(crate) struct Motion {
 
 impl Motion {
     /// Its displacement at each of `shots`, px.
-    pub fn path(&self, shots: usize) -> Vec<Point> {
+    pub(crate) fn path(&self, shots: usize) -> Vec<Point> {
         let walk = slow_walk(shots, self.walk_px, self.seed);
         let jumps = jumps(shots, self.jumps, self.seed);
         walk.iter().zip(jumps).map(|(w, j)| std::array::from_fn(|a| w[a] + self.jump_px * j[a])).collect()

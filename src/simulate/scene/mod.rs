@@ -5,7 +5,7 @@ pub(crate) mod render;
 
 pub(crate) use drift::JUMP_REACH;
 
-use crate::simulate::{Beam, Options};
+use crate::simulate::{Beam, SimulateOptions};
 use crate::{
     Error, Result,
     capture::{Board, Camera, FrameMarks, Grid, Projector, Rig, WhiteReference},
@@ -40,7 +40,7 @@ const REFERENCE_DOTS_ALONG: [[f64; 2]; 4] = [[0.21, 0.8], [0.24, 0.75], [0.2, 0.
 
 /// Everything that does not change from shot to shot.
 #[derive(Debug, Clone)]
-pub(crate) struct Scene {
+pub(crate) struct SimulatedScene {
     pub slab_size_mm: Point,
     pub frame_mm: f64,
     pub grid: Grid,
@@ -69,9 +69,9 @@ pub(crate) struct Scene {
     pub projector_blur_px: f64,
 }
 
-impl Scene {
+impl SimulatedScene {
     /// Builds the bench around the lit points.
-    pub fn new(options: &Options) -> Result<Self> {
+    pub(super) fn new(options: &SimulateOptions) -> Result<Self> {
         let centered = projector_view(options);
         let corners = grid_corners(options, -1.0).map(|p| centered.map(p));
         let lit = grid_corners(options, 0.0).map(|p| centered.map(p));
@@ -118,7 +118,7 @@ impl Scene {
     }
 
     /// The rig file: what a lab would know. The lens is not in it.
-    pub fn rig(&self, noise: Option<crate::capture::Noise>) -> Rig {
+    pub(super) fn rig(&self, noise: Option<crate::capture::Noise>) -> Rig {
         Rig {
             format: crate::capture::FORMAT,
             camera: self.camera.clone(),
@@ -131,12 +131,12 @@ impl Scene {
     }
 
     /// The middle of the slab, mm.
-    pub fn center_mm(&self) -> Point {
+    pub(super) fn center_mm(&self) -> Point {
         self.slab_size_mm.map(|s| 0.5 * s)
     }
 
     /// The camera's view of the board in pose number `n`: a third farther away, tilted by 25 degrees, towards one corner or another.
-    pub fn posed_view(&self, n: usize) -> CameraView {
+    pub(super) fn posed_view(&self, n: usize) -> CameraView {
         let (lens, m) = (self.view.lens, self.view.ideal_from_slab.matrix);
         let column = |j: usize| {
             [
@@ -175,7 +175,7 @@ impl Scene {
     }
 
     /// Albedo of the frame at `p` (mm): dark discs are printed on it.
-    pub fn frame_albedo(&self, p: Point) -> f64 {
+    pub(super) fn frame_albedo(&self, p: Point) -> f64 {
         let Some(marks) = &self.marks else { return FRAME_ALBEDO };
         let radius = 0.5 * marks.diameter_mm;
         let cover = |m: &Point| {
@@ -186,23 +186,23 @@ impl Scene {
     }
 
     /// Whether a mark's edge may pass within `reach_mm` of `p` (mm).
-    pub fn near_mark(&self, p: Point, reach_mm: f64) -> bool {
+    pub(super) fn near_mark(&self, p: Point, reach_mm: f64) -> bool {
         let near = |m: &Point, radius: f64| (p[0] - m[0]).hypot(p[1] - m[1]) <= radius + reach_mm;
         self.marks.as_ref().is_some_and(|f| f.marks_mm.iter().any(|m| near(m, 0.5 * f.diameter_mm)))
     }
 
     /// Whether `p` (mm) is on the sample.
-    pub fn on_sample(&self, p: Point) -> bool {
+    pub(super) fn on_sample(&self, p: Point) -> bool {
         (0..2).all(|a| p[a] >= 0.0 && p[a] <= self.slab_size_mm[a])
     }
 
     /// Whether `p` (mm) is on the sample or its frame.
-    pub fn on_frame_or_sample(&self, p: Point) -> bool {
+    pub(super) fn on_frame_or_sample(&self, p: Point) -> bool {
         (0..2).all(|a| p[a] >= -self.frame_mm && p[a] <= self.slab_size_mm[a] + self.frame_mm)
     }
 
     /// Whether a rim of sample or frame passes within `reach_mm` of `p` (mm) along an axis.
-    pub fn near_rim(&self, p: Point, reach_mm: f64) -> bool {
+    pub(super) fn near_rim(&self, p: Point, reach_mm: f64) -> bool {
         (0..2).any(|a| {
             let rims = [-self.frame_mm, 0.0, self.slab_size_mm[a], self.slab_size_mm[a] + self.frame_mm];
             rims.iter().any(|rim| (p[a] - rim).abs() <= reach_mm)
@@ -210,7 +210,7 @@ impl Scene {
     }
 
     /// Irradiance of projector white at `p` (mm): smooth, brightest a little beside the centre, arbitrary unit.
-    pub fn white_irradiance(&self, p: Point) -> [f64; 3] {
+    pub(super) fn white_irradiance(&self, p: Point) -> [f64; 3] {
         let reach: f64 = self.slab_size_mm.iter().map(|s| (0.5 * s + self.frame_mm).powi(2)).sum();
         let r2: f64 = (0..2).map(|a| (p[a] - (0.48 + 0.05 * a as f64) * self.slab_size_mm[a]).powi(2)).sum();
         let falloff = 1.0 - self.falloff * r2 / reach;
@@ -218,7 +218,7 @@ impl Scene {
     }
 
     /// Reflectance of the white reference at `p` (mm): the rig file's, but for a smooth unevenness that the lab does not know.
-    pub fn white_reflectance(&self, p: Point) -> [f64; 3] {
+    pub(super) fn white_reflectance(&self, p: Point) -> [f64; 3] {
         let [x, y] = [0, 1].map(|a| p[a] / self.slab_size_mm[a] - 0.5);
         // A slope and a stain: between −1 and 1 over sample and frame, about 0 in the mean.
         let uneven = 0.9 * (2.1 * x - 1.3 * y + 0.11).sin() - 0.1;
@@ -226,13 +226,13 @@ impl Scene {
     }
 
     /// Where a dot falls when the pattern has moved by `drift_mm`, mm.
-    pub fn dot_mm(&self, dot: [usize; 2], drift_mm: Point) -> Point {
+    pub(super) fn dot_mm(&self, dot: [usize; 2], drift_mm: Point) -> Point {
         let p = self.slab_from_projector.map(self.grid.dot_projector_px(dot));
         [p[0] + drift_mm[0], p[1] + drift_mm[1]]
     }
 
     /// The light of that dot as it arrives.
-    pub fn beam(&self, dot: [usize; 2], drift_mm: Point) -> Beam {
+    pub(super) fn beam(&self, dot: [usize; 2], drift_mm: Point) -> Beam {
         Beam {
             center_mm: self.dot_mm(dot, drift_mm),
             mm_from_px: self.slab_from_projector.jacobian(self.grid.dot_projector_px(dot)),
@@ -242,14 +242,14 @@ impl Scene {
     }
 
     /// Displacement on the slab (mm) that moves the picture of its centre by `drift_px`.
-    pub fn drift_mm(&self, drift_px: Point) -> Point {
+    pub(super) fn drift_mm(&self, drift_px: Point) -> Point {
         let j = self.view.jacobian(self.center_mm());
         let det = j[0][0] * j[1][1] - j[0][1] * j[1][0];
         [(j[1][1] * drift_px[0] - j[0][1] * drift_px[1]) / det, (j[0][0] * drift_px[1] - j[1][0] * drift_px[0]) / det]
     }
 
     /// Two dots on each side of the frame.
-    fn reference_dots(&self, options: &Options) -> Vec<Point> {
+    fn reference_dots(&self, options: &SimulateOptions) -> Vec<Point> {
         let (w, h, f) = (self.slab_size_mm[0], self.slab_size_mm[1], 0.5 * self.frame_mm);
         let [above, below, left, right] = REFERENCE_DOTS_ALONG;
         let sides =
@@ -267,7 +267,7 @@ struct Raster {
 
 impl Raster {
     /// Covers `outline` (mm) and what the camera sees around it when it moves. Centred pixels count from the middle of the grid.
-    fn around(options: &Options, slab_from_centered: &Homography, outline: &[Point]) -> Result<Self> {
+    fn around(options: &SimulateOptions, slab_from_centered: &Homography, outline: &[Point]) -> Result<Self> {
         let invert = |h: &Homography| h.inverse().ok_or_else(|| Error::internal("the projector's view is singular"));
         let centered_from_slab = invert(slab_from_centered)?;
         let lit: Vec<Point> = outline.iter().map(|&p| centered_from_slab.map(p)).collect();
@@ -300,7 +300,7 @@ impl Raster {
 }
 
 /// The nearest centre of a dot of whole pixels: on a pixel for an odd side, between two for an even one.
-fn whole_dot(options: &Options, px: f64) -> f64 {
+fn whole_dot(options: &SimulateOptions, px: f64) -> f64 {
     if options.dot_projector_px.is_multiple_of(2) { px.floor() + 0.5 } else { px.round() }
 }
 
@@ -315,13 +315,13 @@ fn outline(size: Point, frame: f64) -> [Point; 4] {
 }
 
 /// Corners of the grid about its centre, projector px: of its outer dots' centres with `more` −1, with half a step around them with 0.
-fn grid_corners(options: &Options, more: f64) -> [Point; 4] {
+fn grid_corners(options: &SimulateOptions, more: f64) -> [Point; 4] {
     let [x, y] = [0, 1].map(|a| 0.5 * (options.grid[a] as f64 + more) * options.step_projector_px[a] as f64);
     [[-x, -y], [x, -y], [-x, y], [x, y]]
 }
 
 /// Projector px about the grid's centre to slab mm about the slab's centre.
-fn projector_view(options: &Options) -> Homography {
+fn projector_view(options: &SimulateOptions) -> Homography {
     let [mut x, y] = options.projector_px_mm();
     if options.projector_mirrored {
         x = -x;
@@ -332,7 +332,7 @@ fn projector_view(options: &Options) -> Homography {
 }
 
 /// A pinhole turned and tilted, its axis beside the slab's centre, its lens, and an image just large enough for slab and frame.
-fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera, [f64; 3]) {
+fn camera(options: &SimulateOptions, size: Point, frame: f64) -> (CameraView, Camera, [f64; 3]) {
     let px_per_mm = options.camera_px_per_sample / options.pitch_mm;
     let extent_px = size.map(|s| (s + 2.0 * frame) * px_per_mm);
     let focal_px = (2.0 * extent_px[0].max(extent_px[1])).round();
@@ -389,20 +389,20 @@ fn camera(options: &Options, size: Point, frame: f64) -> (CameraView, Camera, [f
         size_px,
         focal_px: nominal_focal_px,
         principal_px,
-        response: options.response().told(options.rig_response),
+        response_curve: options.response_curve().told(options.rig_curve),
         vignetting: vec![-1.2 * options.vignetting / corner2, 0.2 * options.vignetting / (corner2 * corner2)],
     };
     (view, camera, eye_mm)
 }
 
 /// Size of a camera pixel in projector pixels, about: along the axis where these are the smaller.
-fn projector_px_per_camera_px(options: &Options) -> f64 {
+fn projector_px_per_camera_px(options: &SimulateOptions) -> f64 {
     let [x, y] = options.projector_px_mm();
     options.pitch_mm / options.camera_px_per_sample / x.min(y)
 }
 
 /// What is seen around the frame, px: more when the camera moves.
-fn image_margin_px(options: &Options) -> f64 {
+fn image_margin_px(options: &SimulateOptions) -> f64 {
     IMAGE_MARGIN_PX + options.camera_reach_px().ceil()
 }
 
@@ -442,8 +442,13 @@ mod tests {
 
     #[test]
     fn every_window_lies_on_the_sample_and_the_picture_holds_the_frame() {
-        let options = Options { grid: [9, 8], window: [9, 7], lit_pitch_mm: Some([1.1, 0.8]), ..Options::default() };
-        let scene = Scene::new(&options).unwrap();
+        let options = SimulateOptions {
+            grid: [9, 8],
+            window: [9, 7],
+            lit_pitch_mm: Some([1.1, 0.8]),
+            ..SimulateOptions::default()
+        };
+        let scene = SimulatedScene::new(&options).unwrap();
         for dot in [[0, 0], [8, 0], [0, 7], [8, 7]] {
             let p = scene.slab_from_projector.map(scene.grid.dot_projector_px(dot));
             let half = [4.5, 3.5].map(|samples| samples * options.pitch_mm);
@@ -463,19 +468,20 @@ mod tests {
     #[test]
     fn lens_vignetting_and_falloff_have_the_strength_that_was_asked_for() {
         let scene = |distortion, vignetting, falloff| {
-            Scene::new(&Options { distortion, vignetting, falloff, ..Options::default() }).unwrap()
+            SimulatedScene::new(&SimulateOptions { distortion, vignetting, falloff, ..SimulateOptions::default() })
+                .unwrap()
         };
         let (real, ideal) = (scene(-0.05, 0.15, 0.12), scene(0.0, 0.0, 0.0));
         assert!((real.camera.vignetting_at([0.0, 0.0]) - 0.85).abs() < 1e-12);
         assert_eq!(ideal.camera.vignetting_at([0.0, 0.0]), 1.0);
         // Straight lines stay straight without distortion, and bend with it.
-        let bend = |scene: &Scene| {
+        let bend = |scene: &SimulatedScene| {
             let [w, h] = scene.slab_size_mm;
             let [a, b, c] = [[0.0, 0.0], [0.5 * w, 0.0], [w, h * 0.0]].map(|p| scene.view.camera_from_slab(p));
             ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])).abs() / (c[0] - a[0]).hypot(c[1] - a[1])
         };
         assert!(bend(&ideal) < 1e-9 && bend(&real) > 0.05, "{} {}", bend(&ideal), bend(&real));
-        let corner = |scene: &Scene| scene.white_irradiance([-scene.frame_mm; 2])[0];
+        let corner = |scene: &SimulatedScene| scene.white_irradiance([-scene.frame_mm; 2])[0];
         // The brightest point is a little off the middle, so that the corner loses a little more or less.
         assert!((corner(&real) - 0.88).abs() < 0.02 && corner(&ideal) == 1.0, "{}", corner(&real));
     }
@@ -483,8 +489,8 @@ mod tests {
     #[test]
     fn the_camera_is_where_its_view_says_and_looks_beside_the_slab_s_middle() {
         for camera_tilt_deg in [[5.0, -3.0], [-20.0, 12.0], [0.0, 0.0]] {
-            let options = Options { camera_tilt_deg, camera_turn_deg: -14.0, ..Options::default() };
-            let scene = Scene::new(&options).unwrap();
+            let options = SimulateOptions { camera_tilt_deg, camera_turn_deg: -14.0, ..SimulateOptions::default() };
+            let scene = SimulatedScene::new(&options).unwrap();
             // The lens's axis is 1.3 and 0.9 px beside the picture's middle, which the pinhole's meets.
             let middle = scene.camera.size_px.map(|s| 0.5 * (s as f64 - 1.0));
             let lens = Lens { center_px: middle, ..scene.view.lens };
@@ -506,8 +512,9 @@ mod tests {
     fn a_mirrored_projector_runs_backwards_and_a_turned_one_along_the_other_axis() {
         let steps = |projector_turn_deg, projector_mirrored| {
             let grid = [4, 3];
-            let options = Options { projector_turn_deg, projector_mirrored, grid, ..Options::default() };
-            let scene = Scene::new(&options).unwrap();
+            let options =
+                SimulateOptions { projector_turn_deg, projector_mirrored, grid, ..SimulateOptions::default() };
+            let scene = SimulatedScene::new(&options).unwrap();
             let [o, x, y] = [[0, 0], [1, 0], [0, 1]].map(|dot| scene.dot_mm(dot, [0.0; 2]));
             [[x[0] - o[0], x[1] - o[1]], [y[0] - o[0], y[1] - o[1]]]
         };
@@ -527,7 +534,7 @@ mod tests {
 
     #[test]
     fn no_turn_or_mirror_takes_the_reference_dots_into_each_other() {
-        let scene = Scene::new(&Options::default()).unwrap();
+        let scene = SimulatedScene::new(&SimulateOptions::default()).unwrap();
         let dots: Vec<Point> = scene.reference_dots.iter().map(|&q| scene.slab_from_projector.map(q)).collect();
         let [w, h] = scene.slab_size_mm;
         let turns: [fn(Point, Point) -> Point; 7] = [
@@ -548,7 +555,7 @@ mod tests {
 
     #[test]
     fn drift_on_the_slab_is_seen_with_its_length_in_pixels() {
-        let scene = Scene::new(&Options::default()).unwrap();
+        let scene = SimulatedScene::new(&SimulateOptions::default()).unwrap();
         let (c, mm) = (scene.center_mm(), scene.drift_mm([0.3, -0.4]));
         let (a, b) = (scene.view.camera_from_slab(c), scene.view.camera_from_slab([c[0] + mm[0], c[1] + mm[1]]));
         assert!((b[0] - a[0] - 0.3).abs() < 1e-4 && (b[1] - a[1] + 0.4).abs() < 1e-4);

@@ -1,7 +1,7 @@
 //! What the camera receives: the light of a scene averaged over the area of each pixel.
 
-use super::Scene;
-use crate::simulate::Options;
+use super::SimulatedScene;
+use crate::simulate::SimulateOptions;
 use crate::simulate::light::field::{Field, Nodes};
 use crate::{
     Error, Result,
@@ -31,7 +31,7 @@ pub(crate) const GAUSS_6: Rule = &[
 ];
 
 /// A picture: radiant exitance that a Lambertian surface would need, π times radiance, row-major.
-pub(crate) type Picture = Vec<[f32; 3]>;
+pub(crate) type RenderedPicture = Vec<[f32; 3]>;
 
 /// The corners of a pixel on the slab, mm: the upper two, then the lower two.
 #[derive(Debug, Clone, Copy)]
@@ -42,18 +42,18 @@ pub(crate) struct Pixel {
 impl Pixel {
     /// The corner that comes first.
     #[inline(always)]
-    pub fn first_corner_mm(&self) -> Point {
+    pub(crate) fn first_corner_mm(&self) -> Point {
         self.corners_mm[0]
     }
 
     /// The mean of the corners.
-    pub fn centre_mm(&self) -> Point {
+    pub(crate) fn centre_mm(&self) -> Point {
         [0, 1].map(|a| 0.25 * self.corners_mm.iter().map(|p| p[a]).sum::<f64>())
     }
 
     /// The mean of `f` over the pixel's area.
     #[inline(always)]
-    pub fn mean<const C: usize>(&self, rule: &[(f64, f64)], f: impl Fn(Point) -> [f64; C]) -> [f64; C] {
+    pub(crate) fn mean<const C: usize>(&self, rule: &[(f64, f64)], f: impl Fn(Point) -> [f64; C]) -> [f64; C] {
         let [a, b, c, d] = self.corners_mm;
         let mut sum = [0.0; C];
         for &(v, wv) in rule {
@@ -84,7 +84,7 @@ pub(crate) struct PixelGrid {
 
 impl PixelGrid {
     /// Projects all corners of pixels cut into `parts` along each axis back onto the slab, for a picture that has moved by `shift_px`.
-    pub fn new(scene: &Scene, shift_px: Point, parts: usize) -> Result<Self> {
+    pub(crate) fn new(scene: &SimulatedScene, shift_px: Point, parts: usize) -> Result<Self> {
         let mut view = scene.view;
         view.ideal_from_slab = Homography::similarity(1.0, shift_px).after(&view.ideal_from_slab);
         view.lens.center_px = [0, 1].map(|a| view.lens.center_px[a] + shift_px[a]);
@@ -92,7 +92,7 @@ impl PixelGrid {
     }
 
     /// The same for any view.
-    pub fn of_view(view: &CameraView, scene: &Scene, parts: usize) -> Result<Self> {
+    pub(crate) fn of_view(view: &CameraView, scene: &SimulatedScene, parts: usize) -> Result<Self> {
         let size_px = scene.camera.size_px.map(|s| s * parts);
         let slab_from_ideal =
             view.ideal_from_slab.inverse().ok_or_else(|| Error::internal("camera view is singular"))?;
@@ -108,12 +108,16 @@ impl PixelGrid {
 
     /// A whole picture of `f`, averaged over each pixel by `rule(p)`, p the pixel's first corner: edges need more
     /// points than what lies between them.
-    pub fn picture(&self, rule: impl Fn(Point) -> Rule + Sync, f: impl Fn(Point) -> [f64; 3] + Sync) -> Picture {
+    pub(crate) fn picture(
+        &self,
+        rule: impl Fn(Point) -> Rule + Sync,
+        f: impl Fn(Point) -> [f64; 3] + Sync,
+    ) -> RenderedPicture {
         self.picture_of(|pixel| pixel.mean(rule(pixel.first_corner_mm()), &f).map(|v| v as f32))
     }
 
     /// A whole picture of what `light` says of every pixel.
-    pub fn picture_of(&self, light: impl Fn(&Pixel) -> [f32; 3] + Sync) -> Picture {
+    pub(crate) fn picture_of(&self, light: impl Fn(&Pixel) -> [f32; 3] + Sync) -> RenderedPicture {
         let [width, height] = self.size_px;
         let mut picture = vec![[0.0; 3]; width * height];
         picture.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
@@ -130,12 +134,12 @@ impl PixelGrid {
     }
 
     /// A black picture.
-    pub fn black(&self) -> Picture {
+    pub(crate) fn black(&self) -> RenderedPicture {
         vec![[0.0; 3]; self.size_px[0] * self.size_px[1]]
     }
 
     /// An upper bound of a pixel's extent on the slab along either axis, mm.
-    pub fn pixel_mm(&self) -> f64 {
+    pub(crate) fn pixel_mm(&self) -> f64 {
         let [width, height] = self.size_px;
         let places = [(0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1), (width / 2, height / 2)];
         let extent = |(x, y)| {
@@ -151,7 +155,13 @@ impl PixelGrid {
     }
 
     /// Adds `scale` times `field` where it is not zero and the sample is in view.
-    pub fn add_field(&self, picture: &mut Picture, scene: &Scene, field: &Field, scale: [f64; 3]) {
+    pub(crate) fn add_field(
+        &self,
+        picture: &mut RenderedPicture,
+        scene: &SimulatedScene,
+        field: &Field,
+        scale: [f64; 3],
+    ) {
         let mean = FieldMean::new(self.pixel_mm(), field);
         let [xs, ys] = self.seen(scene, field.bounds_mm());
         pulp::Arch::new().dispatch(AddField {
@@ -166,7 +176,14 @@ impl PixelGrid {
     }
 
     /// Adds a dot of the projector that falls on the frame, displaced by `drift_mm`.
-    pub fn add_frame_dot(&self, picture: &mut Picture, scene: &Scene, dot_px: Point, drift_mm: Point, albedo_lit: f64) {
+    pub(crate) fn add_frame_dot(
+        &self,
+        picture: &mut RenderedPicture,
+        scene: &SimulatedScene,
+        dot_px: Point,
+        drift_mm: Point,
+        albedo_lit: f64,
+    ) {
         let half = 0.5 * scene.grid.dot_projector_px as f64;
         let reach = half + 5.0 * scene.projector_blur_px;
         let corners = [[-reach, -reach], [reach, -reach], [-reach, reach], [reach, reach]].map(|r| {
@@ -190,7 +207,7 @@ impl PixelGrid {
     }
 
     /// Columns and rows of the pixels that may see a rectangle of the slab.
-    fn seen(&self, scene: &Scene, [low, high]: [Point; 2]) -> [Range<usize>; 2] {
+    fn seen(&self, scene: &SimulatedScene, [low, high]: [Point; 2]) -> [Range<usize>; 2] {
         let corners = [low, [high[0], low[1]], [low[0], high[1]], high].map(|p| scene.view.camera_from_slab(p));
         let range = |a: usize| {
             let part = |q: f64| (q + self.shift_px[a] + 0.5) * self.parts as f64 - 0.5;
@@ -206,8 +223,8 @@ impl PixelGrid {
 /// Light to be added to some columns and rows, as a value: so all of it is compiled for each kind of processor.
 struct AddField<'a> {
     pixels: &'a PixelGrid,
-    picture: &'a mut Picture,
-    scene: &'a Scene,
+    picture: &'a mut RenderedPicture,
+    scene: &'a SimulatedScene,
     mean: FieldMean<'a>,
     scale: [f32; 3],
     xs: Range<usize>,
@@ -233,7 +250,7 @@ impl pulp::NullaryFnOnce for AddField<'_> {
 }
 
 /// Albedo of the printed board at `p`: white paper everywhere around the squares, the first square dark.
-pub(crate) fn board_albedo(scene: &Scene, p: Point) -> f64 {
+pub(crate) fn board_albedo(scene: &SimulatedScene, p: Point) -> f64 {
     let board = &scene.board;
     let soft = board.edge_blur_mm / board.square_mm;
     // A square wave of each coordinate, −1 and +1, with soft edges; outside the squares there is only paper.
@@ -253,7 +270,7 @@ pub(crate) fn board_albedo(scene: &Scene, p: Point) -> f64 {
 }
 
 /// How to average the board over pixels that begin at `p` and reach `pixel_mm` far.
-pub(crate) fn board_rule(scene: &Scene, pixel_mm: f64, p: Point) -> Rule {
+pub(crate) fn board_rule(scene: &SimulatedScene, pixel_mm: f64, p: Point) -> Rule {
     let reach = (pixel_mm + 6.0 * scene.board.edge_blur_mm) / scene.board.square_mm;
     let between = |a: usize| {
         let t = (p[a] - scene.board.origin_mm[a]) / scene.board.square_mm;
@@ -286,14 +303,14 @@ impl GrayCode {
     }
 
     /// Brightness 0..1 at projector position `q`, blurred across its edges.
-    pub fn brightness(&self, q: Point) -> f64 {
+    pub(crate) fn brightness(&self, q: Point) -> f64 {
         let (distance, rises) = self.nearest_edge(q);
         let after = blurred_step(distance, self.blur_px);
         if rises { after } else { 1.0 - after }
     }
 
     /// Brightness at `q` as a translucent sample shows it: the mean of the stripes over a Gaussian of two outgoing pitches.
-    pub fn blurred(&self, q: Point, options: &Options) -> f64 {
+    pub(crate) fn blurred(&self, q: Point, options: &SimulateOptions) -> f64 {
         const POINTS: i32 = 9;
         let sd = options.projector_px_mm().map(|mm| 2.0 * options.pitch_mm / mm);
         let (mut sum, mut weights) = (0.0, 0.0);
@@ -307,7 +324,7 @@ impl GrayCode {
     }
 
     /// What pixels see that begin at `q` and reach `pixel_px` far.
-    pub fn around(&self, q: Point, pixel_px: f64) -> Brightness {
+    pub(crate) fn around(&self, q: Point, pixel_px: f64) -> Brightness {
         let (distance, rises) = self.nearest_edge(q);
         // Five standard deviations from an edge a step is complete to 3e-7.
         if distance.abs() > pixel_px + 5.0 * self.blur_px {
@@ -348,14 +365,14 @@ pub(crate) struct FieldMean<'a> {
 
 impl<'a> FieldMean<'a> {
     /// For pixels of that extent.
-    pub fn new(pixel_mm: f64, field: &'a Field) -> Self {
+    pub(crate) fn new(pixel_mm: f64, field: &'a Field) -> Self {
         let fine = 3.0 * pixel_mm < field.cell_mm();
         Self { field, fine, four: Nodes::new(GAUSS_2), nine: Nodes::new(GAUSS_3) }
     }
 
     /// The mean over a pixel of the field where the sample is in view, of zero elsewhere.
     #[inline(always)]
-    pub fn on_sample(&self, scene: &Scene, pixel: &Pixel) -> [f32; 3] {
+    pub(crate) fn on_sample(&self, scene: &SimulatedScene, pixel: &Pixel) -> [f32; 3] {
         if pixel.corners_mm.iter().all(|&p| scene.on_sample(p)) {
             let mean = match self.fine {
                 true => self.field.mean_over(&self.four, pixel.corners_mm),

@@ -1,8 +1,8 @@
 //! From a material's name to voxels.
 
-use super::table::Medium;
-use super::{Beyond, Material, Optics, Volume, voxels};
-use crate::simulate::{Options, mix_seed};
+use super::table::NamedMedium;
+use super::{Beyond, Optics, SlabMaterial, Volume, voxels};
+use crate::simulate::{SimulateOptions, mix_seed};
 use crate::{Error, Result, Warning, geometry::Point};
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +17,7 @@ const TOP_SHARE: f64 = 0.25;
 
 /// Where the slab lies, mm.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Place {
+pub(crate) struct SlabPlace {
     /// First corner and size of the lit area.
     pub lit_origin_mm: Point,
     pub lit_size_mm: Point,
@@ -73,31 +73,31 @@ pub struct MediumRecord {
 ///
 /// # Errors
 /// [`Error::Setting`] when thickness or anisotropy contradict the material; whatever [`voxels::read`] says of a voxel file.
-pub(crate) fn build(options: &Options, place: &Place) -> Result<Built> {
+pub(crate) fn build(options: &SimulateOptions, place: &SlabPlace) -> Result<Built> {
     let g = options.anisotropy.unwrap_or(0.0);
     let thickness_mm = options.thickness_mm();
     if let Some(own) = options.material.thickness_mm() {
         agree(options, own)?;
     }
-    let optics = |medium: &Medium| medium.optics.with_anisotropy(g);
-    let (media, mut volume): (Vec<&Medium>, Volume) = match &options.material {
-        Material::Homogeneous(medium) => {
+    let optics = |medium: &NamedMedium| medium.optics.with_anisotropy(g);
+    let (media, mut volume): (Vec<&NamedMedium>, Volume) = match &options.material {
+        SlabMaterial::Homogeneous(medium) => {
             (vec![medium], Volume::uniform(optics(medium), medium.refractive_index, thickness_mm))
         }
-        Material::Chessboard { squares, media } => {
+        SlabMaterial::Chessboard { squares, media } => {
             (media.to_vec(), chessboard(media.map(optics), *squares, place, thickness_mm))
         }
-        Material::Veined { media } => (media.to_vec(), veins(media.map(optics), options, place, thickness_mm)),
-        Material::Layered(layers) => {
+        SlabMaterial::Veined { media } => (media.to_vec(), veins(media.map(optics), options, place, thickness_mm)),
+        SlabMaterial::Layered(layers) => {
             let usual = || {
-                let [top, below] = Material::default_layers();
+                let [top, below] = SlabMaterial::default_layers();
                 vec![(top, TOP_SHARE * thickness_mm), (below, (1.0 - TOP_SHARE) * thickness_mm)]
             };
             let layers = layers.clone().unwrap_or_else(usual);
             let list: Vec<_> = layers.iter().map(|(medium, t)| (optics(medium), *t)).collect();
             (layers.iter().map(|(medium, _)| *medium).collect(), Volume::layered(&list, 1.0))
         }
-        Material::Voxels(path) => return from_file(path, options, place),
+        SlabMaterial::Voxels(path) => return from_file(path, options, place),
     };
     volume.refractive_index = media[0].refractive_index;
     let warnings = media
@@ -122,7 +122,7 @@ pub(crate) fn build(options: &Options, place: &Place) -> Result<Built> {
 }
 
 /// Refuses a `thickness_mm` that is not the material's own.
-fn agree(options: &Options, own_mm: f64) -> Result<()> {
+fn agree(options: &SimulateOptions, own_mm: f64) -> Result<()> {
     match options.thickness_mm {
         Some(asked) if (asked - own_mm).abs() > 1e-9 * own_mm => Err(Error::Setting {
             setting: "thickness_mm",
@@ -133,7 +133,7 @@ fn agree(options: &Options, own_mm: f64) -> Result<()> {
     }
 }
 
-fn from_file(path: &std::path::Path, options: &Options, place: &Place) -> Result<Built> {
+fn from_file(path: &std::path::Path, options: &SimulateOptions, place: &SlabPlace) -> Result<Built> {
     let file = voxels::read(path, options.anisotropy)?;
     agree(options, file.volume.thickness_mm())?;
     if let Some(recorded) = options.voxels_blake3.as_ref().filter(|hash| **hash != file.blake3) {
@@ -149,7 +149,7 @@ fn from_file(path: &std::path::Path, options: &Options, place: &Place) -> Result
 }
 
 impl SlabRecord {
-    fn new(material: &Material, volume: &Volume) -> Self {
+    fn new(material: &SlabMaterial, volume: &Volume) -> Self {
         let layers_mm = &volume.layers_mm;
         let equal = layers_mm.iter().all(|t| *t == layers_mm[0]);
         Self {
@@ -167,7 +167,7 @@ impl SlabRecord {
 }
 
 /// Fields over the lit area, and the same pattern endlessly: exactly 2 × 2 voxels that repeat.
-fn chessboard([a, b]: [Optics; 2], squares: [usize; 2], place: &Place, thickness_mm: f64) -> Volume {
+fn chessboard([a, b]: [Optics; 2], squares: [usize; 2], place: &SlabPlace, thickness_mm: f64) -> Volume {
     Volume {
         origin_mm: place.lit_origin_mm,
         voxel_mm: std::array::from_fn(|a| place.lit_size_mm[a] / squares[a] as f64),
@@ -179,7 +179,7 @@ fn chessboard([a, b]: [Optics; 2], squares: [usize; 2], place: &Place, thickness
 }
 
 /// Veins along the zero lines of a turbulent noise whose coarsest wavelength is a third of the lit area's longer side.
-fn veins([stone, vein]: [Optics; 2], options: &Options, place: &Place, thickness_mm: f64) -> Volume {
+fn veins([stone, vein]: [Optics; 2], options: &SimulateOptions, place: &SlabPlace, thickness_mm: f64) -> Volume {
     let margin = VEIN_MARGIN_PITCHES * options.pitch_mm;
     let extent = place.size_mm.map(|s| s + 2.0 * margin);
     let longest = extent[0].max(extent[1]);
@@ -231,11 +231,11 @@ fn value_noise(seed: u64, p: Point) -> f64 {
 mod tests {
     use super::*;
 
-    const PLACE: Place = Place { lit_origin_mm: [1.0, 2.0], lit_size_mm: [8.0, 6.0], size_mm: [10.0, 12.0] };
+    const PLACE: SlabPlace = SlabPlace { lit_origin_mm: [1.0, 2.0], lit_size_mm: [8.0, 6.0], size_mm: [10.0, 12.0] };
 
     fn built(material: &str, thickness_mm: Option<f64>) -> Result<Built> {
         let material = material.parse().unwrap();
-        build(&Options { material, thickness_mm, ..Options::default() }, &PLACE)
+        build(&SimulateOptions { material, thickness_mm, ..SimulateOptions::default() }, &PLACE)
     }
 
     fn scattering(volume: &Volume, p: Point) -> f64 {

@@ -1,6 +1,6 @@
 //! What the slab is made of, as it is written on the command line.
 
-use super::table::{self, MARBLE, Medium};
+use super::table::{self, MARBLE, NamedMedium};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::PathBuf;
@@ -26,28 +26,28 @@ const MOST_LAYERS: usize = 64;
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
-pub enum Material {
+pub enum SlabMaterial {
     /// One medium.
-    Homogeneous(&'static Medium),
+    Homogeneous(&'static NamedMedium),
     /// Two media in turn.
     Chessboard {
         /// Fields over the lit area along x and y.
         squares: [usize; 2],
         /// The first field's medium and the other.
-        media: [&'static Medium; 2],
+        media: [&'static NamedMedium; 2],
     },
     /// A stone with veins of another.
     Veined {
         /// Stone and vein.
-        media: [&'static Medium; 2],
+        media: [&'static NamedMedium; 2],
     },
     /// Layers from the top, with their thickness in mm; `None`: skin1, a quarter of the slab, on whole-milk.
-    Layered(Option<Vec<(&'static Medium, f64)>>),
+    Layered(Option<Vec<(&'static NamedMedium, f64)>>),
     /// A voxel file.
     Voxels(PathBuf),
 }
 
-impl Material {
+impl SlabMaterial {
     /// Marble everywhere.
     pub fn homogeneous() -> Self {
         Self::Homogeneous(&MARBLE)
@@ -64,7 +64,7 @@ impl Material {
     }
 
     /// The media of plain `layered`, from the top.
-    pub(super) fn default_layers() -> [&'static Medium; 2] {
+    pub(super) fn default_layers() -> [&'static NamedMedium; 2] {
         [known("skin1"), known("whole-milk")]
     }
 
@@ -78,15 +78,15 @@ impl Material {
 }
 
 /// A medium that the table is known to have.
-fn known(name: &str) -> &'static Medium {
+fn known(name: &str) -> &'static NamedMedium {
     table::medium(name).unwrap_or(&MARBLE)
 }
 
-fn medium(name: &str) -> Result<&'static Medium, String> {
+fn medium(name: &str) -> Result<&'static NamedMedium, String> {
     table::medium(name).ok_or_else(|| format!("expected a medium ({}), found \"{name}\"", table::names()))
 }
 
-fn two_media(names: &str) -> Result<[&'static Medium; 2], String> {
+fn two_media(names: &str) -> Result<[&'static NamedMedium; 2], String> {
     match names.split(',').collect::<Vec<_>>()[..] {
         [a, b] => Ok([medium(a)?, medium(b)?]),
         _ => Err(format!("expected two media, MEDIUM,MEDIUM, found \"{names}\"")),
@@ -103,7 +103,7 @@ fn squares(text: &str) -> Result<[usize; 2], String> {
     }
 }
 
-fn layers(text: &str) -> Result<Vec<(&'static Medium, f64)>, String> {
+fn layers(text: &str) -> Result<Vec<(&'static NamedMedium, f64)>, String> {
     let layer = |part: &str| {
         let (name, mm) = part.split_once('=').ok_or_else(|| format!("expected MEDIUM=MM, found \"{part}\""))?;
         let thickness: f64 = mm.parse().map_err(|_| format!("expected a thickness in mm, found \"{part}\""))?;
@@ -119,7 +119,7 @@ fn layers(text: &str) -> Result<Vec<(&'static Medium, f64)>, String> {
     Ok(layers)
 }
 
-impl FromStr for Material {
+impl FromStr for SlabMaterial {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -148,9 +148,9 @@ impl FromStr for Material {
     }
 }
 
-impl fmt::Display for Material {
+impl fmt::Display for SlabMaterial {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let two = |media: &[&Medium; 2]| format!(":{},{}", media[0].name, media[1].name);
+        let two = |media: &[&NamedMedium; 2]| format!(":{},{}", media[0].name, media[1].name);
         match self {
             m if *m == Self::homogeneous() => write!(f, "homogeneous"),
             m if *m == Self::marble() => write!(f, "marble"),
@@ -171,19 +171,19 @@ impl fmt::Display for Material {
 }
 
 /// As on the command line: what a person recognizes in a message.
-impl fmt::Debug for Material {
+impl fmt::Debug for SlabMaterial {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Display::fmt(self, f)
     }
 }
 
-impl From<Material> for String {
-    fn from(material: Material) -> Self {
+impl From<SlabMaterial> for String {
+    fn from(material: SlabMaterial) -> Self {
         material.to_string()
     }
 }
 
-impl TryFrom<String> for Material {
+impl TryFrom<String> for SlabMaterial {
     type Error = String;
 
     fn try_from(text: String) -> Result<Self, String> {
@@ -208,11 +208,15 @@ mod tests {
             "layered:skin1=0.5,whole-milk=3.5",
             "voxels:some/file.npz",
         ] {
-            assert_eq!(text.parse::<Material>().unwrap().to_string(), text);
+            assert_eq!(text.parse::<SlabMaterial>().unwrap().to_string(), text);
         }
-        assert_eq!("ketchup".parse::<Material>().unwrap().to_string(), "homogeneous:ketchup");
-        assert_eq!("homogeneous:marble".parse::<Material>().unwrap(), Material::homogeneous());
-        assert_eq!("marble".parse::<Material>().unwrap(), Material::marble(), "the veined slab, not the medium");
+        assert_eq!("ketchup".parse::<SlabMaterial>().unwrap().to_string(), "homogeneous:ketchup");
+        assert_eq!("homogeneous:marble".parse::<SlabMaterial>().unwrap(), SlabMaterial::homogeneous());
+        assert_eq!(
+            "marble".parse::<SlabMaterial>().unwrap(),
+            SlabMaterial::marble(),
+            "the veined slab, not the medium"
+        );
     }
 
     #[test]
@@ -232,10 +236,10 @@ mod tests {
             "voxels:",
             "layered-x",
         ] {
-            assert!(text.parse::<Material>().is_err(), "{text}");
+            assert!(text.parse::<SlabMaterial>().is_err(), "{text}");
         }
         for text in ["plastic", "homogeneous:Marble", "chessboard-2x2:apple,plastic"] {
-            assert!(text.parse::<Material>().unwrap_err().contains("whole-milk"), "{text}");
+            assert!(text.parse::<SlabMaterial>().unwrap_err().contains("whole-milk"), "{text}");
         }
     }
 }

@@ -7,7 +7,7 @@ mod volume;
 pub mod voxels;
 
 pub use layout::{MediumRecord, SlabRecord};
-pub use material::Material;
+pub use material::SlabMaterial;
 pub use volume::{Beyond, Volume};
 
 use serde::{Deserialize, Serialize};

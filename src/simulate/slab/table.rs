@@ -6,7 +6,7 @@ use super::Optics;
 
 /// A medium with a name.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Medium {
+pub struct NamedMedium {
     /// Its name on the command line.
     pub name: &'static str,
     /// Refractive index against air.
@@ -17,20 +17,20 @@ pub struct Medium {
     pub measured: bool,
 }
 
-const fn measured(name: &'static str, scattering: [f64; 3], absorption: [f64; 3]) -> Medium {
-    Medium { name, refractive_index: 1.3, optics: Optics::new(scattering, absorption), measured: true }
+const fn measured(name: &'static str, scattering: [f64; 3], absorption: [f64; 3]) -> NamedMedium {
+    NamedMedium { name, refractive_index: 1.3, optics: Optics::new(scattering, absorption), measured: true }
 }
 
-const fn chosen(name: &'static str, scattering: [f64; 3], absorption: [f64; 3]) -> Medium {
-    Medium { measured: false, ..measured(name, scattering, absorption) }
+const fn chosen(name: &'static str, scattering: [f64; 3], absorption: [f64; 3]) -> NamedMedium {
+    NamedMedium { measured: false, ..measured(name, scattering, absorption) }
 }
 
 /// Marble of Jensen et al. 2001, η = 1.5.
-pub const MARBLE: Medium =
-    Medium { refractive_index: 1.5, ..measured("marble", [2.19, 2.62, 3.00], [0.0021, 0.0041, 0.0071]) };
+pub const MARBLE: NamedMedium =
+    NamedMedium { refractive_index: 1.5, ..measured("marble", [2.19, 2.62, 3.00], [0.0021, 0.0041, 0.0071]) };
 
 /// All media: σ'_s and σ_a of R, G, B in mm⁻¹. The measured ones first, η = 1.5 for marble and 1.3 for the others, as published.
-pub const MEDIA: &[Medium] = &[
+pub const MEDIA: &[NamedMedium] = &[
     measured("apple", [2.29, 2.39, 1.97], [0.0030, 0.0034, 0.046]),
     measured("chicken1", [0.15, 0.21, 0.38], [0.015, 0.077, 0.19]),
     measured("chicken2", [0.19, 0.25, 0.32], [0.018, 0.088, 0.20]),
@@ -44,7 +44,7 @@ pub const MEDIA: &[Medium] = &[
     measured("spectralon", [11.6, 20.4, 14.9], [0.0, 0.0, 0.0]),
     measured("whole-milk", [2.55, 3.21, 3.77], [0.0011, 0.0024, 0.014]),
     // A dark, denser vein in marble: chosen to look like one.
-    Medium { refractive_index: 1.5, ..chosen("vein", [2.60, 3.00, 3.30], [0.060, 0.085, 0.110]) },
+    NamedMedium { refractive_index: 1.5, ..chosen("vein", [2.60, 3.00, 3.30], [0.060, 0.085, 0.110]) },
     // Light dies within 0.06 mm: most of a response lies in the lit cell.
     chosen("nearly-opaque", [100.0, 120.0, 140.0], [1.0, 1.0, 1.0]),
     // A mean free path of 70 to 100 mm, longer than any usual window or slab.
@@ -56,7 +56,7 @@ pub const MEDIA: &[Medium] = &[
 ];
 
 /// The medium called `name` (kebab-case).
-pub fn medium(name: &str) -> Option<&'static Medium> {
+pub fn medium(name: &str) -> Option<&'static NamedMedium> {
     MEDIA.iter().find(|m| m.name == name)
 }
 

@@ -56,7 +56,7 @@ trait Arrays {
 pub fn read(path: &Path, anisotropy: Option<f64>) -> Result<VoxelFile> {
     let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
     let mut arrays: Box<dyn Arrays> =
-        if kind.is_dir() { Box::new(zarr::Group::open(path)?) } else { Box::new(npz::Archive::open(path)?) };
+        if kind.is_dir() { Box::new(zarr::ZarrGroup::open(path)?) } else { Box::new(npz::Archive::open(path)?) };
     let volume = assemble(path, arrays.as_mut(), anisotropy)?;
     Ok(VoxelFile { volume, blake3: arrays.blake3()? })
 }

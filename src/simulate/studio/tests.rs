@@ -1,20 +1,21 @@
 //! Each cause does to photographs what it says; without any, photographs are the ideal rendering, rounded.
 
-use super::super::{Bench, Cause, Plan, Response, Truth, simulate};
+use super::super::{Bench, CameraCurve, Cause, ShotList, Truth, simulate};
 use super::*;
 use crate::capture::{Manifest, ResponseCurve, Rig};
 use crate::progress::Progress;
 use std::collections::BTreeMap;
 
 /// One lattice shot of four dots on a bench that is not square, without noise, all else ideal but `causes`.
-fn bench(causes: &[Cause]) -> Options {
-    let mut options = Options { grid: [2, 2], window: [5, 3], spacing: Some([1, 1]), ..Options::default() };
+fn bench(causes: &[Cause]) -> SimulateOptions {
+    let mut options =
+        SimulateOptions { grid: [2, 2], window: [5, 3], spacing: Some([1, 1]), ..SimulateOptions::default() };
     options.only(causes);
     options
 }
 
 /// All photographs of a capture by name: code values and exposure.
-fn photographs(options: &Options) -> BTreeMap<String, (Vec<u16>, f64)> {
+fn photographs(options: &SimulateOptions) -> BTreeMap<String, (Vec<u16>, f64)> {
     let dir = tempfile::tempdir().unwrap();
     simulate(options, &dir.path().join("c"), &Progress::silent()).unwrap();
     let mut found = BTreeMap::new();
@@ -35,7 +36,7 @@ fn photographs(options: &Options) -> BTreeMap<String, (Vec<u16>, f64)> {
     found
 }
 
-fn truth_and_rig(options: &Options) -> (Truth, Rig) {
+fn truth_and_rig(options: &SimulateOptions) -> (Truth, Rig) {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("c");
     simulate(options, &path, &Progress::silent()).unwrap();
@@ -43,15 +44,16 @@ fn truth_and_rig(options: &Options) -> (Truth, Rig) {
     (truth, Rig::read(&path.join("calibration/rig.toml")).unwrap())
 }
 
-fn studio(options: &Options) -> Studio {
+fn studio(options: &SimulateOptions) -> Studio {
     Studio::new(options, Bench::new(options, &Progress::silent()).unwrap()).unwrap()
 }
 
-fn lattice(options: &Options, camera_drift_px: Point) -> (Studio, Picture) {
+fn lattice(options: &SimulateOptions, camera_drift_px: Point) -> (Studio, RenderedPicture) {
     let studio = studio(options);
     let moved = ShotTruth { name: String::new(), drift_px: [0.0; 2], drift_mm: [0.0; 2], camera_drift_px };
-    let picture =
-        studio.lattice(options, &[[0, 0], [1, 0], [0, 1], [1, 1]], &moved, |_, _| Ok(()), Picture::new()).unwrap();
+    let picture = studio
+        .lattice(options, &[[0, 0], [1, 0], [0, 1], [1, 1]], &moved, |_, _| Ok(()), RenderedPicture::new())
+        .unwrap();
     (studio, picture)
 }
 
@@ -59,7 +61,7 @@ fn lattice(options: &Options, camera_drift_px: Point) -> (Studio, Picture) {
 fn photographs_of_an_ideal_bench_are_the_rendering_rounded() {
     let options = bench(&[]);
     let (studio, picture) = lattice(&options, [0.0; 2]);
-    let noise = Sensor::new(&Options { noise_free: false, ..options.clone() }).noise();
+    let noise = SimulatedSensor::new(&SimulateOptions { noise_free: false, ..options.clone() }).noise();
     let mut brightest = 0.0f64;
     let shots = photographs(&options);
     let lattices: Vec<_> = shots.iter().filter(|s| s.0.contains("lattice")).collect();
@@ -92,7 +94,7 @@ fn a_camera_that_moves_shows_the_same_picture_elsewhere() {
     }
     // By a fraction of a pixel: the centroid of all light moves by it.
     let (_, nudged) = lattice(&options, [0.3, 0.0]);
-    let centroid = |picture: &Picture| {
+    let centroid = |picture: &RenderedPicture| {
         let sum: f64 = picture.iter().map(|p| f64::from(p[1])).sum();
         picture.iter().enumerate().map(|(i, p)| (i % width) as f64 * f64::from(p[1])).sum::<f64>() / sum
     };
@@ -104,10 +106,15 @@ fn a_camera_that_moves_shows_the_same_picture_elsewhere() {
 #[test]
 fn drift_and_jumps_are_those_of_the_truth() {
     let sweep = |causes: &[Cause]| {
-        let mut options =
-            Options { grid: [5, 4], window: [5, 3], spacing: Some([4, 3]), exposures: 1, ..Options::default() };
+        let mut options = SimulateOptions {
+            grid: [5, 4],
+            window: [5, 3],
+            spacing: Some([4, 3]),
+            exposures: 1,
+            ..SimulateOptions::default()
+        };
         options.only(causes);
-        Plan::new(&options, &Bench::new(&options, &Progress::silent()).unwrap().scene, |_| 1).lattices
+        ShotList::new(&options, &Bench::new(&options, &Progress::silent()).unwrap().scene, |_| 1).lattices
     };
     let jumps = |path: Vec<Point>| path.windows(2).filter(|w| w[0] != w[1]).count();
     let paths = |causes: &[Cause]| {
@@ -203,15 +210,15 @@ fn vignetting_darkens_the_corners_of_photographs() {
 #[test]
 fn a_film_curve_is_in_the_truth_and_not_in_the_rig() {
     let (truth, rig) = truth_and_rig(&bench(&[Cause::Film]));
-    assert_eq!(rig.camera.response, ResponseCurve::Srgb);
-    assert_eq!(truth.response_curve, Response::Film.samples());
-    let srgb = Options { response: Some(Response::Srgb), ..bench(&[]) };
+    assert_eq!(rig.camera.response_curve, ResponseCurve::Srgb);
+    assert_eq!(truth.response_curve, CameraCurve::Film.samples());
+    let srgb = SimulateOptions { response_curve: Some(CameraCurve::Srgb), ..bench(&[]) };
     assert_ne!(truth_and_rig(&srgb).0.response_curve, truth.response_curve);
     let name = "photos/reference-white_1.png";
     assert_ne!(photographs(&bench(&[Cause::Film]))[name], photographs(&srgb)[name]);
     // Without being told, PNG is linear.
     let (truth, rig) = truth_and_rig(&bench(&[]));
-    assert_eq!(rig.camera.response, ResponseCurve::Linear);
+    assert_eq!(rig.camera.response_curve, ResponseCurve::Linear);
     assert!(truth.response_curve.iter().all(|[linear, encoded]| linear == encoded));
 }
 

@@ -47,7 +47,7 @@ fn stretch(probability: u16) -> i32 {
 }
 
 /// Where bits go to or come from.
-pub trait Bits {
+pub(super) trait Bits {
     /// Codes a bit whose probability of being 1 is `one`/65536; a decoder ignores `bit` and returns its own.
     ///
     /// # Errors
@@ -93,14 +93,14 @@ impl DecoderModel<PRECISION> for Bernoulli {
 
 /// Writes bits.
 #[derive(Default)]
-pub struct Writer(RangeEncoder<u32, u64>);
+pub(super) struct Writer(RangeEncoder<u32, u64>);
 
 impl Writer {
     /// The coded bytes: little-endian words of the range coder.
     ///
     /// # Errors
     /// A reason, when there is no memory left.
-    pub fn finish(self) -> Vec<u8> {
+    pub(super) fn finish(self) -> Vec<u8> {
         let Ok(words) = self.0.into_compressed();
         words.iter().flat_map(|w| w.to_le_bytes()).collect()
     }
@@ -114,7 +114,7 @@ impl Bits for Writer {
 }
 
 /// Reads what [`Writer`] wrote.
-pub struct Reader {
+pub(super) struct Reader {
     coder: RangeDecoder<u32, u64, Cursor<u32, Vec<u32>>>,
     /// Bits read since the coder may have run out of words.
     beyond: u64,
@@ -125,7 +125,7 @@ impl Reader {
     ///
     /// # Errors
     /// A reason, when they are not whole words.
-    pub fn new(bytes: &[u8]) -> Result<Self, String> {
+    pub(super) fn new(bytes: &[u8]) -> Result<Self, String> {
         let (words, rest) = bytes.as_chunks::<4>();
         if !rest.is_empty() {
             return Err(format!("coded data: expected words of 4 bytes, found {} bytes", bytes.len()));
@@ -136,7 +136,7 @@ impl Reader {
     }
 
     /// Whether all words were read.
-    pub fn is_at_end(&self) -> bool {
+    pub(super) fn is_at_end(&self) -> bool {
         self.coder.maybe_exhausted()
     }
 }
@@ -159,7 +159,7 @@ impl Bits for Reader {
 
 /// Counts what a [`Writer`] would write.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Meter {
+pub(super) struct Meter {
     /// In 1/65536 bit.
     pub cost: u64,
 }
@@ -181,7 +181,7 @@ fn log2(value: u32) -> u32 {
 }
 
 /// Cost of a bit in 1/65536 bit.
-pub fn cost(bit: bool, one: u16) -> u64 {
+pub(super) fn cost(bit: bool, one: u16) -> u64 {
     let p = if bit { one } else { u16::MAX - one };
     u64::from(COST[usize::from(p >> 4)])
 }
@@ -207,7 +207,7 @@ const WEIGHT_ONE: i32 = 1 << 16;
 
 /// A mixer of contexts: `inputs` tables of slots and, for each of its selectors, a table of weight sets.
 #[derive(Debug, Clone)]
-pub struct Mixer {
+pub(super) struct Mixer {
     inputs: usize,
     slots_of_input: usize,
     slots: Vec<Slot>,
@@ -217,7 +217,7 @@ pub struct Mixer {
 
 /// The contexts of one bit.
 #[derive(Debug, Clone, Copy)]
-pub struct Contexts<'a> {
+pub(super) struct Contexts<'a> {
     /// One slot number for each input.
     pub slots: &'a [usize],
     /// Two weight sets whose opinions are averaged.
@@ -235,7 +235,7 @@ struct Opinion {
 
 impl Mixer {
     /// All contexts new, all weights equal.
-    pub fn new(inputs: usize, slots_of_input: usize, sets: usize) -> Self {
+    pub(super) fn new(inputs: usize, slots_of_input: usize, sets: usize) -> Self {
         let inputs = inputs.min(MOST_INPUTS);
         Self {
             inputs,
@@ -261,7 +261,7 @@ impl Mixer {
     }
 
     /// The probability of 1 in 1/65536.
-    pub fn predict(&self, contexts: Contexts<'_>) -> u16 {
+    pub(super) fn predict(&self, contexts: Contexts<'_>) -> u16 {
         self.opinion(contexts).one as u16
     }
 
@@ -269,7 +269,7 @@ impl Mixer {
     ///
     /// # Errors
     /// Those of `bits`.
-    pub fn code<B: Bits>(&mut self, bits: &mut B, bit: bool, contexts: Contexts<'_>) -> Result<bool, String> {
+    pub(super) fn code<B: Bits>(&mut self, bits: &mut B, bit: bool, contexts: Contexts<'_>) -> Result<bool, String> {
         let opinion = self.opinion(contexts);
         let bit = bits.code(bit, opinion.one as u16)?;
         let target = if bit { ONE - 1 } else { 0 };

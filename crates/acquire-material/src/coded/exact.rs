@@ -8,7 +8,7 @@ use crate::Point;
 ///
 /// # Errors
 /// Those of `bits`.
-pub fn raw<B: Bits>(bits: &mut B, value: u64, count: u32) -> Result<u64, String> {
+pub(super) fn raw<B: Bits>(bits: &mut B, value: u64, count: u32) -> Result<u64, String> {
     let mut found = 0;
     for k in (0..count).rev() {
         found = found << 1 | u64::from(bits.code(value >> k & 1 == 1, 1 << 15)?);
@@ -20,7 +20,7 @@ pub fn raw<B: Bits>(bits: &mut B, value: u64, count: u32) -> Result<u64, String>
 ///
 /// # Errors
 /// Those of `bits`; a number that is not finite.
-pub fn raw_f32<B: Bits>(bits: &mut B, value: f32) -> Result<f32, String> {
+pub(super) fn raw_f32<B: Bits>(bits: &mut B, value: f32) -> Result<f32, String> {
     let found = f32::from_bits(raw(bits, u64::from(value.to_bits()), 32)? as u32);
     if found.is_finite() { Ok(found) } else { Err(format!("expected a finite number, found {found}")) }
 }
@@ -29,7 +29,7 @@ pub fn raw_f32<B: Bits>(bits: &mut B, value: f32) -> Result<f32, String> {
 ///
 /// # Errors
 /// Those of `bits`; a number that is not finite.
-pub fn raw_f64<B: Bits>(bits: &mut B, value: f64) -> Result<f64, String> {
+pub(super) fn raw_f64<B: Bits>(bits: &mut B, value: f64) -> Result<f64, String> {
     let found = f64::from_bits(raw(bits, value.to_bits(), 64)?);
     if found.is_finite() { Ok(found) } else { Err(format!("expected a finite number, found {found}")) }
 }
@@ -38,7 +38,7 @@ pub fn raw_f64<B: Bits>(bits: &mut B, value: f64) -> Result<f64, String> {
 ///
 /// # Errors
 /// Those of `bits`.
-pub fn weights<B: Bits>(
+pub(super) fn weights<B: Bits>(
     bits: &mut B,
     weights: &[f32],
     singular_values: &[f64],
@@ -64,7 +64,7 @@ pub fn weights<B: Bits>(
 ///
 /// # Errors
 /// Those of `bits`; a shift that is no i16.
-pub fn shifts<B: Bits>(bits: &mut B, shifts: &[[i16; 2]], points: [usize; 2]) -> Result<Vec<[i16; 2]>, String> {
+pub(super) fn shifts<B: Bits>(bits: &mut B, shifts: &[[i16; 2]], points: [usize; 2]) -> Result<Vec<[i16; 2]>, String> {
     if !bits.code(shifts.iter().any(|s| *s != [0, 0]), 1 << 15)? {
         return Ok(vec![[0, 0]; points[0] * points[1]]);
     }
@@ -145,7 +145,7 @@ impl Prediction {
 ///
 /// # Errors
 /// Those of `bits`; numbers that no encoder writes.
-pub fn positions<B: Bits>(
+pub(super) fn positions<B: Bits>(
     bits: &mut B,
     lit_mm: &[Point],
     points: [usize; 2],

@@ -17,14 +17,14 @@ const SHRINK: [f64; 3] = [0.0, 0.02, 0.02];
 const LARGEST: f64 = (1 << 24) as f64;
 
 /// The step that number `index` names.
-pub fn step(index: i32) -> f64 {
+pub(super) fn step(index: i32) -> f64 {
     let octave = index.div_euclid(STEPS_PER_OCTAVE).clamp(-OCTAVES, OCTAVES);
     let power = f64::from_bits(((octave + 1023) as u64) << 52);
     FRACTIONS[index.rem_euclid(STEPS_PER_OCTAVE) as usize] * power
 }
 
 /// The number of the step nearest to `step`, on a logarithmic scale.
-pub fn step_index(step: f64) -> i32 {
+pub(super) fn step_index(step: f64) -> i32 {
     let octaves = step.log2().clamp(-f64::from(OCTAVES), f64::from(OCTAVES));
     (octaves * f64::from(STEPS_PER_OCTAVE)).round() as i32
 }
@@ -44,7 +44,7 @@ struct Coded {
 }
 
 /// Maps of one kind and size, coded one after another; what was learned from one serves the next.
-pub struct Group {
+pub(super) struct Group {
     size: [usize; 2],
     /// Maps in a set that belongs together (the planes of one term); those before this one are its siblings.
     siblings: usize,
@@ -57,7 +57,7 @@ pub struct Group {
 
 /// What to spend.
 #[derive(Debug, Clone, Copy)]
-pub struct Price {
+pub(super) struct Price {
     /// Step at a sensitivity of one.
     pub step: f64,
     /// Squared error in units of step² that a bit may save.
@@ -66,7 +66,7 @@ pub struct Price {
 
 impl Group {
     /// No map yet. `first_step` is the step number that the first one is compared with.
-    pub fn new(size: [usize; 2], siblings: usize, first_step: i32) -> Self {
+    pub(super) fn new(size: [usize; 2], siblings: usize, first_step: i32) -> Self {
         Self {
             size,
             siblings: siblings.max(1),
@@ -98,7 +98,7 @@ impl Group {
     ///
     /// # Errors
     /// Those of the writer.
-    pub fn encode(
+    pub(super) fn encode(
         &mut self,
         writer: &mut Writer,
         map: &[f64],
@@ -137,7 +137,7 @@ impl Group {
     ///
     /// # Errors
     /// What is wrong with the data.
-    pub fn decode(&mut self, reader: &mut Reader) -> Result<Vec<f64>, String> {
+    pub(super) fn decode(&mut self, reader: &mut Reader) -> Result<Vec<f64>, String> {
         self.code(reader, None)
     }
 

@@ -9,13 +9,13 @@ const WORK: usize = 1 << 29;
 const LEAST_ROWS: usize = 256;
 
 /// Rows of the material as it was.
-pub struct Sample {
+pub(super) struct Sample {
     stride: usize,
     rows: Vec<Vec<f32>>,
 }
 
 /// Every how many rows are looked at.
-pub fn stride(material: &Material) -> usize {
+pub(super) fn stride(material: &Material) -> usize {
     let h = &material.header;
     let row = h.layout().len() * (h.terms * h.planes() + 3 * h.degree.map_or(0, |p| p + 1)).max(1);
     h.rows().div_ceil((WORK / row.max(1)).max(LEAST_ROWS)).max(1)
@@ -23,7 +23,7 @@ pub fn stride(material: &Material) -> usize {
 
 impl Sample {
     /// Evaluates evenly spaced rows.
-    pub fn of(material: &Material) -> Self {
+    pub(super) fn of(material: &Material) -> Self {
         let stride = stride(material);
         let rows: Vec<usize> = (0..material.header.rows()).step_by(stride).collect();
         let responses = Responses::new(material);
@@ -31,12 +31,12 @@ impl Sample {
     }
 
     /// ‖R̂‖_F, mm⁻², of the whole material as far as the rows tell.
-    pub fn norm(&self) -> f64 {
+    pub(super) fn norm(&self) -> f64 {
         (self.rows.iter().map(|row| square(row.iter().copied())).sum::<f64>() * self.stride as f64).sqrt()
     }
 
     /// ‖R̂_other − R̂‖_F / ‖R̂‖_F on the rows; 0 when nothing differs.
-    pub fn relative_error(&self, other: &Material) -> f64 {
+    pub(super) fn relative_error(&self, other: &Material) -> f64 {
         let other = Responses::new(other);
         let differences: Vec<f64> = self
             .rows
@@ -58,13 +58,13 @@ fn square(values: impl Iterator<Item = f32>) -> f64 {
 }
 
 /// ‖v‖².
-pub fn energy(values: &[f64]) -> f64 {
+pub(super) fn energy(values: &[f64]) -> f64 {
     values.iter().map(|v| v * v).sum()
 }
 
 /// By how much R̂_d moves, all channels together, when a sample of a plane moves by one. With a colour polynomial that is
 /// ‖R̂‖/‖v‖: its own slope would be ruled by a few rows whose polynomials swing between their samples, which coding fits anew.
-pub fn slope(material: &Material) -> f64 {
+pub(super) fn slope(material: &Material) -> f64 {
     let h = &material.header;
     let Some(degree) = h.degree else {
         return if h.planes() == 1 { 3.0_f64.sqrt() } else { 1.0 };
@@ -88,7 +88,7 @@ pub fn slope(material: &Material) -> f64 {
 }
 
 /// Factors f' that make Σ f'_k q_k nearest to Σ f_j h_j: `weights[k][j]` with f'_k = Σ_j weights\[k\]\[j\] f_j.
-pub fn refit_weights(h: &[Vec<f64>], q: &[Vec<f64>]) -> Vec<Vec<f64>> {
+pub(super) fn refit_weights(h: &[Vec<f64>], q: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let terms = h.len();
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let rows =

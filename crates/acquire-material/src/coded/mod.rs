@@ -38,7 +38,7 @@ pub enum Quality {
 
 /// How a material is coded.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Options {
+pub struct EncodeOptions {
     /// Default: an added error of 0.3 %, which is little beside what most factorizations leave.
     pub quality: Quality,
     /// How far a lit point may be moved along x and y, in outgoing cells. Default: as many cells as the relative error of R̂_d
@@ -46,7 +46,7 @@ pub struct Options {
     pub position_error_px: Option<f64>,
 }
 
-impl Default for Options {
+impl Default for EncodeOptions {
     fn default() -> Self {
         Self { quality: Quality::AddedError(3e-3), position_error_px: None }
     }
@@ -79,7 +79,7 @@ const CLOSE: f64 = 0.97;
 /// # Errors
 /// [`Error::Option`] for a quality that is out of range or that cannot be reached; [`Error::Inconsistent`] when the material's
 /// arrays do not have the lengths that its header says, or hold numbers that no file may hold.
-pub fn encode(material: &Material, options: &Options) -> Result<Coded> {
+pub fn encode(material: &Material, options: &EncodeOptions) -> Result<Coded> {
     material.check_lengths()?;
     material.check_values().map_err(Error::inconsistent)?;
     check_options(options)?;
@@ -151,7 +151,7 @@ impl Search {
     }
 }
 
-fn check_options(options: &Options) -> Result<()> {
+fn check_options(options: &EncodeOptions) -> Result<()> {
     let refuse = |option, expected: &str, found: f64| {
         Err(Error::Option { option, expected: expected.into(), found: found.to_string() })
     };
@@ -181,7 +181,7 @@ fn unreachable_quality(quality: Quality) -> Error {
 }
 
 /// One encoding, decoded again and measured.
-fn encode_at(material: &Material, options: &Options, step: f64, sample: &measure::Sample) -> Result<Coded> {
+fn encode_at(material: &Material, options: &EncodeOptions, step: f64, sample: &measure::Sample) -> Result<Coded> {
     let price = Price { step, lambda: LAMBDA };
     let expected = step / (sample.norm().max(1e-30) * STEP_OF_ERROR);
     let position_error = options.position_error_px.unwrap_or(expected.clamp(1e-6, MOST_POSITION_ERROR));

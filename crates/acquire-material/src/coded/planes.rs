@@ -11,7 +11,7 @@ const ANGLE_BITS: u32 = 12;
 
 /// A rotation of the channels, by Euler angles in 1/4096 of a turn.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Rotation {
+pub(super) struct Rotation {
     angles: [u32; 3],
     /// Rows are the new channels.
     rows: [[f64; CHANNELS]; CHANNELS],
@@ -32,7 +32,7 @@ impl Rotation {
 
     /// The rotation that leaves the channels with moments `moments` (sums of products) least correlated; none for fewer than
     /// three channels.
-    pub fn decorrelating(moments: [[f64; CHANNELS]; CHANNELS]) -> Self {
+    pub(super) fn decorrelating(moments: [[f64; CHANNELS]; CHANNELS]) -> Self {
         let rows = eigenvectors(moments);
         let whole = f64::from(1_u32 << ANGLE_BITS) / std::f64::consts::TAU;
         let part = |angle: f64| ((angle * whole).round() as i64).rem_euclid(1 << ANGLE_BITS) as u32;
@@ -42,7 +42,7 @@ impl Rotation {
     }
 
     /// No rotation.
-    pub fn none() -> Self {
+    pub(super) fn none() -> Self {
         Self::new([0; 3])
     }
 
@@ -50,7 +50,7 @@ impl Rotation {
     ///
     /// # Errors
     /// Those of `bits`.
-    pub fn code<B: Bits>(self, bits: &mut B) -> Result<Self, String> {
+    pub(super) fn code<B: Bits>(self, bits: &mut B) -> Result<Self, String> {
         let mut angles = self.angles;
         for angle in &mut angles {
             *angle = raw(bits, u64::from(*angle), ANGLE_BITS)? as u32;
@@ -59,12 +59,12 @@ impl Rotation {
     }
 
     /// Turns three planes of equal length into the new channels.
-    pub fn forward(&self, planes: &mut [Vec<f64>]) {
+    pub(super) fn forward(&self, planes: &mut [Vec<f64>]) {
         self.apply(planes, |rows, to, from| rows[to][from]);
     }
 
     /// Undoes [`Self::forward`].
-    pub fn inverse(&self, planes: &mut [Vec<f64>]) {
+    pub(super) fn inverse(&self, planes: &mut [Vec<f64>]) {
         self.apply(planes, |rows, to, from| rows[from][to]);
     }
 
@@ -79,7 +79,7 @@ impl Rotation {
 }
 
 /// Sums of products of three planes over several sets of them.
-pub fn moments(sets: &[Vec<Vec<f64>>]) -> [[f64; CHANNELS]; CHANNELS] {
+pub(super) fn moments(sets: &[Vec<Vec<f64>>]) -> [[f64; CHANNELS]; CHANNELS] {
     let mut sums = [[0.0; CHANNELS]; CHANNELS];
     for planes in sets.iter().filter(|planes| planes.len() == CHANNELS) {
         for (a, row) in sums.iter_mut().enumerate() {
@@ -122,7 +122,7 @@ fn eigenvectors(mut m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
 /// The triangular L of G = L Lᵀ, G the mean over rows of Σ_samples L_p L_q: in γ = Lᵀβ an error of one in any coefficient of a
 /// row moves the row by one. Row by row, lower triangle.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ColorBasis {
+pub(super) struct ColorBasis {
     degree: usize,
     lower: Vec<f32>,
 }
@@ -136,7 +136,7 @@ const LEAST: f64 = 1e-6;
 
 impl ColorBasis {
     /// From the samples of every `stride`th row of a material with a colour polynomial.
-    pub fn of(material: &Material, degree: usize, stride: usize) -> Self {
+    pub(super) fn of(material: &Material, degree: usize, stride: usize) -> Self {
         let n = degree + 1;
         let h = &material.header;
         let [low, high] = h.intensity_range.map(f64::from);
@@ -169,7 +169,7 @@ impl ColorBasis {
     ///
     /// # Errors
     /// Those of `bits`; a diagonal that is not positive.
-    pub fn code<B: Bits>(bits: &mut B, basis: Option<&Self>, degree: usize) -> Result<Self, String> {
+    pub(super) fn code<B: Bits>(bits: &mut B, basis: Option<&Self>, degree: usize) -> Result<Self, String> {
         let mut lower = Vec::new();
         for p in 0..=degree {
             for q in 0..=p {
@@ -189,7 +189,7 @@ impl ColorBasis {
     ///
     /// A row of nearly constant intensity leaves most coefficients undetermined. What a coefficient costs is about
     /// log₂(|γ|/step); the slope of that gives the weights of a ridge, improved round by round.
-    pub fn fit(
+    pub(super) fn fit(
         &self,
         original: &Responses<'_>,
         decoded: &Responses<'_>,
@@ -242,7 +242,7 @@ impl ColorBasis {
     }
 
     /// γ to β, in place.
-    pub fn inverse(&self, gamma: &mut [f64]) {
+    pub(super) fn inverse(&self, gamma: &mut [f64]) {
         for q in (0..=self.degree).rev() {
             let known: f64 = (q + 1..=self.degree).map(|p| self.entry(p, q) * gamma[p]).sum();
             gamma[q] = (gamma[q] - known) / self.entry(q, q);

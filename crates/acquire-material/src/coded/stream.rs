@@ -20,13 +20,13 @@ const LOWEST_STEP: i32 = -(1 << 15);
 /// More numbers than a bit can hold: the likeliest bit has a probability of 65514/65536.
 const MOST_PER_BIT: u128 = 2100;
 
-pub fn write_header(text: &str) -> Result<Vec<u8>, String> {
+pub(super) fn write_header(text: &str) -> Result<Vec<u8>, String> {
     let mut writer = Writer::default();
     code_text(&mut writer, Some(text))?;
     Ok(writer.finish())
 }
 
-pub fn read_header(bytes: &[u8]) -> Result<String, String> {
+pub(super) fn read_header(bytes: &[u8]) -> Result<String, String> {
     code_text(&mut Reader::new(bytes)?, None)
 }
 
@@ -78,7 +78,7 @@ impl Scales<'_> {
 }
 
 /// Everything but the header.
-pub fn write_maps(material: &Material, price: Price, position_error_px: f64) -> Result<Vec<u8>, String> {
+pub(super) fn write_maps(material: &Material, price: Price, position_error_px: f64) -> Result<Vec<u8>, String> {
     let h = &material.header;
     let mut w = Writer::default();
     let singular: Vec<f64> = h.singular_values.iter().map(|&v| f64::from(v as f32)).collect();
@@ -292,7 +292,7 @@ fn refit(columns: Vec<Vec<f64>>, scaled: &[Vec<f64>], seen: &[Vec<f64>]) -> Vec<
 }
 
 /// What [`write_maps`] wrote, for a header that was checked.
-pub fn read_maps(bytes: &[u8], header: MaterialHeader) -> Result<Material, String> {
+pub(super) fn read_maps(bytes: &[u8], header: MaterialHeader) -> Result<Material, String> {
     let h = &header;
     let numbers: u128 = h.shapes().iter().map(|(_, shape)| shape.iter().map(|&v| v as u128).product::<u128>()).sum();
     let room = (bytes.len() as u128 * 8 + 64) * MOST_PER_BIT;

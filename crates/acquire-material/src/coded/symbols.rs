@@ -13,11 +13,11 @@ const BINS: usize = UNARY;
 const SIGN_INPUTS: usize = 4;
 
 /// Maps that were coded before and resemble this one: the same place of the last but one, and so on.
-pub type Earlier<'a> = [Option<&'a [i32]>; 3];
+pub(super) type Earlier<'a> = [Option<&'a [i32]>; 3];
 
 /// What is learned about the whole numbers of one kind of map.
 #[derive(Debug, Clone)]
-pub struct Numbers {
+pub(super) struct Numbers {
     magnitude: Mixer,
     sign: Mixer,
     escape: Mixer,
@@ -111,7 +111,7 @@ fn get(map: &[i32], size: [usize; 2], x: isize, y: isize) -> i32 {
 
 impl Numbers {
     /// Nothing is known yet.
-    pub fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self {
             magnitude: Mixer::new(INPUTS, CONTEXTS * BINS, BINS + 12 * 3),
             sign: Mixer::new(SIGN_INPUTS, 128, 1),
@@ -124,7 +124,7 @@ impl Numbers {
     ///
     /// # Errors
     /// Those of `bits`.
-    pub fn code_map<B: Bits>(
+    pub(super) fn code_map<B: Bits>(
         &mut self,
         bits: &mut B,
         size: [usize; 2],
@@ -217,7 +217,7 @@ fn magnitude_contexts(around: &Around, bin: usize) -> ([usize; INPUTS], [usize; 
 }
 
 /// What a map costs, in 1/65536 bit, and its numbers; nothing is learned.
-pub fn try_map(
+pub(super) fn try_map(
     numbers: &Numbers,
     size: [usize; 2],
     earlier: Earlier<'_>,

@@ -64,7 +64,7 @@ fn every_model_of_every_shape_keeps_to_the_error_that_was_allowed_and_loads_as_i
         for (points, window, terms) in shapes() {
             let material = made(&mut rng, kind, points, window, terms);
             for error in [if kind % 2 == 0 { 0.1 } else { 1e-3 }] {
-                let options = Options { quality: Quality::AddedError(error), ..Options::default() };
+                let options = EncodeOptions { quality: Quality::AddedError(error), ..EncodeOptions::default() };
                 let coded = encode(&material, &options).unwrap_or_else(|e| panic!("{kind} {points:?} {error}: {e}"));
                 assert!(coded.added_error <= error, "{kind} {points:?}: {} > {error}", coded.added_error);
                 std::fs::write(&path, &coded.bytes).unwrap();
@@ -98,7 +98,7 @@ fn every_model_of_every_shape_keeps_to_the_error_that_was_allowed_and_loads_as_i
 
 #[test]
 fn a_file_cut_anywhere_or_with_any_byte_changed_is_refused() {
-    let coded = encode(&example(), &Options::default()).unwrap();
+    let coded = encode(&example(), &EncodeOptions::default()).unwrap();
     for len in 0..coded.bytes.len() {
         assert!(decode(&coded.bytes[..len]).is_err(), "{len} of {} bytes", coded.bytes.len());
     }
@@ -117,7 +117,7 @@ fn a_hostile_file_with_a_right_checksum_is_refused_or_whole() {
     let mut rng = Pcg64::seed_from_u64(11);
     for kind in 0..6 {
         let material = made(&mut rng, kind, [5, 4], [7, 5], 3);
-        let coded = encode(&material, &Options::default()).unwrap();
+        let coded = encode(&material, &EncodeOptions::default()).unwrap();
         let (preamble, streams) = coded.bytes.split_at(PREAMBLE);
         let length = u32::from_le_bytes(preamble[6..10].try_into().unwrap()) as usize;
         for attempt in 0..90 {
@@ -164,7 +164,7 @@ fn sizes_that_the_file_cannot_hold_are_refused_before_anything_is_allocated() {
 #[test]
 fn zeros_constants_and_weights_far_from_one_are_kept() {
     let mut rng = Pcg64::seed_from_u64(3);
-    let code = |m: &Material| encode(m, &Options::default()).unwrap();
+    let code = |m: &Material| encode(m, &EncodeOptions::default()).unwrap();
     let mut zero = made(&mut rng, 0, [6, 5], [5, 5], 2);
     zero.offset_factors.own().fill(0.0);
     let coded = code(&zero);
@@ -196,7 +196,8 @@ fn a_limit_of_bytes_is_kept_and_more_of_them_give_a_smaller_error() {
     let material = made(&mut Pcg64::seed_from_u64(5), 0, [16, 16], [15, 15], 4);
     let mut last = f64::INFINITY;
     for bytes in [2_000, 3_000, 6_000] {
-        let coded = encode(&material, &Options { quality: Quality::MaxBytes(bytes), ..Options::default() }).unwrap();
+        let coded = encode(&material, &EncodeOptions { quality: Quality::MaxBytes(bytes), ..EncodeOptions::default() })
+            .unwrap();
         assert!(
             coded.bytes.len() as u64 <= bytes && coded.bytes.len() as u64 > bytes * 9 / 10,
             "{}",
@@ -205,9 +206,10 @@ fn a_limit_of_bytes_is_kept_and_more_of_them_give_a_smaller_error() {
         assert!(coded.added_error < last);
         last = coded.added_error;
     }
-    let refused = encode(&material, &Options { quality: Quality::MaxBytes(40), ..Options::default() });
+    let refused = encode(&material, &EncodeOptions { quality: Quality::MaxBytes(40), ..EncodeOptions::default() });
     assert!(matches!(refused, Err(Error::Option { .. })));
-    let refused = encode(&material, &Options { quality: Quality::AddedError(f64::NAN), ..Options::default() });
+    let refused =
+        encode(&material, &EncodeOptions { quality: Quality::AddedError(f64::NAN), ..EncodeOptions::default() });
     assert!(matches!(refused, Err(Error::Option { .. })));
 }
 
@@ -216,7 +218,7 @@ fn the_bytes_do_not_depend_on_the_number_of_threads() {
     let material = made(&mut Pcg64::seed_from_u64(9), 1, [12, 10], [9, 9], 3);
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| encode(&material, &Options::default()).unwrap().bytes)
+        pool.install(|| encode(&material, &EncodeOptions::default()).unwrap().bytes)
     };
     assert_eq!(with(1), with(3));
 }
@@ -239,7 +241,7 @@ fn shared_maps_are_coded_as_what_they_stand_for_and_the_header_keeps_its_digits(
     m.header.singular_values = vec![std::f64::consts::PI, 1e-9 / 3.0];
     m.header.noise_level = 1.0 / 3.0;
     let error = 1e-3;
-    let coded = encode(&m, &Options { quality: Quality::AddedError(error), ..Options::default() }).unwrap();
+    let coded = encode(&m, &EncodeOptions { quality: Quality::AddedError(error), ..EncodeOptions::default() }).unwrap();
     let found = decode(&coded.bytes).unwrap();
     assert!(found.header.shared_maps.is_none() && matches!(found.offset_factors, OffsetFactors::Own(_)));
     let rows = |m: &Material| (0..15).flat_map(|i| m.evaluate_row(i)).map(f64::from).collect::<Vec<f64>>();
@@ -258,7 +260,7 @@ fn shared_maps_are_coded_as_what_they_stand_for_and_the_header_keeps_its_digits(
 #[test]
 fn qualities_beyond_what_a_file_can_hold_are_refused() {
     let refused = |quality, position_error_px| {
-        let options = Options { quality, position_error_px };
+        let options = EncodeOptions { quality, position_error_px };
         matches!(check_options(&options), Err(Error::Option { .. }))
     };
     let error = |error: f64| refused(Quality::AddedError(error), None);
@@ -267,6 +269,6 @@ fn qualities_beyond_what_a_file_can_hold_are_refused() {
     assert_eq!([0.0, 9e-7, 1e-6, 1.0, 1.001, f64::NAN].map(place), [true, true, false, false, true, true]);
     assert_eq!([0, 1, u64::MAX].map(|n| refused(Quality::MaxBytes(n), None)), [true, false, false]);
     // Before anything is coded.
-    let options = Options { quality: Quality::MaxBytes(0), ..Options::default() };
+    let options = EncodeOptions { quality: Quality::MaxBytes(0), ..EncodeOptions::default() };
     assert!(encode(&example(), &options).is_err());
 }

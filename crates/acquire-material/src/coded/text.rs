@@ -45,7 +45,7 @@ impl Text {
 ///
 /// # Errors
 /// Those of `bits`; a text that holds a zero byte, is too long, or is no UTF-8.
-pub fn code_text<B: Bits>(bits: &mut B, text: Option<&str>) -> Result<String, String> {
+pub(super) fn code_text<B: Bits>(bits: &mut B, text: Option<&str>) -> Result<String, String> {
     let mut coder = Text::new();
     for byte in TYPICAL.bytes() {
         coder.code(&mut Meter::default(), byte)?;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 /// How a map is turned into coefficients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Transform {
+pub(super) enum Transform {
     /// The map itself.
     None,
     /// Cosine transform (DCT-II) of the whole map.
@@ -20,12 +20,12 @@ pub enum Transform {
 }
 
 /// All of them; a file names one by its place here.
-pub const ALL: [Transform; 5] =
+pub(super) const ALL: [Transform; 5] =
     [Transform::None, Transform::Cosine, Transform::Wavelet2, Transform::Wavelet3, Transform::Blocks8];
 
 /// Plans of the cosine transforms used so far.
 #[derive(Default)]
-pub struct Plans {
+pub(super) struct Plans {
     planner: Option<DctPlanner<f64>>,
     known: HashMap<usize, Arc<dyn TransformType2And3<f64>>>,
 }
@@ -38,7 +38,7 @@ impl Plans {
 }
 
 /// Coefficients of a map of `size` (x, y), row-major, in its place.
-pub fn forward(transform: Transform, plans: &mut Plans, map: &mut [f64], size: [usize; 2]) {
+pub(super) fn forward(transform: Transform, plans: &mut Plans, map: &mut [f64], size: [usize; 2]) {
     match transform {
         Transform::None => {}
         Transform::Cosine => along_both(map, size, size, |line| cosine(plans, line)),
@@ -49,7 +49,7 @@ pub fn forward(transform: Transform, plans: &mut Plans, map: &mut [f64], size: [
 }
 
 /// The inverse of [`forward`].
-pub fn inverse(transform: Transform, plans: &mut Plans, map: &mut [f64], size: [usize; 2]) {
+pub(super) fn inverse(transform: Transform, plans: &mut Plans, map: &mut [f64], size: [usize; 2]) {
     let wavelet = |map: &mut [f64], count| {
         let sizes: Vec<_> = levels(size, count).collect();
         sizes.into_iter().rev().for_each(|s| along_both(map, size, s, synthesise));

@@ -1,7 +1,7 @@
 //! What an eye above the slab receives of a scattering inside it.
 
 use super::{
-    Window,
+    TallyWindow,
     medium::{Local, Medium},
     phase::density,
     photon::Photon,
@@ -24,7 +24,7 @@ const SHOWN_FAR: f64 = 1.0 / 256.0;
 /// An eye and the window through which it looks.
 #[derive(Debug)]
 pub(super) struct Eye<'a> {
-    window: &'a Window,
+    window: &'a TallyWindow,
     medium: &'a Medium,
     /// The way from each patch, and what flux per inverse steradian inside is worth of π times radiance: π (1 − F)/(n² cosθ').
     sights: Vec<(Sight, f64)>,
@@ -32,7 +32,7 @@ pub(super) struct Eye<'a> {
 
 impl<'a> Eye<'a> {
     /// The eye at `eye_mm`, above the slab.
-    pub fn new(eye_mm: [f64; 3], window: &'a Window, medium: &'a Medium) -> Self {
+    pub(super) fn new(eye_mm: [f64; 3], window: &'a TallyWindow, medium: &'a Medium) -> Self {
         let n = medium.refractive_index;
         let sight = |i: usize| {
             let share = [i % PATCHES, i / PATCHES].map(|p| (p as f64 + 0.5) / PATCHES as f64);
@@ -59,7 +59,7 @@ impl<'a> Eye<'a> {
     ///
     /// With Φ scattered by p per steradian inside, and dω' cosθ' n² = dω cosθ across the face, π times the radiance that
     /// leaves is π Φ p e^(−τ) (1 − F)/(n² cosθ') per area.
-    pub fn receive(&self, photon: &Photon, local: Local, rng: &mut Pcg64Mcg, radiance: &mut [f64]) {
+    pub(super) fn receive(&self, photon: &Photon, local: Local, rng: &mut Pcg64Mcg, radiance: &mut [f64]) {
         let (sight, value) = self.sight(photon.p);
         let depth = local.extinction * photon.p[2];
         // Little light comes up from the deep: one in sixteen of those collisions stands for all.

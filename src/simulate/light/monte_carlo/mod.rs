@@ -48,7 +48,7 @@ const LOST_THICKNESSES: f64 = 1000.0;
 
 /// Square cells over the top of the slab.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Window {
+pub struct TallyWindow {
     /// First corner, mm.
     pub corner_mm: Point,
     /// Side of a cell, mm.
@@ -57,7 +57,7 @@ pub struct Window {
     pub cells: [usize; 2],
 }
 
-impl Window {
+impl TallyWindow {
     /// Length along axis `a`, mm.
     fn side_mm(&self, a: usize) -> f64 {
         self.cell_mm * self.cells[a] as f64
@@ -99,7 +99,7 @@ pub struct Setup<'a> {
     /// First and last corner of a slab with sides, mm; `None` for one without end.
     pub extent_mm: Option<[Point; 2]>,
     /// The window for `exitance` and for radiance.
-    pub window: Option<Window>,
+    pub window: Option<TallyWindow>,
     /// Whether to count the exitance over the window.
     pub exitance: bool,
     /// Where the eye is (z negative: above the slab), mm, to count the radiance over the window.
@@ -118,7 +118,7 @@ impl<'a> Setup<'a> {
 
 /// How long to trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Options {
+pub struct TraceOptions {
     /// Photons, rounded up to whole batches.
     pub photons: u64,
     /// Seed. The same seed gives the same numbers, whatever the number of threads.
@@ -131,7 +131,7 @@ pub struct Options {
 /// [`Error::Setting`] without photons.
 ///
 /// Not detected: estimates whose error is far from normal because hardly any photon reached them.
-pub fn trace(setup: &Setup, options: &Options, stage: Option<&Stage>) -> Result<Outcome> {
+pub fn trace(setup: &Setup, options: &TraceOptions, stage: Option<&Stage>) -> Result<Outcome> {
     if options.photons == 0 {
         return Err(Error::Setting { setting: "photons", expected: "at least 1".into(), found: "0".into() });
     }

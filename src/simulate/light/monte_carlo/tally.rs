@@ -1,6 +1,6 @@
 //! What photons leave behind, and how sure its mean is.
 
-use super::{Rings, Window};
+use super::{Rings, TallyWindow};
 use serde::Serialize;
 
 /// A mean over photons, per unit of flux that arrives, and its standard error from the scatter of the batches.
@@ -12,7 +12,7 @@ pub struct Estimate {
     pub standard_error: f64,
 }
 
-/// A map over the cells of a [`Window`], row-major, mm⁻².
+/// A map over the cells of a [`TallyWindow`], row-major, mm⁻².
 #[derive(Debug, Clone, PartialEq)]
 pub struct Map {
     /// Means over each cell.
@@ -65,8 +65,8 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    pub fn new(rings: Option<&Rings>, exitance: Option<&Window>, radiance: Option<&Window>) -> Self {
-        let cells = |w: Option<&Window>| vec![0.0; w.map_or(0, |w| w.cells[0] * w.cells[1])];
+    pub(super) fn new(rings: Option<&Rings>, exitance: Option<&TallyWindow>, radiance: Option<&TallyWindow>) -> Self {
+        let cells = |w: Option<&TallyWindow>| vec![0.0; w.map_or(0, |w| w.cells[0] * w.cells[1])];
         Self {
             photons: 0,
             reflected: 0.0,
@@ -127,7 +127,7 @@ pub(super) struct Collected {
 }
 
 impl Collected {
-    pub fn add(&mut self, tally: &Tally) {
+    pub(super) fn add(&mut self, tally: &Tally) {
         let per_photon = 1.0 / tally.photons as f64;
         let transmitted = tally.diffuse + tally.ballistic;
         let all = tally.reflected + transmitted + tally.absorbed + tally.sides;
@@ -140,7 +140,7 @@ impl Collected {
     }
 
     /// The estimates; `specular` was taken off before entering.
-    pub fn finish(self, specular: f64, rings: Option<&Rings>, window: Option<&Window>) -> Outcome {
+    pub(super) fn finish(self, specular: f64, rings: Option<&Rings>, window: Option<&TallyWindow>) -> Outcome {
         let [reflected, transmitted, diffuse, ballistic, absorbed, sides, all] =
             std::array::from_fn(|i| self.totals.estimate(i));
         let per_area =

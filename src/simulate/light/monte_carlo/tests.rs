@@ -23,7 +23,7 @@ fn isotropic(scattering_per_mm: f64, absorption_per_mm: f64) -> Optics {
 }
 
 fn totals(volume: &Volume, channel: usize, photons: u64) -> Outcome {
-    trace(&Setup::totals(&Medium::new(volume, channel)), &Options { photons, seed: 1 }, None).unwrap()
+    trace(&Setup::totals(&Medium::new(volume, channel)), &TraceOptions { photons, seed: 1 }, None).unwrap()
 }
 
 /// Within 3 standard errors of `expected`, which has an error of its own (its last digit, or its own noise), and known to 0.1 %.
@@ -80,7 +80,7 @@ fn three_layers_agree_with_the_sample_of_mcml() {
     let layers = [layer(1.0, 100.0, 0.9, 0.1), layer(1.0, 10.0, 0.0, 0.1), layer(2.0, 10.0, 0.7, 0.2)];
     let volume = Volume::layered(&layers, 1.37);
     let rings = Some(Rings { width_mm: 0.1, count: 20 });
-    let options = Options { photons: 6_000_000, seed: 1 };
+    let options = TraceOptions { photons: 6_000_000, seed: 1 };
     let outcome = trace(&Setup { rings, ..Setup::totals(&Medium::new(&volume, 0)) }, &options, None).unwrap();
     assert!((outcome.specular - 0.024_372_9).abs() < 1e-7);
     // Theirs scatters by √6 times ours in each: a million photons against six.
@@ -119,14 +119,14 @@ fn chandrasekhar_h(albedo: f64, mu: f64) -> f64 {
 /// All that a far eye at cosine `mu` to the normal receives from a pencil beam.
 fn shown(volume: &Volume, mu: f64, azimuth: f64, photons: u64) -> Estimate {
     let wide = 1e4;
-    let window = Some(Window { corner_mm: [-0.5 * wide; 2], cell_mm: wide, cells: [1; 2] });
+    let window = Some(TallyWindow { corner_mm: [-0.5 * wide; 2], cell_mm: wide, cells: [1; 2] });
     let aside = (1.0 - mu * mu).sqrt() * 1e9;
     let eye_mm = Some([aside * azimuth.cos(), aside * azimuth.sin(), -mu * 1e9]);
     let medium = Medium::new(volume, 0);
     let setup = Setup { window, eye_mm, ..Setup::totals(&medium) };
     // Another seed for each eye, so that their errors are independent.
     let seed = (1e6 * (mu + azimuth)) as u64;
-    let map = trace(&setup, &Options { photons, seed }, None).unwrap().radiance.unwrap();
+    let map = trace(&setup, &TraceOptions { photons, seed }, None).unwrap().radiance.unwrap();
     Estimate { mean: map.mean[0] * wide * wide, standard_error: map.standard_error[0] * wide * wide }
 }
 
@@ -202,11 +202,11 @@ fn a_heterogeneous_slab_is_reciprocal() {
     let seen = |from: Point, at: Point| {
         let mm_from_px = [[side, 0.0], [0.0, side]];
         let beam = Beam { center_mm: from, mm_from_px, side_px: 1.0, blur_px: 0.0 };
-        let window = Some(Window { corner_mm: at.map(|c| c - 0.5 * side), cell_mm: side, cells: [1; 2] });
+        let window = Some(TallyWindow { corner_mm: at.map(|c| c - 0.5 * side), cell_mm: side, cells: [1; 2] });
         let eye_mm = Some([0.0, 0.0, -1e9]);
         let medium = Medium::new(&volume, 0);
         let setup = Setup { beam, window, eye_mm, ..Setup::totals(&medium) };
-        let map = trace(&setup, &Options { photons: 2_000_000, seed: 5 + (100.0 * from[0]) as u64 }, None)
+        let map = trace(&setup, &TraceOptions { photons: 2_000_000, seed: 5 + (100.0 * from[0]) as u64 }, None)
             .unwrap()
             .radiance
             .unwrap();
@@ -226,7 +226,7 @@ fn energy_balances_in_a_heterogeneous_slab_with_sides() {
     let extent_mm = Some([[-1.0, -1.5], [2.0, 1.0]]);
     let outcome = trace(
         &Setup { extent_mm, ..Setup::totals(&Medium::new(&volume, 0)) },
-        &Options { photons: 400_000, seed: 2 },
+        &TraceOptions { photons: 400_000, seed: 2 },
         None,
     );
     let outcome = outcome.unwrap();
@@ -239,12 +239,12 @@ fn energy_balances_in_a_heterogeneous_slab_with_sides() {
 #[test]
 fn the_same_seed_gives_the_same_numbers_on_any_number_of_threads() {
     let volume = heterogeneous();
-    let window = Some(Window { corner_mm: [-2.0; 2], cell_mm: 0.25, cells: [16; 2] });
+    let window = Some(TallyWindow { corner_mm: [-2.0; 2], cell_mm: 0.25, cells: [16; 2] });
     let medium = Medium::new(&volume, 0);
     let setup = Setup { window, exitance: true, eye_mm: Some([3.0, 0.0, -90.0]), ..Setup::totals(&medium) };
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| trace(&setup, &Options { photons: 10_000, seed: 9 }, None).unwrap())
+        pool.install(|| trace(&setup, &TraceOptions { photons: 10_000, seed: 9 }, None).unwrap())
     };
     assert_eq!(with(1), with(3));
 }
@@ -255,7 +255,9 @@ fn the_same_seed_gives_the_same_numbers_on_any_number_of_threads() {
 fn standard_errors_are_right() {
     let volume = heterogeneous();
     let outcomes: Vec<Outcome> = (0..40)
-        .map(|seed| trace(&Setup::totals(&Medium::new(&volume, 0)), &Options { photons: 5_000, seed }, None).unwrap())
+        .map(|seed| {
+            trace(&Setup::totals(&Medium::new(&volume, 0)), &TraceOptions { photons: 5_000, seed }, None).unwrap()
+        })
         .collect();
     let mean = outcomes.iter().map(|o| o.reflected.mean).sum::<f64>() / 40.0;
     let scatter = (outcomes.iter().map(|o| (o.reflected.mean - mean).powi(2)).sum::<f64>() / 39.0).sqrt();
@@ -277,10 +279,10 @@ fn extreme_media_end_and_balance() {
         ("clear over black", Volume::layered(&[(isotropic(0.0, 0.0), 1.0), (isotropic(0.0, 50.0), 1.0)], 1.3)),
     ];
     for (name, volume) in cases {
-        let window = Some(Window { corner_mm: [-2.0; 2], cell_mm: 0.5, cells: [8; 2] });
+        let window = Some(TallyWindow { corner_mm: [-2.0; 2], cell_mm: 0.5, cells: [8; 2] });
         let medium = Medium::new(&volume, 0);
         let setup = Setup { window, exitance: true, eye_mm: Some([0.0, 0.0, -50.0]), ..Setup::totals(&medium) };
-        let outcome = trace(&setup, &Options { photons: 20_000, seed: 4 }, None).unwrap();
+        let outcome = trace(&setup, &TraceOptions { photons: 20_000, seed: 4 }, None).unwrap();
         let Estimate { mean, standard_error } = outcome.spent;
         // Where nothing is random the sum is 1 to rounding.
         assert!((mean - 1.0).abs() < 4.0 * standard_error + 1e-9, "{name}: {:?}", outcome.spent);
@@ -309,7 +311,7 @@ fn all_measured_media_agree_with_adding_and_doubling() {
         let [absorption, scattering, g, n, thickness] = [2, 3, 4, 5, 6].map(value);
         let optics = Optics { anisotropy: [g; 3], ..isotropic(scattering * (1.0 - g), absorption) };
         let medium = Medium::new(&Volume::uniform(optics, n, thickness), 0);
-        let options = Options { photons: 500_000, seed: seed as u64 };
+        let options = TraceOptions { photons: 500_000, seed: seed as u64 };
         let outcome = trace(&Setup::totals(&medium), &options, None).unwrap();
         assert!((outcome.specular - value(7)).abs() < 1e-6);
         let pairs =

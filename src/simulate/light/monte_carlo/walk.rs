@@ -1,6 +1,6 @@
 //! One photon's way through the slab.
 
-use super::{Rings, Window, eye::Eye, medium::Medium, phase::scatter, photon::Photon, tally::Tally};
+use super::{Rings, TallyWindow, eye::Eye, medium::Medium, phase::scatter, photon::Photon, tally::Tally};
 use crate::geometry::Point;
 use crate::simulate::light::beam::Beam;
 use crate::simulate::light::fresnel::{Passage, face};
@@ -19,7 +19,7 @@ pub(super) struct Walk<'a> {
     /// Share of the light that the top face lets in.
     pub enters: f64,
     pub beam: &'a Beam,
-    pub window: Option<&'a Window>,
+    pub window: Option<&'a TallyWindow>,
     pub rings: Option<&'a Rings>,
     pub eye: Option<Eye<'a>>,
     pub exitance: bool,
@@ -35,7 +35,7 @@ enum End {
 
 impl Walk<'_> {
     /// Traces one photon from the beam to its end.
-    pub fn photon(&self, rng: &mut Pcg64Mcg, tally: &mut Tally) {
+    pub(super) fn photon(&self, rng: &mut Pcg64Mcg, tally: &mut Tally) {
         let [x, y] = self.beam.sample(rng);
         let mut photon = Photon { p: [x, y, 0.0], d: [0.0, 0.0, 1.0], layer: 0, weight: self.enters, scattered: false };
         tally.photons += 1;

@@ -19,7 +19,7 @@ pub(super) struct Archive {
 }
 
 impl Archive {
-    pub fn open(path: &Path) -> Result<Self> {
+    pub(super) fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(Error::io("read", path))?;
         let broken = |e: ZipError| refused(path, "archive", "an NPZ archive or a Zarr group", e);
         Ok(Self { path: path.to_path_buf(), zip: ZipArchive::new(BufReader::new(file)).map_err(broken)? })

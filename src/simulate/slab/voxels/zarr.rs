@@ -11,13 +11,13 @@ use zarrs::filesystem::FilesystemStore;
 const MOST_FILES: usize = 1 << 20;
 
 /// A group that is open.
-pub(super) struct Group {
+pub(super) struct ZarrGroup {
     path: PathBuf,
     store: Arc<FilesystemStore>,
 }
 
-impl Group {
-    pub fn open(path: &Path) -> Result<Self> {
+impl ZarrGroup {
+    pub(super) fn open(path: &Path) -> Result<Self> {
         let broken = |e: &dyn std::fmt::Display| refused(path, "group", "an NPZ archive or a Zarr group", e);
         if path.to_str().is_none() {
             return Err(broken(&"a path that is not UTF-8"));
@@ -30,7 +30,7 @@ impl Group {
     }
 }
 
-impl Arrays for Group {
+impl Arrays for ZarrGroup {
     fn array(&mut self, name: &str, most: usize) -> Result<Option<Array>> {
         let path = &self.path;
         if !path.join(name).is_dir() {

@@ -1,4 +1,4 @@
-use super::super::test_matrices::{Stored, stored};
+use super::super::test_matrices::{StoredMatrix, stored};
 use super::*;
 use crate::transport::Row;
 use crate::transport::rows::RowView;
@@ -17,7 +17,7 @@ fn response(i: usize, k: usize, c: usize) -> f32 {
     if valid(i, k, c) { (peak + ((3 * k + 5 * c + i) % 7) as f32 * 0.125) * (1.0 + c as f32 * 0.5) } else { 0.0 }
 }
 
-fn matrix() -> Stored {
+fn matrix() -> StoredMatrix {
     stored(
         [2, 3],
         WINDOW,

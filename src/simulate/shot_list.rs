@@ -1,7 +1,8 @@
 //! The list of shots: what `capture.toml` says, with exposures and drift.
 
 use super::{
-    FileFormat, Options, ShotTruth, camera::photograph::ExposureTime, mix_seed, scene::Scene, scene::drift::Motion,
+    FileFormat, ShotTruth, SimulateOptions, camera::photograph::ExposureTime, mix_seed, scene::SimulatedScene,
+    scene::drift::Motion,
 };
 use crate::capture::{Axis, FORMAT, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Surface, Window};
 use crate::geometry::Point;
@@ -11,15 +12,19 @@ const NARROWEST_STRIPE_PX: u32 = 8;
 
 /// The shots of a capture; after lattice shots comes at most one more of the frame.
 #[derive(Debug)]
-pub(super) struct Plan {
+pub(super) struct ShotList {
     pub manifest: Manifest,
     pub first_lattice: usize,
     pub lattices: Vec<ShotTruth>,
 }
 
-impl Plan {
+impl ShotList {
     /// Lists all shots; `photographs` says how many a shot has.
-    pub fn new(options: &Options, scene: &Scene, photographs: impl Fn(&Pattern) -> usize) -> Self {
+    pub(super) fn new(
+        options: &SimulateOptions,
+        scene: &SimulatedScene,
+        photographs: impl Fn(&Pattern) -> usize,
+    ) -> Self {
         let mut patterns = vec![
             ("board".to_owned(), Pattern::Board),
             ("reference-white".to_owned(), Pattern::ReferenceWhite),
@@ -76,7 +81,7 @@ impl Plan {
 }
 
 /// Where projector and camera are at each lattice shot.
-fn lattice_drift(options: &Options, names: Vec<String>, drift_mm: impl Fn(Point) -> Point) -> Vec<ShotTruth> {
+fn lattice_drift(options: &SimulateOptions, names: Vec<String>, drift_mm: impl Fn(Point) -> Point) -> Vec<ShotTruth> {
     let projector =
         Motion { walk_px: options.drift_px, jump_px: options.jump_px, jumps: options.jumps, seed: options.seed };
     let camera = Motion {
@@ -95,7 +100,7 @@ fn lattice_drift(options: &Options, names: Vec<String>, drift_mm: impl Fn(Point)
     names.into_iter().zip(paths).map(truth).collect()
 }
 
-fn shot(options: &Options, photographs: usize, name: String, pattern: Pattern) -> Shot {
+fn shot(options: &SimulateOptions, photographs: usize, name: String, pattern: Pattern) -> Shot {
     let extension = match options.format {
         FileFormat::Png => "png",
         FileFormat::Jpeg => "jpg",

@@ -6,18 +6,18 @@ use rayon::prelude::*;
 
 /// What one pass over matrix and material found.
 #[derive(Debug, Clone, Default)]
-pub struct Survey {
+pub struct RowSurvey {
     /// Share of the arriving light that leaves inside each row's window, mean of the channels; `None` for rows without a measurement.
     pub albedo: Vec<Option<f64>>,
     /// ‖R̂ − R‖ / ‖R‖ of each row over its measured samples.
     pub error: Vec<Option<f64>>,
     /// Rows to look at.
-    pub rows: Vec<RowView>,
+    pub rows: Vec<ComparedRow>,
 }
 
 /// A row beside its reconstruction, each `[dy][dx][channel]`.
 #[derive(Debug, Clone)]
-pub struct RowView {
+pub struct ComparedRow {
     /// Its index, row-major over (y_i, x_i).
     pub index: usize,
     /// Why it is shown.
@@ -32,7 +32,7 @@ pub struct RowView {
     pub reconstructed: Vec<f32>,
 }
 
-impl Survey {
+impl RowSurvey {
     /// Reads `matrix` in blocks; `reconstruct` gives the material's row of an index.
     ///
     /// # Errors
@@ -60,7 +60,7 @@ impl Survey {
         for (index, reason) in choose(header, &survey.error) {
             let RowBlock { response, variance, valid, .. } = matrix.read(index..index + 1)?;
             let reconstructed = checked(reconstruct(index)?, n)?;
-            survey.rows.push(RowView { index, reason, response, variance, valid, reconstructed });
+            survey.rows.push(ComparedRow { index, reason, response, variance, valid, reconstructed });
         }
         Ok(survey)
     }

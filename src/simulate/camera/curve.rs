@@ -1,13 +1,13 @@
 //! From linear light to the code values of an encoded file.
 
 use crate::capture::ResponseCurve;
-use crate::simulate::{Response, RigResponse};
+use crate::simulate::{CameraCurve, RigCurve};
 
 /// Steepness of the film-like curve in the sRGB signal, and the mid-grey that it keeps (sRGB of 0.18).
 const FILM_EXPONENT: f64 = 1.5;
 const FILM_GREY: f64 = 0.461_356;
 
-impl Response {
+impl CameraCurve {
     /// The encoded value of linear light, both 0 to 1.
     pub(crate) fn encode(self, linear: f64) -> f64 {
         match self {
@@ -18,11 +18,11 @@ impl Response {
     }
 
     /// What the rig file says: what it is asked to; else a lab with a film-like curve takes it for sRGB.
-    pub(crate) fn told(self, asked: Option<RigResponse>) -> ResponseCurve {
+    pub(crate) fn told(self, asked: Option<RigCurve>) -> ResponseCurve {
         match (asked, self) {
-            (Some(RigResponse::Linear), _) | (None, Self::Linear) => ResponseCurve::Linear,
-            (Some(RigResponse::Srgb), _) | (None, Self::Srgb | Self::Film) => ResponseCurve::Srgb,
-            (Some(RigResponse::Estimate), _) => ResponseCurve::Estimate,
+            (Some(RigCurve::Linear), _) | (None, Self::Linear) => ResponseCurve::Linear,
+            (Some(RigCurve::Srgb), _) | (None, Self::Srgb | Self::Film) => ResponseCurve::Srgb,
+            (Some(RigCurve::Estimate), _) => ResponseCurve::Estimate,
         }
     }
 
@@ -46,7 +46,7 @@ fn film(v: f64) -> f64 {
     (1.0 + k) * power / (power + k)
 }
 
-/// A response tabulated for speed: linear between nodes that are even in the square root of light.
+/// A curve tabulated for speed: linear between nodes that are even in the square root of light.
 ///
 /// Half the step squared times the curve's second derivative in that root (26 for sRGB near black) over 2 errs by
 /// at most 2e-7 of the range: a hundredth of a code value of 16 bits, six at the kink of sRGB.
@@ -58,15 +58,15 @@ pub(crate) struct Table {
 const INTERVALS: usize = 4096;
 
 impl Table {
-    /// `response` with code values up to `max_code`.
-    pub fn new(response: Response, max_code: f64) -> Self {
-        let node = |k: usize| (max_code * response.encode((k as f64 / INTERVALS as f64).powi(2))) as f32;
+    /// `curve` with code values up to `max_code`.
+    pub(crate) fn new(curve: CameraCurve, max_code: f64) -> Self {
+        let node = |k: usize| (max_code * curve.encode((k as f64 / INTERVALS as f64).powi(2))) as f32;
         Self { nodes: (0..=INTERVALS).map(node).collect() }
     }
 
     /// The code value of linear light in 0 to 1, not rounded.
     #[inline(always)]
-    pub fn encode(&self, linear: f32) -> f32 {
+    pub(crate) fn encode(&self, linear: f32) -> f32 {
         let t = linear.clamp(0.0, 1.0).sqrt() * INTERVALS as f32;
         let k = (t as usize).min(INTERVALS - 1);
         self.nodes[k] + (self.nodes[k + 1] - self.nodes[k]) * (t - k as f32)
@@ -79,24 +79,24 @@ mod tests {
 
     #[test]
     fn the_film_curve_is_monotone_and_not_what_the_rig_says() {
-        let samples = Response::Film.samples();
+        let samples = CameraCurve::Film.samples();
         assert!(samples.windows(2).all(|w| w[1][0] > w[0][0] && w[1][1] > w[0][1]));
         assert!(samples[0] == [0.0; 2] && samples[64][0] == 1.0 && (samples[64][1] - 1.0).abs() < 1e-12);
-        assert!((Response::Film.encode(0.18) - Response::Srgb.encode(0.18)).abs() < 1e-5, "mid-grey stays");
-        assert!(Response::Film.encode(0.01) < 0.6 * Response::Srgb.encode(0.01), "a toe");
-        assert!(Response::Film.encode(0.6) > 1.02 * Response::Srgb.encode(0.6), "a shoulder");
-        assert_eq!(Response::Film.told(None), ResponseCurve::Srgb);
+        assert!((CameraCurve::Film.encode(0.18) - CameraCurve::Srgb.encode(0.18)).abs() < 1e-5, "mid-grey stays");
+        assert!(CameraCurve::Film.encode(0.01) < 0.6 * CameraCurve::Srgb.encode(0.01), "a toe");
+        assert!(CameraCurve::Film.encode(0.6) > 1.02 * CameraCurve::Srgb.encode(0.6), "a shoulder");
+        assert_eq!(CameraCurve::Film.told(None), ResponseCurve::Srgb);
     }
 
     #[test]
     fn the_table_is_the_curve_to_a_fraction_of_a_code() {
-        for response in [Response::Linear, Response::Srgb, Response::Film] {
-            let table = Table::new(response, 65_535.0);
+        for curve in [CameraCurve::Linear, CameraCurve::Srgb, CameraCurve::Film] {
+            let table = Table::new(curve, 65_535.0);
             for k in 0..=100_000u32 {
                 let linear = (f64::from(k) / 1e5).powi(3);
-                let error = f64::from(table.encode(linear as f32)) - 65_535.0 * response.encode(linear);
+                let error = f64::from(table.encode(linear as f32)) - 65_535.0 * curve.encode(linear);
                 // 2e-7 of the range, as much for f32, and more at the kink of sRGB.
-                assert!(error.abs() < 0.1, "{response:?} at {linear}: {error}");
+                assert!(error.abs() < 0.1, "{curve:?} at {linear}: {error}");
             }
         }
     }

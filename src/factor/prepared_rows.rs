@@ -23,7 +23,7 @@ struct Chunk {
 type EachChunk<'e> = dyn FnMut(usize, &[f32], &[Missing]) -> Result<()> + 'e;
 
 /// The rows of a matrix, prepared for factoring.
-pub struct PreparedRows<'a> {
+pub(super) struct PreparedRows<'a> {
     reader: &'a MatrixReader,
     progress: &'a Progress,
     /// What the first pass found.
@@ -43,7 +43,7 @@ impl<'a> PreparedRows<'a> {
     ///
     /// # Errors
     /// Those of the reader.
-    pub fn new(
+    pub(super) fn new(
         reader: &'a MatrixReader,
         content: Content,
         limit: [usize; 2],
@@ -74,17 +74,17 @@ impl<'a> PreparedRows<'a> {
     }
 
     /// Whether a row has gaps that [`Self::refill`] would estimate anew.
-    pub fn has_gaps(&self) -> bool {
+    pub(super) fn has_gaps(&self) -> bool {
         !self.survey.complete
     }
 
     /// Whether the rows are in memory: a pass then costs no reading.
-    pub fn in_memory(&self) -> bool {
+    pub(super) fn in_memory(&self) -> bool {
         self.cache.is_some()
     }
 
     /// Estimates what was not measured from `basis`, from now on.
-    pub fn refill(&mut self, basis: Basis) {
+    pub(super) fn refill(&mut self, basis: Basis) {
         let prepared = basis.prepared(&self.patterns);
         for chunk in self.cache.iter_mut().flatten() {
             prepared.fill(&mut chunk.values, &chunk.missing);
@@ -96,7 +96,7 @@ impl<'a> PreparedRows<'a> {
     ///
     /// # Errors
     /// Those of the reader and of `each`.
-    pub fn for_each_chunk(&self, stage: &str, each: &mut EachChunk<'_>) -> Result<()> {
+    pub(super) fn for_each_chunk(&self, stage: &str, each: &mut EachChunk<'_>) -> Result<()> {
         if let Some(chunks) = &self.cache {
             return chunks.iter().try_for_each(|c| each(c.first, &c.values, &c.missing));
         }
@@ -114,7 +114,7 @@ impl<'a> PreparedRows<'a> {
     }
 
     /// Columns of a row that were not measured.
-    pub fn missing<'m>(&'m self, missing: &'m Missing) -> &'m [u32] {
+    pub(super) fn missing<'m>(&'m self, missing: &'m Missing) -> &'m [u32] {
         match missing {
             Missing::Nothing => &[],
             Missing::Pattern(k) => self.patterns.get(*k).map_or(&[], |(_, columns)| columns),
@@ -123,7 +123,7 @@ impl<'a> PreparedRows<'a> {
     }
 
     /// What the factored rows are to be multiplied by; 1 for normalized ones.
-    pub fn unit(&self) -> f64 {
+    pub(super) fn unit(&self) -> f64 {
         self.content.unit(self.survey.peak)
     }
 

@@ -1,11 +1,11 @@
 //! A few rows of R_d: measured, reconstructed, their difference, and a cut through the peak.
 
-use super::chart::{Axis, Chart, nice_below};
+use super::chart::{Chart, ChartAxis, nice_below};
 use super::color::{self, Rgb};
 use super::figures::{keep, scale_bar};
-use super::picture::{Picture, data_url};
+use super::picture::{SrgbPicture, data_url};
 use super::text::{escape, significant};
-use super::{Files, RowView};
+use super::{ComparedRow, Files};
 use crate::Result;
 use crate::transport::MatrixHeader;
 use std::fmt::Write;
@@ -26,7 +26,7 @@ const PICTURES: [(&str, &str); 4] = [
 const CHANNEL_CLASSES: [&str; 3] = ["red", "green", "blue"];
 
 /// The whole section: scales, then a line of figures per row.
-pub fn section(header: &MatrixHeader, rows: &[RowView], files: &mut Files) -> Result<String> {
+pub(super) fn section(header: &MatrixHeader, rows: &[ComparedRow], files: &mut Files) -> Result<String> {
     let top =
         rows.iter().flat_map(|r| (0..header.window_len()).map(|i| measured(r, i).unwrap_or(0.0))).fold(0.0, f64::max);
     let mut out = String::from("<div class=\"scales\">");
@@ -60,7 +60,7 @@ pub fn section(header: &MatrixHeader, rows: &[RowView], files: &mut Files) -> Re
 fn one(
     out: &mut String,
     header: &MatrixHeader,
-    row: &RowView,
+    row: &ComparedRow,
     number: usize,
     top: f64,
     files: &mut Files,
@@ -72,7 +72,7 @@ fn one(
     let peak = (0..header.window_len()).filter_map(|i| measured(row, i)).fold(0.0, f64::max);
     for (name, title) in PICTURES {
         let at = |x, y| colored(name, row, y * header.window[0] + x, top, peak);
-        let png = Picture::from_fn(header.window[0], header.window[1], at).enlarged(240).png()?;
+        let png = SrgbPicture::from_fn(header.window[0], header.window[1], at).enlarged(240).png()?;
         let _ = write!(out, "<figure>{}<figcaption>{title}</figcaption></figure>", framed(header, &png, title));
         files.push((format!("row-{number}-{name}.png"), png));
     }
@@ -83,7 +83,7 @@ fn one(
 }
 
 /// The colour of sample `i` in the picture `name` of [`PICTURES`].
-fn colored(name: &str, row: &RowView, i: usize, top: f64, peak: f64) -> Rgb {
+fn colored(name: &str, row: &ComparedRow, i: usize, top: f64, peak: f64) -> Rgb {
     let log = |v: f64| color::sequential(color::log_position(v, top, DECADES));
     let estimate = mean(&row.reconstructed, i);
     let Some(value) = measured(row, i).or((name == "reconstructed").then_some(0.0)) else { return color::INVALID };
@@ -115,7 +115,7 @@ fn framed(header: &MatrixHeader, png: &[u8], name: &str) -> String {
 }
 
 /// Measured values with two standard deviations, and the reconstruction as lines, along x through the brightest sample.
-fn cut(header: &MatrixHeader, row: &RowView) -> String {
+fn cut(header: &MatrixHeader, row: &ComparedRow) -> String {
     let [nx, ny] = header.window;
     let brightest = (0..nx * ny).filter_map(|i| Some((measured(row, i)?, i)));
     let y = brightest.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(ny / 2, |(_, i)| i / nx);
@@ -130,8 +130,8 @@ fn cut(header: &MatrixHeader, row: &RowView) -> String {
     let mut chart = Chart::new(
         380.0,
         250.0,
-        Axis::linear(-half, half, "offset along x, mm"),
-        Axis::decades(low, high, "R_d, mm⁻²"),
+        ChartAxis::linear(-half, half, "offset along x, mm"),
+        ChartAxis::decades(low, high, "R_d, mm⁻²"),
     );
     for (c, class) in CHANNEL_CLASSES.into_iter().enumerate() {
         for x in 0..nx {
@@ -147,7 +147,7 @@ fn cut(header: &MatrixHeader, row: &RowView) -> String {
 }
 
 /// A colour scale with three labels.
-pub fn bar_scale(out: &mut String, color: impl Fn(f64) -> Rgb, labels: [&str; 3], title: &str) {
+pub(super) fn bar_scale(out: &mut String, color: impl Fn(f64) -> Rgb, labels: [&str; 3], title: &str) {
     let stops: Vec<String> = (0..=16).map(|i| color::hex(color(f64::from(i) / 16.0))).collect();
     let _ = write!(
         out,
@@ -166,6 +166,6 @@ fn mean(values: &[f32], i: usize) -> f64 {
 }
 
 /// Mean of the channels, when all were measured.
-fn measured(row: &RowView, i: usize) -> Option<f64> {
+fn measured(row: &ComparedRow, i: usize) -> Option<f64> {
     row.valid[3 * i..3 * i + 3].iter().all(|v| *v != 0).then(|| mean(&row.response, i))
 }
