@@ -4,7 +4,7 @@
 //! `tucker` with P = 7, `joint`, and `joint` with 25 different shifts. Queries and draws on one core, at random lit points and offsets (memory
 //! is the limit) and at one lit point (the processor is); relighting on all cores, lit points beside the samples of the canvas.
 
-use acquire::material::{Evaluator, Light, Material, MaterialHeader, Model, Responses, Source, relight};
+use acquire::material::{Evaluator, Light, Material, MaterialHeader, Model, Responses, Source, lit_area, relight};
 use acquire::progress::Progress;
 use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
@@ -51,7 +51,10 @@ fn synthetic([points, window, terms]: [usize; 3], model: Model, reach: usize) ->
     let powers = degree.map_or(0, |p| p + 1);
     let side = 2 * reach + 1;
     Material {
+        entry_map: Vec::new(),
+        exit_map: Vec::new(),
         header: MaterialHeader {
+            exit_grid: None,
             model,
             points: [points; 2],
             window: [window; 2],
@@ -139,9 +142,10 @@ fn relighting(material: Material) -> acquire::Result<()> {
     }
     println!("  all rows, in blocks  {:6.2} s", start.elapsed().as_secs_f64());
     for light in [Light::Uniform, Light::Gradient, Light::Spot] {
-        let flux = light.flux(&source.shape())?;
         let start = Instant::now();
-        black_box(relight(&source, &[flux], &Progress::silent())?);
+        let quadrature = light.quadrature(&lit_area(&source)?, &source.shape());
+        let flux = light.flux(&quadrature)?;
+        black_box(relight(&source, &quadrature, &[flux], &Progress::silent())?);
         println!("  relight, {:<11} {:6.2} s", format!("{light:?}"), start.elapsed().as_secs_f64());
     }
     Ok(())

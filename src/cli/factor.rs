@@ -1,5 +1,5 @@
 use super::Context;
-use super::values::{model, precision};
+use super::values::{model, precision, yes_or_no};
 use crate::factor::{Backend, FactorOptions, Goal, ROOM_DB, Storage, Stored, factor_and_store};
 use crate::material::{Model, Precision};
 use crate::output::write_whole;
@@ -54,6 +54,13 @@ pub(super) struct Args {
     /// Memory for the rows; more of them are read from the store at every pass: 2GiB, say [default: half of the machine's].
     #[arg(long, value_name = "BYTES", value_parser = bytes)]
     memory: Option<u64>,
+    /// Entry and exit maps, so that every row has its albedo and the slab under even light its exitance: yes or no [default: for joint, where they
+    /// differ from one by more than noise, unless --target-psnr is given].
+    #[arg(long, value_name = "yes|no", value_parser = yes_or_no)]
+    maps: Option<bool>,
+    /// For joint: the power of the mean profile by which errors are divided: 0 for peaks, 0.5 for tails.
+    #[arg(long, value_name = "POWER", allow_negative_numbers = true, default_value_t = FactorOptions::default().profile_power)]
+    profile_power: f64,
     /// Leave every row where it is instead of moving its peak to the centre.
     #[arg(long)]
     no_peak_shift: bool,
@@ -118,6 +125,8 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
             (None, None) => Goal::Noise,
         },
         color_regression: args.color_regression,
+        maps: args.maps,
+        profile_power: args.profile_power,
         backend: args.backend,
         accuracy: args.accuracy,
         memory_bytes: args.memory,

@@ -1,5 +1,5 @@
 use super::Context;
-use crate::material::{Exitance, Source, parse_light, relight, write_exitance};
+use crate::material::{Exitance, Source, lit_area, parse_light, relight, write_exitance};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -33,8 +33,9 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     }
     let light = parse_light(&args.light)?;
     let source = Source::open(&args.source)?;
-    let flux = light.flux(&source.shape())?;
-    let images = relight(&source, &[flux], &context.progress)?;
+    let quadrature = light.quadrature(&lit_area(&source)?, &source.shape());
+    let flux = light.flux(&quadrature)?;
+    let images = relight(&source, &quadrature, &[flux], &context.progress)?;
     let Some(exitance) = images.first() else { return Err(Error::internal("no image was made")) };
     write_exitance(exitance, &args.out)?;
     let white = exitance.white();

@@ -128,6 +128,15 @@ values!(crate::simulate::RigCurve {
 });
 
 /// `auto`, `full`, or camera pixels across a sample.
+/// `yes` or `no`.
+pub(super) fn yes_or_no(text: &str) -> Result<bool, String> {
+    match text {
+        "yes" => Ok(true),
+        "no" => Ok(false),
+        _ => Err("expected yes or no".into()),
+    }
+}
+
 pub(super) fn resolution(text: &str) -> Result<Resolution, String> {
     match text {
         "auto" => Ok(Resolution::Auto),

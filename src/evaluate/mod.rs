@@ -3,7 +3,7 @@
 mod reciprocity;
 
 use crate::geometry::Point;
-use crate::material::{Exitance, FIXED_SET, Source, canvas, splat};
+use crate::material::{Exitance, FIXED_SET, LitArea, Quadrature, Source, relight, splat};
 use crate::progress::Progress;
 use crate::transport::{MatrixHeader, MatrixReader, RowBlock};
 use crate::{Error, Result};
@@ -78,10 +78,23 @@ pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progres
     let shape = candidate.shape();
     check(candidate, reference)?;
     let header = reference.header();
-    let fluxes = FIXED_SET.iter().map(|light| Ok(light.flux(&shape)?)).collect::<Result<Vec<_>>>()?;
-    let canvas = canvas(&shape, candidate.path())?;
-    let black = || vec![Exitance::new(canvas); fluxes.len()];
-    let (mut lit, mut lit_reference) = (black(), black());
+    let reference_shape = reference.shape();
+    let area = LitArea::of(&reference_shape).map_err(|error| match error {
+        acquire_material::Error::TooSparse { expected, found } => {
+            Error::field(reference.path(), "lit_mm", expected, found)
+        }
+        other => other.into(),
+    })?;
+    // Both are lit alike, on the reference's area, each from where its own lit points are.
+    let [own, theirs] = [Quadrature::new(&area, &shape), Quadrature::new(&area, &reference_shape)];
+    let fluxes = FIXED_SET.iter().map(|light| Ok(light.flux(&theirs)?)).collect::<Result<Vec<_>>>()?;
+    let black = || vec![Exitance::new(area.canvas); fluxes.len()];
+    // What leaves a material between its lit points is for its exit map to say; a matrix is its rows.
+    let mut lit = match candidate {
+        Source::Matrix(_) => black(),
+        Source::Material(..) => relight(candidate, &own, &fluxes, progress)?,
+    };
+    let mut lit_reference = black();
     let mut reciprocity = Reciprocity::new(&shape);
     let (mut all, mut albedo) = (Sums::default(), Albedo::default());
     let mut positions = (0.0, 0_u64);
@@ -90,6 +103,7 @@ pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progres
     for rows in reference.blocks() {
         let first = rows.start;
         let (mut a, mut b) = (candidate.read(rows.clone())?, reference.read(rows)?);
+        let unmeasured = unmeasured(candidate, &a, &b);
         keep_common(&mut a, &mut b);
         let sums: Vec<Sums> =
             (0..a.rows).into_par_iter().map(|k| compare(&a, &b, k, shape.pitch_mm, candidate)).collect();
@@ -101,9 +115,11 @@ pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progres
             positions.1 += 1;
         }
         reciprocity.add(&a, &shape);
-        splat(&mut lit, &a, &shape, &fluxes);
-        // The reference is lit on the candidate's grid: a displaced lit point is `position_rms_mm`'s to tell.
-        splat(&mut lit_reference, &b, &shape, &fluxes);
+        match unmeasured {
+            None => splat(&mut lit, &a, shape.window, &own, &fluxes),
+            Some(rest) => splat(&mut lit_reference, &rest, shape.window, &own, &fluxes),
+        }
+        splat(&mut lit_reference, &b, shape.window, &theirs, &fluxes);
         stage.advance(a.rows);
     }
     let position_rms_mm = (positions.0 / positions.1.max(1) as f64).sqrt();
@@ -160,6 +176,13 @@ fn check(candidate: &Source, reference: &MatrixReader) -> Result<()> {
         return mismatch("pitch_mm", a.pitch_mm.to_string(), b.pitch_mm.to_string());
     }
     Ok(())
+}
+
+/// What a material says where the reference was not measured: that is no error, so it is the reference's, too. `None` for a matrix.
+fn unmeasured(candidate: &Source, a: &RowBlock, b: &RowBlock) -> Option<RowBlock> {
+    let Source::Material(..) = candidate else { return None };
+    let valid = b.valid.iter().map(|&v| 1 - v).collect();
+    Some(RowBlock { first: a.first, rows: a.rows, response: a.response.clone(), variance: Vec::new(), valid })
 }
 
 /// Marks entries that either did not measure as invalid in both, and makes them zero.

@@ -6,9 +6,10 @@ use super::content::{Content, RawRows};
 use super::fill::{Basis, Missing};
 use super::survey::{Survey, survey};
 use crate::Result;
+use crate::material::Material;
 use crate::progress::Progress;
-use crate::transport::MatrixReader;
 use crate::transport::normalize::Placement;
+use crate::transport::{MatrixReader, RowBlock};
 use rayon::prelude::*;
 
 /// Consecutive rows on the common window, `[row][plane][y][x]`, and what of them was estimated.
@@ -30,6 +31,10 @@ pub(super) struct PreparedRows<'a> {
     pub survey: Survey,
     /// What is factored.
     pub content: Content,
+    /// What columns are multiplied by, \[plane, y, x\]; empty for one.
+    pub metric: Vec<f32>,
+    /// A material whose entry and exit maps divide the rows.
+    through: Option<Material>,
     /// What fills the gaps of rows that are read again.
     basis: Basis,
     /// All rows, when they fit in memory.
@@ -39,7 +44,7 @@ pub(super) struct PreparedRows<'a> {
 }
 
 impl<'a> PreparedRows<'a> {
-    /// Reads the matrix once: places rows, keeps them when they take at most `memory` bytes, and fills gaps with the mean profile.
+    /// Reads the matrix once, which `each` sees, too: places rows, keeps them when they take at most `memory` bytes, and fills gaps with the mean profile.
     ///
     /// # Errors
     /// Those of the reader.
@@ -48,19 +53,29 @@ impl<'a> PreparedRows<'a> {
         content: Content,
         limit: [usize; 2],
         memory: u64,
+        profile_power: f64,
+        each: impl FnMut(&RowBlock),
         progress: &'a Progress,
     ) -> Result<Self> {
         let header = reader.header();
         let bytes = |samples: usize| (4 * header.rows() * samples * content.planes()) as u64;
         let mut raw = Vec::new();
         let keep = bytes(header.window_len()) <= memory;
-        let survey = survey(reader, content, limit, keep.then_some(&mut raw), progress)?;
+        let survey = survey(reader, content, limit, keep.then_some(&mut raw), each, progress)?;
         let mut patterns: Vec<[i16; 2]> = survey.placements.iter().map(|p| p.shift).collect();
         patterns.sort_unstable();
         patterns.dedup();
         let patterns = patterns.into_iter().map(|shift| (shift, survey.outside(shift, content.planes()))).collect();
-        let basis = Basis::mean(&survey.mean);
-        let mut rows = Self { reader, progress, survey, content, basis, cache: None, patterns };
+        let metric = match profile_power {
+            0.0 => Vec::new(),
+            power => metric(&survey.mean, survey.layout.len(), power),
+        };
+        let mean: Vec<f64> = match metric.is_empty() {
+            true => survey.mean.clone(),
+            false => survey.mean.iter().zip(&metric).map(|(m, &w)| m * f64::from(w)).collect(),
+        };
+        let basis = Basis::mean(&mean);
+        let mut rows = Self { reader, progress, survey, content, metric, through: None, basis, cache: None, patterns };
         if keep && bytes(rows.survey.layout.len()) <= memory {
             let basis = rows.basis.prepared(&rows.patterns);
             let chunks = raw.into_iter().map(|raw| {
@@ -90,6 +105,45 @@ impl<'a> PreparedRows<'a> {
             prepared.fill(&mut chunk.values, &chunk.missing);
         }
         self.basis = basis;
+    }
+
+    /// Divides rows by the entry and exit maps of `material` from now on.
+    pub(super) fn divide_by(&mut self, material: &Material) {
+        let new = material.maps_alone();
+        let (old, content, layout) = (self.through.take(), self.content, self.survey.layout);
+        let (samples, planes) = (layout.len(), content.planes());
+        let window = layout.window[0] * layout.window[1];
+        for chunk in self.cache.iter_mut().flatten() {
+            let first = chunk.first;
+            chunk.values.par_chunks_mut((planes * samples).max(1)).enumerate().for_each(|(k, row)| {
+                let factor = |m: &Material| m.row_maps(first + k);
+                let (before, after) = (old.as_ref().map(factor), factor(&new));
+                for p in 0..planes {
+                    layout.for_each(self.survey.placements[first + k].shift, |w, e| {
+                        let before = before.as_ref().map_or(1.0, |b| b[p * window + w]);
+                        let value = &mut row[p * samples + e];
+                        *value = (f64::from(*value) * before / after[p * window + w]) as f32;
+                    });
+                }
+            });
+        }
+        self.through = Some(new);
+    }
+
+    /// What row `index` was before it was divided and its columns were multiplied, on its measured window `[plane][dy][dx]`.
+    pub(super) fn measured(&self, index: usize, row: &[f32]) -> Vec<f64> {
+        let layout = &self.survey.layout;
+        let (samples, window) = (layout.len(), layout.window[0] * layout.window[1]);
+        let through = self.through.as_ref().map(|m| m.row_maps(index));
+        let mut out = vec![0.0; self.content.planes() * window];
+        for p in 0..self.content.planes() {
+            layout.for_each(self.survey.placements[index].shift, |w, e| {
+                let metric = self.metric.get(p * samples + e).map_or(1.0, |&m| f64::from(m));
+                let through = through.as_ref().map_or(1.0, |t| t[p * window + w]);
+                out[p * window + w] = f64::from(row[p * samples + e]) * self.unit() * through / metric;
+            });
+        }
+        out
     }
 
     /// Calls `each(first_row, values, missing)` for blocks of rows `[row][plane][y][x]` whose gaps are filled.
@@ -143,12 +197,20 @@ impl<'a> PreparedRows<'a> {
             .map(|(k, out)| {
                 let placement: &Placement = &self.survey.placements[raw.first + k];
                 let row = &raw.values[k * planes * window..(k + 1) * planes * window];
+                let through = self.through.as_ref().map(|m| m.row_maps(raw.first + k));
                 for p in 0..planes {
                     layout.for_each_line(placement.shift, |w, e, n| {
                         let to = &mut out[p * samples + e..][..n];
                         to.copy_from_slice(&row[p * window + w..][..n]);
                         if unit != 1.0 {
                             to.iter_mut().for_each(|v| *v = (f64::from(*v) / unit) as f32);
+                        }
+                        if let Some(through) = &through {
+                            let maps = &through[p * window + w..][..n];
+                            to.iter_mut().zip(maps).for_each(|(v, m)| *v = (f64::from(*v) / m) as f32);
+                        }
+                        if let Some(metric) = self.metric.get(p * samples + e..p * samples + e + n) {
+                            to.iter_mut().zip(metric).for_each(|(v, m)| *v *= m);
                         }
                     });
                 }
@@ -179,6 +241,19 @@ impl<'a> PreparedRows<'a> {
         columns.sort_unstable();
         Missing::Columns(columns)
     }
+}
+
+/// Columns below this share of a plane's largest mean weigh no more than that.
+const DIM: f64 = 1e-5;
+
+/// What columns are multiplied by: the mean profile to the power −`power`, one where it is largest.
+fn metric(mean: &[f64], samples: usize, power: f64) -> Vec<f32> {
+    let plane = |mean: &[f64]| {
+        let largest = mean.iter().copied().fold(0.0, f64::max);
+        let weight = |m: &f64| if largest > 0.0 { (m / largest).max(DIM).powf(-power) as f32 } else { 1.0 };
+        mean.iter().map(weight).collect::<Vec<f32>>()
+    };
+    mean.chunks(samples.max(1)).flat_map(plane).collect()
 }
 
 impl Rows for PreparedRows<'_> {

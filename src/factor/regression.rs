@@ -191,7 +191,10 @@ mod tests {
     fn material() -> Material {
         let samples = EXTENDED[0] * EXTENDED[1];
         Material {
+            entry_map: Vec::new(),
+            exit_map: Vec::new(),
             header: MaterialHeader {
+                exit_grid: None,
                 model: Model::Tucker,
                 points: POINTS,
                 window: WINDOW,

@@ -2,7 +2,7 @@
 
 use super::content::{Content, RawRows};
 use super::fill::extend_edges;
-use super::noise::{NoiseSums, row_noise};
+use super::noise::{NoiseSums, independent};
 use super::{Misfit, vector};
 use crate::material::Layout;
 use crate::progress::Progress;
@@ -125,7 +125,7 @@ impl GreyTest {
     }
 }
 
-/// Reads the matrix once; what is factored goes to `keep`, if that is wanted.
+/// Reads the matrix once; what is factored goes to `keep`, if that is wanted, and `each` sees every block.
 ///
 /// # Errors
 /// Those of the reader.
@@ -134,6 +134,7 @@ pub(super) fn survey(
     content: Content,
     limit: [usize; 2],
     mut keep: Option<&mut Vec<RawRows>>,
+    mut each: impl FnMut(&RowBlock),
     progress: &Progress,
 ) -> Result<Survey> {
     let header = reader.header();
@@ -169,20 +170,23 @@ pub(super) fn survey(
             .collect();
         for (group, row_noise) in groups {
             sums.join(&group);
-            noise.largest_row = noise.largest_row.max(row_noise.largest_row);
-            noise.registration += row_noise.registration;
+            noise.rows.extend(row_noise.rows);
         }
         placements.extend(found);
+        each(&block);
         if let Some(keep) = keep.as_deref_mut() {
             keep.push(raw);
         }
         stage.advance(block.rows);
         Ok(())
     })?;
-    noise.largest_column = sums.noise.iter().copied().fold(0.0, f64::max);
     let counted: u64 = sums.count.iter().map(|&c| u64::from(c)).sum();
     noise.mean = sums.noise.iter().sum::<f64>() / counted.max(1) as f64;
     let layout = layout(window, &placements);
+    noise.columns = sums.noise_on(&layout, content.planes());
+    let sd = |sd: &f64| if sd.is_finite() { sd / header.pitch_mm } else { 0.0 };
+    noise.shots = if header.shots.is_empty() { header.rows() } else { header.shots.len() };
+    noise.position_sd_px = header.position_sd_mm.iter().map(sd).collect();
     let (mut mean, complete) = sums.mean(&layout, content.planes());
     let unit = content.unit(sums.peak);
     mean.iter_mut().for_each(|m| *m /= unit);
@@ -244,19 +248,19 @@ impl Sums {
         let planes = content.planes();
         let (window, samples) = (self.layout.window[0] * self.layout.window[1], self.layout.len());
         if content == Content::Intensity && placement.scale <= 0.0 {
+            noise.rows.push(0.0);
             return;
         }
         self.live += 1;
-        let row_noise = row_noise(row, content, scale(content, Some(placement)), self.layout.window, sd_px);
-        noise.largest_row = noise.largest_row.max(row_noise.independent.iter().sum());
-        noise.registration += row_noise.registration;
+        let row_noise = independent(row, content, scale(content, Some(placement)), self.layout.window, sd_px);
+        noise.rows.push(row_noise.iter().sum());
         let values = &raw.values[k * planes * window..(k + 1) * planes * window];
         let measured = raw.measured[k].as_deref();
         for p in 0..planes {
             self.layout.for_each_line(placement.shift, |w, e, n| {
                 let (from, to) = (p * window + w, p * samples + e);
                 let sums = self.value[to..to + n].iter_mut().zip(&mut self.noise[to..to + n]);
-                let row = values[from..from + n].iter().zip(&row_noise.independent[from..from + n]);
+                let row = values[from..from + n].iter().zip(&row_noise[from..from + n]);
                 // Both are zero where nothing was measured.
                 sums.zip(row).for_each(|((value, noise), (&v, &s))| {
                     *value += f64::from(v);
@@ -280,6 +284,16 @@ impl Sums {
         self.energy += other.energy;
         self.peak = self.peak.max(other.peak);
         self.grey.join(&other.grey);
+    }
+
+    /// The noise of the columns of the smaller window.
+    fn noise_on(&self, to: &Layout, planes: usize) -> Vec<f64> {
+        let margin: [usize; 2] = std::array::from_fn(|a| (self.layout.extended[a] - to.extended[a]) / 2);
+        let from = |k: usize| {
+            let (x, y) = (k % to.extended[0] + margin[0], k / to.extended[0] + margin[1]);
+            x + y * self.layout.extended[0]
+        };
+        (0..planes).flat_map(|p| (0..to.len()).map(move |k| self.noise[p * self.layout.len() + from(k)])).collect()
     }
 
     /// The mean on the smaller window, its unmeasured rim extended, and whether all rows measured all of it.

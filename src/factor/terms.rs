@@ -4,8 +4,9 @@ use super::backend::Rows;
 use super::backend::{self, Backend, LowRank, Triplets, low_rank, triplets};
 use super::choose::{self, Goal};
 use super::content::Content;
+use super::entry_exit::Sums;
 use super::fill::Basis;
-use super::noise::F32_ROUNDING;
+use super::noise::{F32_ROUNDING, TermNoise, significant};
 use super::nonnegative::factorize;
 use super::prepared_rows::PreparedRows;
 use super::shared_basis::Sharing;
@@ -35,41 +36,135 @@ pub(super) struct TermsFit {
     pub degree: Option<usize>,
 }
 
-/// Factors rows into terms.
+/// Times that terms are fitted anew to what entry and exit maps leave.
+///
+/// `rel_rmse` of the chessboard and of marble falls by 6 to 20 % with the first, 3 to 15 % with the second, 2 to 8 % with the third
+/// (docs/materials.md); each costs a decomposition.
+const REFITS: usize = 2;
+
+/// Maps that make `rel_rmse` so many times larger are not kept: three times what they cost at the same terms on the materials of
+/// docs/materials.md.
+const WORSE: f64 = 4.0;
+
+/// A decomposition of the rows.
+struct Found {
+    /// Terms in the unit of the rows: left vectors are orthonormal, right ones of length one.
+    all: Triplets,
+    /// Singular values of the rows as they were weighed.
+    singular: Vec<f64>,
+    noise: Vec<TermNoise>,
+}
+
+impl Found {
+    fn new(rows: &PreparedRows<'_>, low: &LowRank, wanted: usize, exact: bool) -> Result<Self> {
+        let mut all = triplets(rows, low, wanted, exact)?;
+        let noise = rows.survey.noise.weighed(&rows.metric).of_terms(&all, &rows.metric, rows.survey.layout.extended);
+        let singular = all.weights.clone();
+        if !rows.metric.is_empty() {
+            let columns = rows.metric.len();
+            for (h, g) in all.right.chunks_exact_mut(columns).zip(&mut all.weights) {
+                h.iter_mut().zip(&rows.metric).for_each(|(v, &w)| *v /= f64::from(w));
+                let length = h.iter().map(|v| v * v).sum::<f64>().sqrt();
+                if length > 0.0 {
+                    h.iter_mut().for_each(|v| *v /= length);
+                    *g *= length;
+                }
+            }
+        }
+        Ok(Self { all, singular, noise })
+    }
+
+    /// Terms that differ from rounding.
+    fn rank(&self) -> usize {
+        let largest = self.singular.first().copied().unwrap_or(0.0);
+        self.singular.iter().take_while(|&&s| s > F32_ROUNDING * largest && s > 0.0).count().max(1)
+    }
+
+    /// The terms at `kept` alone; what noise adds to them taken off where `shrink` says so.
+    fn chosen(&self, kept: &[usize], shrink: bool) -> Triplets {
+        let (terms, all) = (self.all.weights.len(), &self.all);
+        let (n, columns) = (all.left.len() / terms.max(1), all.right.len() / terms.max(1));
+        let share = |j: usize| if shrink { self.noise[j].kept(self.singular[j]) } else { 1.0 };
+        Triplets {
+            weights: kept.iter().map(|&j| all.weights[j] * share(j)).collect(),
+            left: (0..n).flat_map(|i| kept.iter().map(move |&j| all.left[i * terms + j])).collect(),
+            right: kept.iter().flat_map(|&j| &all.right[j * columns..][..columns]).copied().collect(),
+        }
+    }
+}
+
+/// Factors rows into terms; `sums` are what entry and exit maps are fitted to, where there may be any.
 pub(super) fn fit(
     reader: &MatrixReader,
     rows: &mut PreparedRows<'_>,
     model: Model,
     options: &FactorOptions,
+    sums: Option<&Sums>,
 ) -> Result<TermsFit> {
     let (n, columns) = rows.shape();
     let chosen = options.backend.unwrap_or_else(|| backend::choose(n, columns, options.accuracy));
+    let exact = matches!(chosen, Backend::Full | Backend::Gram);
     let mut most = options.terms.unwrap_or(options.max_terms);
     let mut start = None;
-    loop {
+    let (found, plan, low) = loop {
         // A non-negative product is fitted to a projection that holds much more than it can.
         let wanted = if model == Model::Peers2006 { 3 * most + 20 } else { most + BEYOND };
         let low = decompose(rows, options, chosen, wanted, start.take())?;
-        let exact = matches!(chosen, Backend::Full | Backend::Gram);
-        let all = triplets(rows, &low, wanted, exact)?;
-        let rank = all.weights.iter().take_while(|&&s| s > F32_ROUNDING * all.weights[0] && s > 0.0).count().max(1);
-        let rank = if model == Model::Peers2006 { rank.max(most) } else { rank };
-        let asked = Asked { rank, most, rows, model, options };
-        let plan = asked.plan(reader, &all)?;
-        let enough = !plan.short || rank < most || most >= 4 * options.max_terms || most >= n.min(columns);
-        if enough {
-            let how = format!(
-                "{chosen}, {} {}{}{}",
-                low.passes,
-                if low.passes == 1 { "pass" } else { "passes" },
-                if low.residual > 0.0 { format!(", singular values to {:.0e}", low.residual) } else { String::new() },
-                if rows.in_memory() { "" } else { ", streamed from the store" },
-            );
-            return asked.finish(reader, &all, plan, chosen, how);
+        let found = Found::new(rows, &low, wanted, exact)?;
+        let rank = if model == Model::Peers2006 { found.rank().max(most) } else { found.rank() };
+        let asked = Asked { rank, most, rows, model, options, sums };
+        let plan = asked.plan(reader, &found)?;
+        if !plan.short || rank < most || most >= 4 * options.max_terms || most >= n.min(columns) {
+            break (found, plan, low);
         }
         most *= 2;
         start = Some(low);
+    };
+    let mut passes = low.passes;
+    let residual = low.residual;
+    let mut fit = Asked { rank: most, most, rows, model, options, sums }.finish(reader, &found, &plan, chosen)?;
+    let planes = rows.content.planes();
+    let maps = match (sums, options.maps) {
+        (Some(sums), Some(true)) => Some(sums),
+        // Only what the scene requires.
+        (Some(sums), _) if sums.differ(&fit.material)? => Some(sums),
+        _ => None,
+    };
+    if let Some(sums) = maps.filter(|_| rows.content != Content::Intensity) {
+        let plain = (fit.material.clone(), residual_of(rows, reader, &fit.material)?);
+        sums.fit(&mut fit.material, planes)?;
+        let mut start = Some(low);
+        for _ in 0..if model == Model::Joint { REFITS } else { 0 } {
+            rows.divide_by(&fit.material);
+            let wanted = plan.most() + BEYOND;
+            let low = decompose(rows, options, chosen, wanted, start.take())?;
+            passes += low.passes;
+            let found = Found::new(rows, &low, wanted, exact)?;
+            start = Some(low);
+            let maps = fit.material;
+            let asked = Asked { rank: most, most, rows, model, options, sums: Some(sums) };
+            fit = asked.finish(reader, &found, &plan, chosen)?;
+            fit.material.header.exit_grid = maps.header.exit_grid;
+            (fit.material.entry_map, fit.material.exit_map) = (maps.entry_map, maps.exit_map);
+            sums.fit(&mut fit.material, planes)?;
+        }
+        // Maps that take more from the rows than they give: sums that are not those of anything like light.
+        let error = residual_of(rows, reader, &fit.material)?;
+        if options.maps.is_none() && error > WORSE * WORSE * plain.1 {
+            fit.material = plain.0;
+            fit.why += "; entry and exit maps would fit the rows worse";
+        }
     }
+    if rows.content != Content::Intensity {
+        fit.misfit = rows.survey.misfit(residual_of(rows, reader, &fit.material)?);
+    }
+    fit.how = format!(
+        "{chosen}, {passes} {}{}{}",
+        if passes == 1 { "pass" } else { "passes" },
+        if residual > 0.0 { format!(", singular values to {residual:.0e}") } else { String::new() },
+        if rows.in_memory() { "" } else { ", streamed from the store" },
+    );
+    Ok(fit)
 }
 
 /// The truncated SVD of the rows, repeated while missing samples are estimated from it.
@@ -99,9 +194,9 @@ fn decompose(
         } else {
             visible
         };
-        let terms =
-            options.terms.unwrap_or_else(|| rows.survey.noise.terms(&low.singular_values)).min(options.max_terms);
-        let noise = rows.survey.noise.mean;
+        let noise = rows.survey.noise.weighed(&rows.metric);
+        let terms = options.terms.unwrap_or_else(|| noise.count_above(&low.singular_values)).min(options.max_terms);
+        let noise = noise.mean;
         rows.refill(Basis::factors(&low, terms.min(most), n, columns, noise));
         start = Some(low);
     }
@@ -117,11 +212,13 @@ struct Asked<'r, 'a> {
     rows: &'r PreparedRows<'a>,
     model: Model,
     options: &'r FactorOptions,
+    sums: Option<&'r Sums>,
 }
 
 /// What was chosen.
 struct Plan {
-    terms: usize,
+    /// The terms, of those found.
+    kept: Kept,
     /// Maps that the channels share; `None`: as many as make no difference.
     maps: Option<usize>,
     degree: Option<usize>,
@@ -130,38 +227,56 @@ struct Plan {
     short: bool,
 }
 
+/// Which of the terms that were found are kept.
+#[derive(Debug, Clone, Copy)]
+enum Kept {
+    /// The first.
+    First(usize),
+    /// Those above their noise, at most so many; what noise adds to them is taken off.
+    AboveNoise(usize),
+}
+
+impl Plan {
+    /// The most terms that it keeps.
+    fn most(&self) -> usize {
+        let (Kept::First(n) | Kept::AboveNoise(n)) = self.kept;
+        n
+    }
+}
+
 impl Asked<'_, '_> {
-    fn plan(&self, reader: &MatrixReader, all: &Triplets) -> Result<Plan> {
-        let (options, noise) = (self.options, &self.rows.survey.noise);
+    fn plan(&self, reader: &MatrixReader, found: &Found) -> Result<Plan> {
+        let (options, all) = (self.options, &found.all);
         let most = self.rank.min(self.most);
+        let plan = |kept, why| Plan { kept, maps: None, degree: None, why, short: false };
         if let Some(asked) = options.terms {
             let why = match asked > self.rank {
                 true => format!("as asked, {asked}: the rows have no more"),
                 false => "as asked".to_owned(),
             };
-            return Ok(Plan { terms: asked.min(self.rank), maps: None, degree: None, why, short: false });
+            return Ok(plan(Kept::First(asked.min(self.rank)), why));
         }
         match options.goal {
             Goal::Noise => {
-                let terms = noise.terms(&all.weights).min(most);
-                let level = noise.threshold(&all.weights);
-                let why = match all.weights.get(terms) {
-                    Some(&next) if next > level => format!(
-                        "the most allowed, singular values {} … are still above the noise ({next:.3e} > {level:.3e})",
-                        terms + 1
+                let kept = significant(&found.singular, &found.noise, most);
+                let next = (0..found.singular.len()).find(|j| !kept.contains(j));
+                let why = match next.map(|j| (j + 1, found.singular[j], found.noise[j].level())) {
+                    Some((_, s, level)) if s > level => format!(
+                        "the most allowed, more singular values are above their noise ({s:.3e} > {level:.3e}, …)"
                     ),
-                    Some(&next) => {
-                        format!("singular values {} … are below the noise ({next:.3e} < {level:.3e})", terms + 1)
+                    Some((j, s, level)) => {
+                        format!("other singular values are below their noise (number {j}: {s:.3e} < {level:.3e})")
                     }
-                    None => format!("the rows have no more, noise {level:.3e}"),
+                    None => "all that the rows have".to_owned(),
                 };
-                Ok(Plan { terms, maps: None, degree: None, why, short: false })
+                Ok(plan(Kept::AboveNoise(most), why))
             }
             goal if self.rows.content == Content::Intensity => {
-                let material = self.material(reader, all, most);
+                let material = self.material(reader, all, most, &found.singular);
                 let chosen = choose::terms_and_degree(reader, &material, &self.rows.survey, goal, options)?;
                 let short = chosen.terms >= most && chosen.short;
-                Ok(Plan { terms: chosen.terms, maps: None, degree: Some(chosen.degree), why: chosen.why, short })
+                let kept = Kept::First(chosen.terms);
+                Ok(Plan { kept, maps: None, degree: Some(chosen.degree), why: chosen.why, short })
             }
             goal => self.plan_for(reader, goal, all, most),
         }
@@ -184,7 +299,10 @@ impl Asked<'_, '_> {
         let psnr = |left: f64| survey.misfit(scale * left).psnr_db().unwrap_or(f64::INFINITY);
         let non_negative = self.model == Model::Peers2006;
         let shifted = survey.placements.iter().any(|p| p.shift != [0, 0]);
-        let mut header = self.header(reader, all);
+        let mut header = self.header(reader, &[]);
+        if let Some(sums) = self.sums {
+            header.exit_grid = Some(sums.grid(planes));
+        }
         if non_negative {
             (header.incident_planes, header.profile) = (planes, true);
         }
@@ -224,11 +342,11 @@ impl Asked<'_, '_> {
         };
         let &(terms, maps, ..) = found;
         let short = terms == most;
-        Ok(Plan { terms, maps: maps.or(Some(planes * terms)), degree: None, why, short })
+        Ok(Plan { kept: Kept::First(terms), maps: maps.or(Some(planes * terms)), degree: None, why, short })
     }
 
     /// The header of a material of one term, without a colour polynomial.
-    fn header(&self, reader: &MatrixReader, all: &Triplets) -> MaterialHeader {
+    fn header(&self, reader: &MatrixReader, singular: &[f64]) -> MaterialHeader {
         let (header, survey, unit) = (reader.header(), &self.rows.survey, self.rows.unit());
         MaterialHeader {
             model: self.model,
@@ -242,17 +360,18 @@ impl Asked<'_, '_> {
             offset_planes: self.rows.content.planes(),
             shared_maps: None,
             profile: false,
+            exit_grid: None,
             degree: None,
             intensity_range: [0.0, 1.0],
-            singular_values: all.weights.iter().map(|g| g * unit).collect(),
-            noise_level: survey.noise.threshold(&all.weights) * unit,
+            singular_values: singular.iter().map(|g| g * unit).collect(),
+            noise_level: survey.noise.weighed(&self.rows.metric).bound(singular) * unit,
             warnings: Vec::new(),
             provenance: serde_json::Value::Null,
         }
     }
 
     /// The first `terms` triplets as a material.
-    fn material(&self, reader: &MatrixReader, all: &Triplets, terms: usize) -> Material {
+    fn material(&self, reader: &MatrixReader, all: &Triplets, terms: usize, singular: &[f64]) -> Material {
         let planes = self.rows.content.planes();
         let ((n, columns), rank) = (self.rows.shape(), all.weights.len());
         let terms = terms.min(rank);
@@ -266,25 +385,35 @@ impl Asked<'_, '_> {
         let right: Vec<f32> = (0..planes).flat_map(plane).map(|&v| v as f32).collect();
         let weights = all.weights[..terms].iter().map(|&g| (g * unit) as f32).collect();
         Material {
-            header: MaterialHeader { terms, ..self.header(reader, all) },
+            header: MaterialHeader { terms, ..self.header(reader, singular) },
             lit_mm: reader.header().lit_mm.clone(),
             weights,
             incident_factors: left,
             offset_factors: right.into(),
             profile: Vec::new(),
             color_coefficients: Vec::new(),
+            entry_map: Vec::new(),
+            exit_map: Vec::new(),
             shift: self.rows.survey.placements.iter().map(|p| p.shift).collect(),
         }
     }
 
     /// The same with offset factors as sums of fewer maps, where that takes fewer numbers.
-    fn shared(&self, mut material: Material, all: &Triplets, maps: Option<usize>) -> Result<Material> {
+    fn shared(
+        &self,
+        reader: &MatrixReader,
+        mut material: Material,
+        all: &Triplets,
+        maps: Option<usize>,
+    ) -> Result<Material> {
         let (terms, planes) = (material.header.terms, self.rows.content.planes());
         if planes > 1 {
             let sharing = Sharing::new(all, planes, terms);
             let maps = match maps {
                 Some(maps) => maps,
-                None => sharing.unnoticed(terms, self.left(all, terms))?,
+                None => {
+                    sharing.unnoticed(terms, residual_of(self.rows, reader, &material)? / self.rows.unit().powi(2))?
+                }
             };
             if let Some(shared) = sharing.basis(terms, maps)? {
                 material.header.shared_maps = Some(shared.maps);
@@ -296,7 +425,7 @@ impl Asked<'_, '_> {
 
     /// The mean profile and non-negative factors for each plane.
     fn non_negative(&self, reader: &MatrixReader, all: &Triplets, terms: usize) -> Material {
-        let mut material = self.material(reader, all, 1);
+        let mut material = self.material(reader, all, 1, &[]);
         let (planes, columns) = (self.rows.content.planes(), self.rows.shape().1);
         let samples = columns / planes;
         let unit = self.rows.unit();
@@ -318,61 +447,62 @@ impl Asked<'_, '_> {
         material
     }
 
-    fn finish(
-        &self,
-        reader: &MatrixReader,
-        all: &Triplets,
-        plan: Plan,
-        backend: Backend,
-        how: String,
-    ) -> Result<TermsFit> {
-        let Plan { terms, maps, degree, why, .. } = plan;
-        let material = match self.model {
-            Model::Peers2006 => self.non_negative(reader, all, terms),
-            _ => self.shared(self.material(reader, all, terms), all, maps)?,
+    fn finish(&self, reader: &MatrixReader, found: &Found, plan: &Plan, backend: Backend) -> Result<TermsFit> {
+        let (kept, shrink) = match plan.kept {
+            Kept::First(n) => ((0..n.min(found.singular.len())).collect(), false),
+            Kept::AboveNoise(most) => (significant(&found.singular, &found.noise, most), true),
         };
-        let error = if self.rows.content == Content::Intensity { 0.0 } else { self.residual(reader, &material)? };
-        let misfit = self.rows.survey.misfit(error);
-        Ok(TermsFit { material, why, how, backend, misfit, degree })
+        let material = match self.model {
+            Model::Peers2006 => self.non_negative(reader, &found.all, plan.most()),
+            _ => {
+                // The mean profile is never nothing, however noisy.
+                let all = found.chosen(&kept, shrink && kept.len() > 1);
+                self.shared(reader, self.material(reader, &all, kept.len(), &found.singular), &all, plan.maps)?
+            }
+        };
+        let misfit = self.rows.survey.misfit(0.0);
+        let (why, degree) = (plan.why.clone(), plan.degree);
+        Ok(TermsFit { material, why, how: String::new(), backend, misfit, degree })
     }
+}
 
-    /// Σ (R̂−R)² over the valid entries of the matrix, of a material without a colour polynomial.
-    fn residual(&self, reader: &MatrixReader, material: &Material) -> Result<f64> {
-        if self.rows.content == Content::Grey {
-            return residual_of_rows(reader, material);
-        }
-        let (planes, columns) = (self.rows.content.planes(), self.rows.shape().1);
-        let samples = columns / planes;
-        let unit = self.rows.unit();
-        let (mut error, responses) = (0.0, Responses::new(material));
-        self.rows.for_each_chunk("measure", &mut |first, values, missing| {
-            let indices: Vec<usize> = (first..first + missing.len()).collect();
-            let fits: Vec<Vec<f64>> = (0..planes).map(|p| responses.plane(p, &indices)).collect();
-            let errors: Vec<f64> = missing
-                .par_iter()
-                .enumerate()
-                .map(|(k, gaps)| {
-                    let row = &values[k * columns..(k + 1) * columns];
-                    let mut sum = 0.0;
-                    let mut gaps = self.rows.missing(gaps).iter().peekable();
-                    for p in 0..planes {
-                        for (e, fit) in fits[p][k * samples..(k + 1) * samples].iter().enumerate() {
-                            let column = p * samples + e;
-                            if gaps.peek() == Some(&&(column as u32)) {
-                                gaps.next();
-                                continue;
-                            }
-                            sum += (fit / unit - f64::from(row[column])).powi(2);
-                        }
-                    }
-                    sum
-                })
-                .collect();
-            error += errors.iter().sum::<f64>();
-            Ok(())
-        })?;
-        Ok(error * unit * unit)
+/// Σ (R̂−R)² over the valid entries of the matrix, of a material without a colour polynomial.
+fn residual_of(rows: &PreparedRows<'_>, reader: &MatrixReader, material: &Material) -> Result<f64> {
+    if rows.content != Content::Channels {
+        return residual_of_rows(reader, material);
     }
+    let columns = rows.shape().1;
+    let (layout, planes) = (rows.survey.layout, rows.content.planes());
+    let (samples, window) = (layout.len(), layout.window[0] * layout.window[1]);
+    // Where maps divide the rows, those of the material multiply them again.
+    let (mut error, responses) = (0.0, Responses::new(material));
+    rows.for_each_chunk("measure", &mut |first, values, missing| {
+        let indices: Vec<usize> = (first..first + missing.len()).collect();
+        let mut fits = vec![0.0; indices.len() * planes * window];
+        responses.by_channel(&indices, &mut fits);
+        let errors: Vec<f64> = missing
+            .par_iter()
+            .enumerate()
+            .map(|(k, gaps)| {
+                let mut measured = vec![true; columns];
+                rows.missing(gaps).iter().for_each(|&d| measured[d as usize] = false);
+                let row = rows.measured(first + k, &values[k * columns..(k + 1) * columns]);
+                let fit = &fits[k * planes * window..][..planes * window];
+                let mut sum = 0.0;
+                for p in 0..planes {
+                    layout.for_each(rows.survey.placements[first + k].shift, |w, e| {
+                        if measured[p * samples + e] {
+                            sum += (fit[p * window + w] - row[p * window + w]).powi(2);
+                        }
+                    });
+                }
+                sum
+            })
+            .collect();
+        error += errors.iter().sum::<f64>();
+        Ok(())
+    })?;
+    Ok(error)
 }
 
 /// The same for any material, by evaluating it: one pass over the store.

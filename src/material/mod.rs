@@ -12,14 +12,14 @@ mod relight;
 mod source;
 
 pub use acquire_material::{
-    Canvas, Evaluator, Exitance, FIXED_SET, Layout, Light, LightImage, Material, MaterialHeader, Model, OffsetFactors,
-    Precision, Responses, Sampled, Shape, SharedBasis, coded, legendre,
+    Canvas, Evaluator, ExitGrid, Exitance, FIXED_SET, Layout, Light, LightImage, LitArea, Material, MaterialHeader,
+    Model, OffsetFactors, Precision, Quadrature, Responses, Sampled, Shape, SharedBasis, coded, legendre,
 };
 pub use exr_layers::{export_exr, write_exitance, write_png};
 pub use light_file::{parse_light, read_light_image};
 pub use npz::export_npz;
-pub use relight::relight;
-pub(crate) use relight::{canvas, splat};
+pub(crate) use relight::splat;
+pub use relight::{lit_area, relight};
 pub use source::Source;
 
 use crate::output::write_whole;

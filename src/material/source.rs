@@ -42,16 +42,7 @@ impl Source {
     /// Points, window, pitches.
     pub fn shape(&self) -> Shape<'_> {
         match self {
-            Self::Matrix(reader) => {
-                let h = reader.header();
-                Shape {
-                    points: h.points,
-                    window: h.window,
-                    pitch_mm: h.pitch_mm,
-                    lit_pitch_mm: h.lit_pitch_mm,
-                    lit_mm: &h.lit_mm,
-                }
-            }
+            Self::Matrix(reader) => reader.shape(),
             Self::Material(material, _) => material.shape(),
         }
     }

@@ -460,6 +460,18 @@ pub struct MatrixReader {
 }
 
 impl MatrixReader {
+    /// Where its rows lie.
+    pub fn shape(&self) -> acquire_material::Shape<'_> {
+        let h = self.header();
+        acquire_material::Shape {
+            points: h.points,
+            window: h.window,
+            pitch_mm: h.pitch_mm,
+            lit_pitch_mm: h.lit_pitch_mm,
+            lit_mm: &h.lit_mm,
+        }
+    }
+
     /// Opens a store and reads everything but the rows.
     ///
     /// # Errors

@@ -3,7 +3,8 @@
 use super::*;
 
 fn relit(source: &Source, lights: &[Vec<[f64; 3]>]) -> Vec<Exitance> {
-    relight(source, lights, &Progress::silent()).unwrap()
+    let points = Quadrature::of_points(&lit_area(source).unwrap(), &source.shape());
+    relight(source, &points, lights, &Progress::silent()).unwrap()
 }
 
 /// The largest difference of two images' samples.

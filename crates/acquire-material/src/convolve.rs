@@ -1,10 +1,11 @@
 //! Relighting without rows: lit points as weighted impulses, convolved with the offset factors.
 //!
-//! Without a colour polynomial the exitance is Σ_j (Σ_i Φ_i g_j f_j(i) δ(x_i)) ∗ h_j. Impulses are spread over the four nearest samples
-//! as rows are; offset factors are cut to the window that rows of one shift have measured. All terms are summed before the one transform back.
+//! Without a colour polynomial the exitance is Σ_j (Σ_i Φ_i g_j f_j(i) δ(x_i)) ∗ h_j. Impulses lie
+//! where the shares of the light do; offset factors are cut to the window that rows of one shift have measured. All terms are summed before the one transform back.
 
-use crate::exitance::{Canvas, Exitance, Shape};
+use crate::exitance::Exitance;
 use crate::parallel::*;
+use crate::quadrature::Quadrature;
 use crate::response::Responses;
 use crate::{CHANNELS, Error, Material, Result};
 use realfft::num_complex::Complex;
@@ -16,30 +17,32 @@ use std::sync::Arc;
 type Spectrum = Vec<Complex<f64>>;
 
 /// What the parts of a relighting cost on one core, ns (AMD EPYC with AVX-512, `cargo bench --bench evaluate`): a transform per sample and
-/// binary digit of their number, a term of a sample of a plane, and adding a sample of a channel to an image.
+/// binary digit of their number, a term of a sample of a plane, and adding a sample of a channel to an image once.
 const TRANSFORM_NS: f64 = 0.6;
 const TERM_NS: f64 = 0.05;
-const ADD_NS: f64 = 1.5;
+const ADD_NS: f64 = 0.5;
 /// Bytes of spectra that are summed at a time: more lights are done in turn.
 const SPECTRA: usize = 1 << 29;
 
 /// Whether [`convolve`] takes less time than evaluating `rows` rows and adding them to the images.
 pub(super) fn convolution_is_faster(
     material: &Material,
-    rows: usize,
+    rows: &[usize],
+    quadrature: &Quadrature,
     fluxes: &[Vec<[f64; 3]>],
-    canvas: &Canvas,
 ) -> bool {
     let h = &material.header;
     if h.degree.is_some() {
         return false;
     }
-    let samples = canvas.size.map(smooth).into_iter().product::<usize>() as f64;
-    let jobs = jobs(h.planes(), fluxes);
+    let samples = quadrature.canvas().size.map(smooth).into_iter().product::<usize>() as f64;
+    let jobs = jobs(material, fluxes);
     let impulses: BTreeSet<[usize; 3]> = jobs.iter().map(|j| j.impulses(h.incident_planes)).collect();
     let transforms = h.terms * (h.offset_planes + impulses.len()) + jobs.len();
-    let entries = (rows * h.window[0] * h.window[1]) as f64;
-    let direct = entries * ((h.terms * h.planes()) as f64 * TERM_NS + (fluxes.len() * CHANNELS) as f64 * ADD_NS);
+    let window = (h.window[0] * h.window[1]) as f64;
+    let shares = rows.iter().map(|&i| quadrature.shares(i).len()).sum::<usize>() as f64;
+    let evaluated = rows.len() as f64 * window * (h.terms * h.planes()) as f64 * TERM_NS;
+    let direct = evaluated + shares * window * (fluxes.len() * CHANNELS) as f64 * ADD_NS;
     transforms as f64 * samples * samples.log2() * TRANSFORM_NS < direct
 }
 
@@ -78,17 +81,17 @@ pub(super) fn convolve(
     rows: &Responses<'_>,
     shift: [i16; 2],
     indices: &[usize],
-    shape: &Shape<'_>,
+    quadrature: &Quadrature,
     fluxes: &[Vec<[f64; 3]>],
 ) -> Result<()> {
     let Some(canvas) = images.first().map(|i| i.canvas) else { return Ok(()) };
     let transform = Transform::new(canvas.size.map(smooth));
     let together = (SPECTRA / (16 * CHANNELS * transform.spectrum_len())).max(1);
     for (images, fluxes) in images.chunks_mut(together).zip(fluxes.chunks(together)) {
-        let jobs = jobs(rows.factor_planes().into_iter().fold(1, usize::max), fluxes);
+        let jobs = jobs(rows.material(), fluxes);
         let mut sums: Vec<Spectrum> = jobs.iter().map(|_| transform.dark()).collect();
         for term in 0..rows.terms() {
-            add_term(&mut sums, &jobs, &transform, rows, term, shift, indices, (shape, &canvas), fluxes)?;
+            add_term(&mut sums, &jobs, &transform, rows, term, shift, indices, quadrature, fluxes)?;
         }
         for (job, mut sum) in jobs.iter().zip(sums) {
             let samples = transform.inverse(&mut sum)?;
@@ -103,12 +106,16 @@ pub(super) fn convolve(
 }
 
 /// Every different image once: a grey material under grey light is one.
-fn jobs(planes: usize, fluxes: &[Vec<[f64; 3]>]) -> Vec<Job> {
+fn jobs(material: &Material, fluxes: &[Vec<[f64; 3]>]) -> Vec<Job> {
+    let planes = material.header.planes();
+    // Entry maps of three channels make three fluxes of a grey one.
+    let entries = material.header.exit_grid.map_or(1, |g| g.planes);
     let mut jobs: Vec<Job> = Vec::new();
     for (light, flux) in fluxes.iter().enumerate() {
         let grey = flux.iter().all(|f| f[0] == f[1] && f[1] == f[2]);
         for channel in 0..CHANNELS {
-            let (plane, flux) = (channel.min(planes - 1), if grey { 0 } else { channel });
+            let plane = channel.min(planes - 1);
+            let flux = if grey && entries == 1 { 0 } else { channel };
             match jobs.iter_mut().find(|j| (j.light, j.plane, j.flux) == (light, plane, flux)) {
                 Some(job) => job.channels.push(channel),
                 None => jobs.push(Job { light, plane, flux, channels: vec![channel] }),
@@ -128,9 +135,10 @@ fn add_term(
     term: usize,
     shift: [i16; 2],
     indices: &[usize],
-    (shape, canvas): (&Shape<'_>, &Canvas),
+    quadrature: &Quadrature,
     fluxes: &[Vec<[f64; 3]>],
 ) -> Result<()> {
+    let canvas = quadrature.canvas();
     let [incident_planes, offset_planes] = rows.factor_planes();
     let kernels: Vec<Spectrum> = (0..offset_planes)
         .map(|plane| {
@@ -139,7 +147,7 @@ fn add_term(
                 let at = x + y * transform.size[0];
                 samples[at..at + values.len()].copy_from_slice(values);
             });
-            transform.forward(&mut samples, shape.window[1])
+            transform.forward(&mut samples, rows.material().header.window[1])
         })
         .collect::<Result<_>>()?;
     // The impulses of the image before: planes often share them.
@@ -150,11 +158,18 @@ fn add_term(
             Some((_, spectrum)) => spectrum,
             None => {
                 let mut samples = transform.black();
+                let half = rows.material().header.window.map(|w| w / 2);
+                let width = canvas.size[0];
                 for &index in indices {
-                    let Some(flux) = fluxes[job.light].get(index).map(|f| f[job.flux]) else { continue };
-                    let weight = flux * rows.incident(job.plane, index, term);
-                    if weight != 0.0 {
-                        spread(&mut samples, transform.size[0], canvas, shape, index, weight);
+                    let weight = rows.incident(job.plane, index, term) * rows.material().entry(index)[job.flux];
+                    for share in quadrature.shares(index) {
+                        let Some(flux) = fluxes[job.light].get(share.cell as usize) else { continue };
+                        let at = [share.at as usize % width, share.at as usize / width];
+                        // An impulse at the first sample of the row's window.
+                        let corner = at[0].wrapping_sub(half[0]) + at[1].wrapping_sub(half[1]) * transform.size[0];
+                        if let Some(sample) = samples.get_mut(corner) {
+                            *sample += flux[job.flux] * share.weight * weight;
+                        }
                     }
                 }
                 transform.forward(&mut samples, canvas.size[1])?
@@ -166,20 +181,6 @@ fn add_term(
         last = Some((key, impulses));
     }
     Ok(())
-}
-
-/// An impulse at the first sample of a row's window.
-fn spread(samples: &mut [f64], width: usize, canvas: &Canvas, shape: &Shape<'_>, index: usize, weight: f64) {
-    let Some(&point) = shape.lit_mm.get(index) else { return };
-    let corner = canvas.corner(point, shape.window);
-    let [fx, fy] = corner.beyond;
-    let at = corner.at[0] + corner.at[1] * width;
-    let weights = [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
-    for (offset, share) in [0, 1, width, width + 1].into_iter().zip(weights) {
-        if let Some(sample) = samples.get_mut(at + offset).filter(|_| share > 0.0) {
-            *sample += share * weight;
-        }
-    }
 }
 
 /// Fourier transforms of real images of one size; spectra are column by column, the half that is not the other's conjugate.
@@ -278,6 +279,7 @@ mod tests {
     use super::*;
     use crate::response::tests::every_kind;
     use crate::splat::splat;
+    use crate::{LitArea, naive};
 
     /// Lights of every colour; the first is grey.
     fn lights(rows: usize) -> Vec<Vec<[f64; 3]>> {
@@ -292,16 +294,17 @@ mod tests {
             material.lit_mm.iter_mut().enumerate().for_each(|(k, p)| p[0] += 0.013 * k as f64);
             let h = &material.header;
             let shape = material.shape();
-            let canvas = Canvas::covering(&shape).unwrap();
+            let quadrature = Quadrature::of_points(&LitArea::of(&shape).unwrap(), &shape);
+            let canvas = quadrature.canvas();
             let rows = Responses::new(&material);
             let (indices, fluxes) = ([1, 4], lights(6));
             let black = vec![Exitance::new(canvas), Exitance::new(canvas)];
             let (mut a, mut b) = (black.clone(), black);
-            convolve(&mut a, &rows, [1, 0], &indices, &shape, &fluxes).unwrap();
+            convolve(&mut a, &rows, [1, 0], &indices, &quadrature, &fluxes).unwrap();
             let len = rows.window_len();
             let mut values = vec![0.0; indices.len() * 3 * len];
             rows.by_channel(&indices, &mut values);
-            splat(&mut b, &indices, &shape, &fluxes, &|k, c, dy, line| {
+            splat(&mut b, &indices, shape.window, &quadrature, &fluxes, &|k, c, dy, line| {
                 let at = (3 * k + c) * len + dy * shape.window[0];
                 line.copy_from_slice(&values[at..at + shape.window[0]]);
             });
@@ -336,7 +339,9 @@ mod tests {
     #[test]
     fn only_light_that_is_grey_everywhere_makes_one_image_for_three_channels() {
         let images = |planes: usize, flux: [[f64; 3]; 2]| -> Vec<(usize, usize, Vec<usize>)> {
-            jobs(planes, &[flux.to_vec()]).into_iter().map(|j| (j.plane, j.flux, j.channels)).collect()
+            let mut m = naive::materials().remove(0);
+            (m.header.incident_planes, m.header.offset_planes) = (1, planes);
+            jobs(&m, &[flux.to_vec()]).into_iter().map(|j| (j.plane, j.flux, j.channels)).collect()
         };
         let (grey, own) = (vec![(0, 0, vec![0, 1, 2])], |plane: [usize; 3]| -> Vec<(usize, usize, Vec<usize>)> {
             (0..3).map(|c| (plane[c], c, vec![c])).collect()

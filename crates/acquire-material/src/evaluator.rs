@@ -1,6 +1,7 @@
 //! Point queries for a renderer: R̂_d at one pair of points, without allocation.
 
 use crate::color::{Colors, Interval, colors};
+use crate::lattice::Lattice;
 use crate::sampling::{LANES, Sampled, Tree};
 use crate::{CHANNELS, Layout, Material, Point, Result, offset_plane};
 
@@ -30,6 +31,9 @@ pub struct Evaluator {
     color: Vec<[f64; CHANNELS]>,
     powers: usize,
     interval: Interval,
+    lit_mm: Vec<Point>,
+    /// Only the maps of a material that has them: its factors are held above.
+    through: Option<Box<Material>>,
     lattice: Lattice,
     tree: Tree,
 }
@@ -71,13 +75,6 @@ impl pulp::NullaryFnOnce for Between<'_> {
         }
         sum
     }
-}
-
-/// Lattice coordinates of a point of the slab: u = origin + from_mm · x, as the lit points are on average.
-#[derive(Debug, Clone, Copy)]
-struct Lattice {
-    origin: Point,
-    from_mm: [Point; 2],
 }
 
 impl Evaluator {
@@ -128,6 +125,8 @@ impl Evaluator {
             color,
             powers: h.degree.map_or(0, |p| p + 1),
             interval: Interval::of(h.intensity_range),
+            lit_mm: material.lit_mm.clone(),
+            through: h.exit_grid.is_some().then(|| Box::new(material.maps_alone())),
             lattice: Lattice::of(h.points, &material.lit_mm, h.lit_pitch_mm),
             tree: Tree::new(material),
         })
@@ -143,7 +142,12 @@ impl Evaluator {
             (s < self.layout.window[a]).then_some(s)
         };
         let sample = [sample(0)?, sample(1)?];
-        Some(self.layout.index(shift, sample).map_or([0.0; CHANNELS], |e| self.value(index, e)).map(|v| v as f32))
+        let Some(e) = self.layout.index(shift, sample) else { return Some([0.0; CHANNELS]) };
+        let value = self.value(index, e);
+        let Some(through) = &self.through else { return Some(value.map(|v| v as f32)) };
+        let at = [0, 1].map(|a| self.lit_mm[index][a] + offset[a] as f64 * self.pitch_mm);
+        let (entry, exit) = (through.entry(index), through.exit(at));
+        Some(std::array::from_fn(|c| (entry[c] * exit[c] * value[c]) as f32))
     }
 
     /// R̂_d(x_i, x_o) of the lit point and the sample that are nearest to two points of the slab, mm⁻²; 0 outside the window of the lit point
@@ -167,7 +171,7 @@ impl Evaluator {
     ///
     /// Bilinear in x_i between the rows of the four lit points around it, each taken at the offset x_o − x_i, and bilinear in the offset
     /// between the four samples around it. A material with a colour polynomial interpolates the normalized intensity between samples, then the
-    /// colours between rows. Beyond the outermost lit points or samples by up to half a step the outermost are taken, further out it is 0.
+    /// colours between rows. Entry maps are interpolated with the rows; the exit map is that of x_o. Beyond the outermost lit points or samples by up to half a step the outermost are taken, further out it is 0.
     ///
     /// At lit points and samples it is [`Self::response`]. Between them its error is that of bilinear interpolation, an eighth of the second
     /// difference: largest at the peak of a response that is narrower than a sample, and where two materials meet between lit points.
@@ -181,7 +185,17 @@ impl Evaluator {
             return [0.0; 3];
         };
         let lit = lit.each().map(|([x, y], weight)| (x + y * self.points[0], weight));
-        pulp::Arch::new().dispatch(Between { evaluator: self, lit, samples: samples.each() }).map(|v| v as f32)
+        let samples = samples.each();
+        let Some(through) = &self.through else {
+            return pulp::Arch::new().dispatch(Between { evaluator: self, lit, samples }).map(|v| v as f32);
+        };
+        let exit = through.exit(x_o);
+        std::array::from_fn(|c| {
+            // What enters is weighed channel by channel.
+            let lit = lit.map(|(index, weight)| (index, weight * through.entry(index)[c]));
+            let inside = pulp::Arch::new().dispatch(Between { evaluator: self, lit, samples });
+            (exit[c] * inside[c]) as f32
+        })
     }
 
     /// A row between samples of its window.
@@ -214,7 +228,7 @@ impl Evaluator {
     ///
     /// Offsets are whole samples along x and y; a point that is uniform in the sample's cell (`pitch_mm` wide) around it has the density
     /// `probability` / `pitch_mm`². The probability is nearly proportional to the mean of the planes (with a colour polynomial: to the normalized
-    /// intensity), and at least a hundredth of that of a uniform choice, so that it is positive wherever the response may be.
+    /// intensity), without entry and exit maps, and at least a hundredth of that of a uniform choice, so that it is positive wherever the response may be.
     pub fn sample(&self, index: usize, random: f64) -> Option<Sampled> {
         let shift = *self.shift.get(index)?;
         self.tree.sample(self.factors(index), self.layout, shift, random)
@@ -334,36 +348,6 @@ impl Corners {
     fn each(&self) -> [([usize; 2], f64); 4] {
         let (p, q, [x, y]) = (self.first, self.next, self.beyond);
         [(p, (1.0 - x) * (1.0 - y)), ([q[0], p[1]], x * (1.0 - y)), ([p[0], q[1]], (1.0 - x) * y), (q, x * y)]
-    }
-}
-
-impl Lattice {
-    /// By least squares through the lit points; a side of one point takes the pitch.
-    fn of(points: [usize; 2], lit_mm: &[Point], pitch_mm: Point) -> Self {
-        let n = lit_mm.len().max(1) as f64;
-        let middle = points.map(|p| (p as f64 - 1.0) / 2.0);
-        let place = |k: usize| [(k % points[0]) as f64 - middle[0], (k / points[0]) as f64 - middle[1]];
-        let mean = [0, 1].map(|a| lit_mm.iter().map(|p| p[a]).sum::<f64>() / n);
-        // On a full grid the two coordinates are orthogonal: each slope by itself. to_mm[r][c]: mm along r for a step along c.
-        let slope = |r: usize, c: usize| {
-            let square: f64 = (0..lit_mm.len()).map(|k| place(k)[c].powi(2)).sum();
-            let along: f64 = lit_mm.iter().enumerate().map(|(k, p)| place(k)[c] * (p[r] - mean[r])).sum();
-            if square > 0.0 { along / square } else { f64::from(u8::from(r == c)) * pitch_mm[c] }
-        };
-        let mut to_mm = [[slope(0, 0), slope(0, 1)], [slope(1, 0), slope(1, 1)]];
-        let determinant = |m: &[Point; 2]| m[0][0] * m[1][1] - m[0][1] * m[1][0];
-        // Points that are on no lattice: the pitch says what they should have been.
-        if !(determinant(&to_mm).abs() > 1e-6 * pitch_mm[0] * pitch_mm[1]) {
-            to_mm = [[pitch_mm[0], 0.0], [0.0, pitch_mm[1]]];
-        }
-        let d = determinant(&to_mm);
-        let from_mm = [[to_mm[1][1] / d, -to_mm[0][1] / d], [-to_mm[1][0] / d, to_mm[0][0] / d]];
-        let origin = [0, 1].map(|a| middle[a] - from_mm[a][0] * mean[0] - from_mm[a][1] * mean[1]);
-        Self { origin, from_mm }
-    }
-
-    fn map(&self, p: Point) -> Point {
-        [0, 1].map(|a| self.origin[a] + self.from_mm[a][0] * p[0] + self.from_mm[a][1] * p[1])
     }
 }
 

@@ -6,6 +6,8 @@ use crate::{Error, Material, MaterialHeader, Point, Result};
 /// The largest side of a canvas, samples; beyond it the lit points cannot be right.
 const LARGEST: usize = 1 << 15;
 
+/// Parts of a sample that are rounding.
+const NEAR: f64 = 1e-6;
 /// A canvas may have so many samples for each sample of a window …
 const GAPS: f64 = 64.0;
 /// … and this many in any case.
@@ -62,21 +64,27 @@ pub struct Exitance {
 }
 
 impl Canvas {
-    /// The smallest canvas on which no window, spread over the nearest samples, is cut.
+    /// The smallest canvas whose samples lie where the lattice point `node` does, on which light anywhere between `corners`, the ends of the
+    /// lit area, or at a lit point leaves with its whole window.
     ///
     /// # Errors
     /// [`Error::TooSparse`] when the lit points are too far apart for their pitch.
-    pub fn covering(shape: &Shape<'_>) -> Result<Self> {
-        let mut low = [f64::INFINITY; 2];
-        let mut high = [f64::NEG_INFINITY; 2];
-        for point in shape.lit_mm {
-            for a in 0..2 {
-                (low[a], high[a]) = (low[a].min(point[a]), high[a].max(point[a]));
+    pub(crate) fn covering(shape: &Shape<'_>, node: Point, corners: [Point; 4]) -> Result<Self> {
+        let pitch = shape.pitch_mm;
+        // The last cell with light holds the rim of the lit area; a lit point is spread over the two samples beside it.
+        let reach = |at: f64, by: f64, a: usize| (at - node[a]) / pitch + by;
+        let (mut first, mut last) = ([0.0_f64; 2], [0.0_f64; 2]);
+        for a in 0..2 {
+            for p in &corners {
+                first[a] = first[a].min(reach(p[a], 0.5 + NEAR, a).floor());
+                last[a] = last[a].max(reach(p[a], -0.5 - NEAR, a).ceil());
+            }
+            for p in shape.lit_mm {
+                first[a] = first[a].min(reach(p[a], NEAR, a).floor());
+                last[a] = last[a].max(reach(p[a], -NEAR, a).ceil());
             }
         }
-        let half = |a: usize| (shape.window[a] / 2) as f64 * shape.pitch_mm;
-        let sides: [f64; 2] =
-            std::array::from_fn(|a| ((high[a] - low[a]) / shape.pitch_mm).ceil() + shape.window[a] as f64 + 1.0);
+        let sides: [f64; 2] = std::array::from_fn(|a| last[a] - first[a] + shape.window[a] as f64);
         if !sides.iter().all(|s| (1.0..=LARGEST as f64).contains(s)) {
             let expected = format!("lit points within {LARGEST} samples of each other");
             return Err(Error::TooSparse { expected, found: format!("{:.0} × {:.0}", sides[0], sides[1]) });
@@ -88,11 +96,26 @@ impl Canvas {
             let found = format!("{} windows on {:.0} × {:.0} samples", shape.rows(), sides[0], sides[1]);
             return Err(Error::TooSparse { expected, found });
         }
+        let half = |a: usize| (shape.window[a] / 2) as f64;
         Ok(Self {
-            origin_mm: std::array::from_fn(|a| low[a] - half(a)),
+            origin_mm: std::array::from_fn(|a| node[a] + (first[a] - half(a)) * pitch),
             size: sides.map(|s| s as usize),
-            pitch_mm: shape.pitch_mm,
+            pitch_mm: pitch,
         })
+    }
+
+    /// The samples around a place (in samples) and their bilinear shares, which sum to one where all four are on the canvas.
+    pub(crate) fn around(&self, at: Point) -> impl Iterator<Item = (u32, f64)> + use<> {
+        let [width, height] = self.size;
+        let base = at.map(|v| if (v - v.round()).abs() < NEAR { v.round() } else { v.floor() });
+        let beyond = [0, 1].map(|a| if (at[a] - base[a]).abs() < NEAR { 0.0 } else { at[a] - base[a] });
+        let shares = [[0, 0], [1, 0], [0, 1], [1, 1]].map(|step: [usize; 2]| {
+            let share: f64 = (0..2).map(|a| if step[a] == 1 { beyond[a] } else { 1.0 - beyond[a] }).product();
+            let [x, y] = [0, 1].map(|a| base[a] + step[a] as f64);
+            let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
+            (inside && share > 0.0).then(|| ((x as usize + y as usize * width) as u32, share))
+        });
+        shares.into_iter().flatten()
     }
 }
 

@@ -6,7 +6,10 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-const FORMAT: u32 = 2;
+/// The version of files with entry and exit maps, which readers of version 2 would leave out.
+const FORMAT: u32 = 3;
+/// The version of files without.
+const PLAIN_FORMAT: u32 = 2;
 const KEY: &str = "acquire";
 /// No stored number is larger: sums of products with the basis still fit an f32.
 const LARGEST: f32 = 1e36;
@@ -117,7 +120,8 @@ impl Material {
             .map(|(name, dtype, shape, data)| Ok((*name, TensorView::new(*dtype, shape.clone(), data)?)))
             .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
             .map_err(Error::internal)?;
-        let metadata = Metadata { format: FORMAT, half_exponents: half.then_some(exponents), header: h.clone() };
+        let format = if h.exit_grid.is_some() { FORMAT } else { PLAIN_FORMAT };
+        let metadata = Metadata { format, half_exponents: half.then_some(exponents), header: h.clone() };
         let text = serde_json::to_string(&metadata).map_err(Error::internal)?;
         serialize(views, Some([(KEY.to_owned(), text)].into_iter().collect())).map_err(Error::internal)
     }
@@ -209,8 +213,8 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
     let text = metadata.metadata().as_ref().and_then(|m| m.get(KEY)).ok_or("no metadata of acquire")?;
     let Metadata { format, half_exponents, header } =
         serde_json::from_str(text).map_err(|e| format!("metadata: {e}"))?;
-    if format != FORMAT {
-        return Err(format!("format: expected {FORMAT}, found {format}"));
+    if ![PLAIN_FORMAT, FORMAT].contains(&format) {
+        return Err(format!("format: expected {PLAIN_FORMAT} or {FORMAT}, found {format}"));
     }
     check_header(&header)?;
     let file = SafeTensors::deserialize(bytes).map_err(|e| e.to_string())?;
@@ -231,8 +235,8 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
     let shapes = header.shapes().into_iter().enumerate();
     let mut tensors = shapes.map(|(at, (name, shape))| read(name, &shape, exponents.get(at)));
     let mut next = || tensors.next().unwrap_or(Ok(Vec::new()));
-    let [weights, incident_factors, own, vectors, core, profile, color_coefficients] =
-        [next()?, next()?, next()?, next()?, next()?, next()?, next()?];
+    let [weights, incident_factors, own, vectors, core, profile, color_coefficients, entry_map, exit_map] =
+        [next()?, next()?, next()?, next()?, next()?, next()?, next()?, next()?, next()?];
     let lit = read("lit_mm", &[n, 2], None)?;
     let offset_factors = match header.shared_maps {
         Some(maps) => OffsetFactors::Shared(SharedBasis { maps, vectors, core }),
@@ -251,6 +255,8 @@ fn decode(bytes: &[u8]) -> Result<Material, String> {
         offset_factors,
         profile,
         color_coefficients,
+        entry_map,
+        exit_map,
         shift: shift.as_chunks::<2>().0.to_vec(),
         header,
     };
@@ -293,6 +299,12 @@ pub(crate) fn check_header(h: &MaterialHeader) -> Result<(), String> {
     };
     if large(&[h.points[0], h.points[1], h.terms]) || large(&[h.extended[0], h.extended[1], h.terms]) {
         return Err("the factors would be larger than any memory".into());
+    }
+    if let Some(g) = h.exit_grid {
+        let sized = g.size.iter().all(|&s| small(s)) && !large(&g.size);
+        if !sized || ![1, CHANNELS].contains(&g.planes) || !g.origin_mm.iter().all(|o| o.abs() <= LARGEST_MM) {
+            return Err(format!("exit_grid: expected a size, an origin and 1 or 3 planes, found {g:?}"));
+        }
     }
     let lengths = [h.pitch_mm, h.lit_pitch_mm[0], h.lit_pitch_mm[1]];
     let [low, high] = h.intensity_range;

@@ -27,27 +27,32 @@
 pub mod coded;
 mod color;
 mod convolve;
+mod entry_exit;
 mod error;
 mod evaluator;
 mod exitance;
 mod file;
+mod lattice;
 mod layout;
 pub mod legendre;
 mod light;
 #[cfg(test)]
 mod naive;
 mod parallel;
+mod quadrature;
 mod relight;
 mod response;
 mod sampling;
 mod splat;
 
+pub use entry_exit::ExitGrid;
 pub use error::{Error, Result};
 pub use evaluator::Evaluator;
 pub use exitance::{Canvas, Exitance, Shape};
 pub use file::Precision;
 pub use layout::Layout;
 pub use light::{FIXED_SET, Light, LightImage, linear_from_srgb, srgb_from_linear};
+pub use quadrature::{LitArea, Quadrature};
 pub use relight::relight;
 pub use response::Responses;
 pub use sampling::Sampled;
@@ -120,6 +125,9 @@ pub struct MaterialHeader {
     pub shared_maps: Option<usize>,
     /// Whether there is a profile that multiplies the terms.
     pub profile: bool,
+    /// Where the exit map lies; `None` without entry and exit maps.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exit_grid: Option<ExitGrid>,
     /// P, the degree of the colour polynomial. `None` without a polynomial: three planes are then R, G and B, and a single plane is the response
     /// of all three channels.
     pub degree: Option<usize>,
@@ -141,6 +149,7 @@ pub struct MaterialHeader {
 /// v_k(i, e) = m_k(e) Σ_j g_j f_{k,j}(i) h_{k,j}(e), where the profile m is 1 when there is none. With a colour polynomial there
 /// is one plane, the normalized intensity, and R̂_c = Σ_p β_{c,p}(i) L_p(v) with Legendre polynomials L_p on
 /// [`MaterialHeader::intensity_range`] for the powers of `Kurt2013`, eqs. (1)–(4); without one R̂_c is plane c, or the only plane.
+/// Where there are entry and exit maps, that is multiplied by a_c(i) and by e_c at the place where the light leaves, see [`ExitGrid`].
 ///
 /// Tensors are row-major with the shapes named at each; N = x × y lit points.
 #[derive(Debug, Clone, PartialEq)]
@@ -159,6 +168,10 @@ pub struct Material {
     pub profile: Vec<f32>,
     /// β_{c,p}(x_i), mm⁻², \[N, 3, P+1\], or empty.
     pub color_coefficients: Vec<f32>,
+    /// a_c(x_i), \[C, N\], or empty.
+    pub entry_map: Vec<f32>,
+    /// e_c(x_o), \[C, y, x\] of [`ExitGrid`], or empty.
+    pub exit_map: Vec<f32>,
     /// Offset of each row's peak from its lit point, samples along x and y, \[N, 2\].
     pub shift: Vec<[i16; 2]>,
 }
@@ -235,7 +248,8 @@ impl MaterialHeader {
             None if self.planes() == 1 => ", grey".to_owned(),
             None => String::new(),
         };
-        format!("{}, {} {noun}{maps}{color}", self.model, self.terms)
+        let through = if self.exit_grid.is_some() { ", entry and exit maps" } else { "" };
+        format!("{}, {} {noun}{maps}{color}{through}", self.model, self.terms)
     }
 
     /// Planes that the factors give: 1 or 3.
@@ -244,7 +258,7 @@ impl MaterialHeader {
     }
 
     /// Tensors that may be stored, in the order of [`Material::stored`]; those that a material has not have the shape \[0\].
-    pub(crate) fn shapes(&self) -> [(&'static str, Vec<usize>); 7] {
+    pub(crate) fn shapes(&self) -> [(&'static str, Vec<usize>); 9] {
         let (n, [ex, ey]) = (self.rows(), self.extended);
         let profile = if self.profile { vec![self.offset_planes, ey, ex] } else { vec![0] };
         let own = vec![self.offset_planes, self.terms, ey, ex];
@@ -257,10 +271,12 @@ impl MaterialHeader {
             ("offset_core", self.shared_maps.map_or(vec![0], |k| vec![self.offset_planes, self.terms, k])),
             ("profile", profile),
             ("color_coefficients", self.degree.map_or(vec![0], |p| vec![n, CHANNELS, p + 1])),
+            ("entry_map", self.exit_grid.map_or(vec![0], |g| vec![g.planes, n])),
+            ("exit_map", self.exit_grid.map_or(vec![0], |g| vec![g.planes, g.size[1], g.size[0]])),
         ]
     }
 
-    /// Every number that such a material stores as 4 bytes, the papers' count: weights, factors, profile, coefficients, the shifts when
+    /// Every number that such a material stores as 4 bytes, the papers' count: weights, factors, profile, coefficients, entry and exit maps, the shifts when
     /// there are any, and the intensity range when there is a polynomial; metadata and positions are not counted.
     pub fn bytes_f32(&self, shifted: bool) -> u64 {
         let tensors: usize = self.shapes().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
@@ -293,12 +309,13 @@ impl Material {
     }
 
     /// Tensors as they are stored, in the order of [`MaterialHeader::shapes`].
-    pub(crate) fn stored(&self) -> [&[f32]; 7] {
+    pub(crate) fn stored(&self) -> [&[f32]; 9] {
         let (own, maps, core): (&[f32], &[f32], &[f32]) = match &self.offset_factors {
             OffsetFactors::Shared(shared) => (&[], &shared.vectors, &shared.core),
             OffsetFactors::Own(own) => (own, &[], &[]),
         };
-        [&self.weights, &self.incident_factors, own, maps, core, &self.profile, &self.color_coefficients]
+        let [entry, exit] = [&self.entry_map, &self.exit_map];
+        [&self.weights, &self.incident_factors, own, maps, core, &self.profile, &self.color_coefficients, entry, exit]
     }
 
     /// f_{k,j} of row `index`, \[T\]; empty when there is no such row.
@@ -324,6 +341,22 @@ impl Material {
             return Vec::new();
         }
         Responses::new(self).row(index)
+    }
+
+    /// A material of its entry and exit maps and positions alone, without terms.
+    pub fn maps_alone(&self) -> Self {
+        Self {
+            header: MaterialHeader { provenance: serde_json::Value::Null, warnings: Vec::new(), ..self.header.clone() },
+            lit_mm: self.lit_mm.clone(),
+            weights: Vec::new(),
+            incident_factors: Vec::new(),
+            offset_factors: OffsetFactors::Own(Vec::new()),
+            profile: Vec::new(),
+            color_coefficients: Vec::new(),
+            entry_map: self.entry_map.clone(),
+            exit_map: self.exit_map.clone(),
+            shift: Vec::new(),
+        }
     }
 
     /// β of row `index`, P+1 for each channel.

@@ -5,7 +5,8 @@
 //!   1; row 0 of an image is at the top, v = 0.
 //! - Irradiance is linear, in any unit per mm²; the exitance that comes out is in the same unit.
 
-use crate::{Error, Result, Shape};
+use crate::quadrature::{LitArea, LitCell, Quadrature};
+use crate::{Error, Point, Result, Shape};
 
 /// Irradiance over the lit area.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,47 +38,57 @@ pub struct LightImage {
 pub const FIXED_SET: [Light; 4] = [Light::Spot, Light::Stripes, Light::Gradient, Light::Uniform];
 
 impl Light {
-    /// Radiant flux that each lit point receives: the mean irradiance over its cell times the cell's area.
+    /// Radiant flux that each cell of the lit area receives: the irradiance at its middle (an image: its mean over the cell) times the
+    /// cell's area. [`Light::Point`] takes the cells of [`Quadrature::of_points`].
     ///
     /// # Errors
-    /// [`Error::Option`] for a point outside the grid.
-    pub fn flux(&self, shape: &Shape<'_>) -> Result<Vec<[f64; 3]>> {
-        let [nx, ny] = shape.points;
-        let area = shape.lit_pitch_mm[0] * shape.lit_pitch_mm[1];
-        if let Self::Point([x, y]) = *self
-            && (x >= nx || y >= ny)
-        {
-            let (expected, found) = (format!("a point below {nx},{ny}"), format!("point:{x},{y}"));
-            return Err(Error::Option { option: "light", expected, found });
+    /// [`Error::Option`] for a point outside the grid, or on cells that are not those of lit points.
+    pub fn flux(&self, quadrature: &Quadrature) -> Result<Vec<[f64; 3]>> {
+        if let Self::Point([x, y]) = *self {
+            let refuse = |expected, found| Err(Error::Option { option: "light", expected, found });
+            let found = format!("point:{x},{y}");
+            let Some([nx, ny]) = quadrature.of_points else {
+                return refuse("irradiance on an area".into(), found);
+            };
+            if x >= nx || y >= ny {
+                return refuse(format!("a point below {nx},{ny}"), found);
+            }
+            let mut flux = vec![[0.0; 3]; nx * ny];
+            flux[x + y * nx] = [1.0; 3];
+            return Ok(flux);
         }
-        let flux = |index: usize| {
-            let (i, j) = (index % nx, index / nx);
-            let [u, v] = [(i as f64 + 0.5) / nx as f64, (j as f64 + 0.5) / ny as f64];
-            let gray = |value: f64| [value * area; 3];
+        let flux = |cell: &LitCell| {
+            let [u, v] = [0, 1].map(|a| (cell.from[a] + cell.to[a]) / 2.0);
+            let gray = |value: f64| [value * cell.area_mm2; 3];
             match self {
                 Self::Spot => gray((-((u - 0.5).powi(2) + (v - 0.5).powi(2)) / (2.0 * 0.15 * 0.15)).exp()),
                 Self::Stripes => gray(if (u * 4.0).fract() < 0.5 { 1.0 } else { 0.0 }),
                 Self::Gradient => gray(u),
-                Self::Uniform => gray(1.0),
-                Self::Point(at) => [if *at == [i, j] { 1.0 } else { 0.0 }; 3],
-                Self::Image(image) => image.cell_mean([i, j], [nx, ny]).map(|e| e * area),
+                Self::Uniform | Self::Point(_) => gray(1.0),
+                Self::Image(image) => image.mean(cell.from, cell.to).map(|e| e * cell.area_mm2),
             }
         };
-        Ok((0..nx * ny).map(flux).collect())
+        Ok(quadrature.cells.iter().map(flux).collect())
+    }
+
+    /// The cells that this light falls on: the lit area, or the lit points themselves for [`Light::Point`].
+    pub fn quadrature(&self, area: &LitArea, shape: &Shape<'_>) -> Quadrature {
+        match self {
+            Self::Point(_) => Quadrature::of_points(area, shape),
+            _ => Quadrature::new(area, shape),
+        }
     }
 }
 
 impl LightImage {
-    /// Mean over one cell of a grid stretched over the image, pixels counted by the share that lies in it.
-    fn cell_mean(&self, cell: [usize; 2], cells: [usize; 2]) -> [f64; 3] {
+    /// Mean over a part of the image, pixels counted by the share that lies in it; `from` and `to` are shares of its sides.
+    fn mean(&self, from: Point, to: Point) -> [f64; 3] {
         let overlaps = |a: usize| {
             let n = self.size[a];
-            let edge = |k: usize| k as f64 * n as f64 / cells[a] as f64;
-            let (low, high) = (edge(cell[a]), edge(cell[a] + 1));
-            let pixels = low.floor() as usize..(high.ceil() as usize).min(n);
-            pixels
-                .map(|p| (p, (high.min(p as f64 + 1.0) - low.max(p as f64)).max(0.0) / (high - low)))
-                .collect::<Vec<_>>()
+            let [low, high] = [from[a], to[a]].map(|v| (v * n as f64).clamp(0.0, n as f64));
+            let pixels = (low.floor() as usize).min(n - 1)..(high.ceil() as usize).clamp(1, n);
+            let share = |p: usize| (high.min(p as f64 + 1.0) - low.max(p as f64)).max(0.0) / (high - low).max(1e-300);
+            pixels.map(|p| (p, share(p))).collect::<Vec<_>>()
         };
         let (columns, lines) = (overlaps(0), overlaps(1));
         let mut sum = [0.0; 3];
@@ -107,8 +118,33 @@ pub fn srgb_from_linear(v: f32) -> f32 {
 mod tests {
     use super::*;
 
-    fn shape(points: [usize; 2]) -> Shape<'static> {
-        Shape { points, window: [1, 1], pitch_mm: 1.0, lit_pitch_mm: [0.5, 2.0], lit_mm: &[] }
+    /// The cells of regular lit points with these pitches.
+    fn cells(points: [usize; 2], pitch_mm: Point) -> Quadrature {
+        let place = |k: usize| [(k % points[0]) as f64 * pitch_mm[0], (k / points[0]) as f64 * pitch_mm[1]];
+        let lit_mm: Vec<Point> = (0..points[0] * points[1]).map(place).collect();
+        let shape = Shape { points, window: [1, 1], pitch_mm: 1.0, lit_pitch_mm: pitch_mm, lit_mm: &lit_mm };
+        Quadrature::of_points(&LitArea::of(&shape).unwrap(), &shape)
+    }
+
+    fn shape(points: [usize; 2]) -> Quadrature {
+        cells(points, [0.5, 2.0])
+    }
+
+    #[test]
+    fn an_image_on_the_lit_area_keeps_its_total_flux_whatever_the_outgoing_pitch() {
+        let image = LightImage { size: [7, 5], rgb: (0..35).map(|k| [k as f32, (k * k % 11) as f32, 1.0]).collect() };
+        let lit_mm: Vec<Point> = (0..12).map(|k| [(k % 4) as f64 * 0.5, (k / 4) as f64 * 2.0]).collect();
+        for pitch_mm in [0.2, 0.5, 0.7, 3.0] {
+            let shape = Shape { points: [4, 3], window: [3, 3], pitch_mm, lit_pitch_mm: [0.5, 2.0], lit_mm: &lit_mm };
+            let quadrature = Quadrature::new(&LitArea::of(&shape).unwrap(), &shape);
+            let flux = Light::Image(image.clone()).flux(&quadrature).unwrap();
+            for c in 0..3 {
+                let mean = image.rgb.iter().map(|p| f64::from(p[c])).sum::<f64>() / 35.0;
+                let total: f64 = flux.iter().map(|f| f[c]).sum();
+                // The area is 2 × 6 mm; rounding of f64.
+                assert!((total - 12.0 * mean).abs() < 1e-9, "pitch {pitch_mm}: {total} {mean}");
+            }
+        }
     }
 
     #[test]
@@ -160,11 +196,11 @@ mod tests {
             assert!(gradient[k].iter().all(|f| (f - u).abs() < 1e-15), "rounding: {:?}", gradient[k]);
             assert_eq!(uniform[k], [1.0; 3]);
         }
-        let wide = Shape { lit_pitch_mm: [3.0, 0.5], ..shape([5, 3]) };
+        let wide = cells([5, 3], [3.0, 0.5]);
         assert_eq!(Light::Uniform.flux(&wide).unwrap()[4], [1.5; 3], "flux is irradiance times the cell");
         assert_eq!(Light::Point([4, 1]).flux(&wide).unwrap()[9], [1.0; 3], "but a point has one");
         let picture = LightImage { size: [2, 1], rgb: vec![[2.0, 4.0, 6.0], [8.0, 10.0, 12.0]] };
-        let lit = Light::Image(picture).flux(&Shape { points: [2, 1], ..wide }).unwrap();
+        let lit = Light::Image(picture).flux(&cells([2, 1], [3.0, 0.5])).unwrap();
         assert_eq!(lit, [[3.0, 6.0, 9.0], [12.0, 15.0, 18.0]], "a picture as the others");
     }
 

@@ -1,7 +1,7 @@
 //! The formula of [`Material`] written down once more, as loops over points and offsets, and materials for tests on which an
 //! exchanged axis, a wrong channel or a wrong sign shows.
 
-use super::{Material, MaterialHeader, Model};
+use super::{ExitGrid, Material, MaterialHeader, Model};
 
 /// Lit points along x and y.
 pub(super) const POINTS: [usize; 2] = [5, 3];
@@ -27,7 +27,37 @@ pub(super) fn materials() -> Vec<Material> {
         (Model::Tucker, [1, 1], false, Some(3)),
         (Model::Peers2006, [1, 1], true, Some(2)),
     ];
-    kinds.into_iter().map(|(model, planes, profile, degree)| material(model, planes, profile, degree)).collect()
+    let plain = kinds.map(|(model, planes, profile, degree)| material(model, planes, profile, degree));
+    let mut all = plain.to_vec();
+    // A joint one, a grey one and a coloured one with entry and exit maps.
+    for (of, planes) in [(0, 3), (3, 1), (5, 3)] {
+        let mut m = plain[of].clone();
+        let grid = ExitGrid { origin_mm: [0.25, -3.0], size: [13, 11], planes };
+        m.header.exit_grid = Some(grid);
+        m.entry_map = (0..planes * ROWS).map(|k| 1.0 + 0.4 * (0.9 * k as f32).sin()).collect();
+        m.exit_map = (0..planes * 143).map(|k| 1.0 + 0.5 * (0.31 * k as f32).sin()).collect();
+        all.push(m);
+    }
+    all
+}
+
+/// e_c at a place, mm.
+pub(super) fn exit(m: &Material, c: usize, at: [f64; 2]) -> f64 {
+    let Some(g) = m.header.exit_grid else { return 1.0 };
+    let place = [0, 1].map(|a| ((at[a] - g.origin_mm[a]) / PITCH_MM).clamp(0.0, g.size[a] as f64 - 1.0));
+    let mut sum = 0.0;
+    for y in 0..g.size[1] {
+        for x in 0..g.size[0] {
+            let near = tent(place[0], x as f64) * tent(place[1], y as f64);
+            sum += near * f64::from(m.exit_map[(c.min(g.planes - 1) * g.size[1] + y) * g.size[0] + x]);
+        }
+    }
+    sum
+}
+
+/// a_c of a row.
+pub(super) fn entry(m: &Material, c: usize, i: usize) -> f64 {
+    m.header.exit_grid.map_or(1.0, |g| f64::from(m.entry_map[c.min(g.planes - 1) * ROWS + i]))
 }
 
 fn material(model: Model, [a, b]: [usize; 2], profile: bool, degree: Option<usize>) -> Material {
@@ -49,6 +79,7 @@ fn material(model: Model, [a, b]: [usize; 2], profile: bool, degree: Option<usiz
             offset_planes: b,
             shared_maps: None,
             profile,
+            exit_grid: None,
             degree,
             intensity_range: [-0.75, 1.5],
             singular_values: vec![3.0, 1.0, 0.5],
@@ -62,6 +93,8 @@ fn material(model: Model, [a, b]: [usize; 2], profile: bool, degree: Option<usiz
         offset_factors: wave(b * terms * samples, 0.37, 0.2).into(),
         profile: if profile { wave(b * samples, 0.23, 1.0) } else { Vec::new() },
         color_coefficients: degree.map_or(Vec::new(), |p| wave(ROWS * 3 * (p + 1), 1.1, 0.1)),
+        entry_map: Vec::new(),
+        exit_map: Vec::new(),
         // Points 6 and 7 and those below them are shifted alike, others not.
         shift: (0..ROWS)
             .map(|k| [[0, 0], [1, 0], [0, -1], [2, 1], [-1, 1], [0, 0], [-1, 0], [-1, 0], [1, -1], [0, 1]][k % 10])
@@ -110,7 +143,14 @@ pub(super) fn planes(m: &Material, i: usize, e: [usize; 2]) -> [f64; 3] {
 
 /// R̂_d at an offset of a row's window; `None` outside the window.
 pub(super) fn response(m: &Material, i: usize, d: [isize; 2]) -> Option<[f64; 3]> {
-    (d[0].abs() <= 3 && d[1].abs() <= 2).then(|| sample(m, i, d).map_or([0.0; 3], |e| colored(m, i, planes(m, i, e))))
+    let at = [0, 1].map(|a| m.lit_mm[i][a] + d[a] as f64 * PITCH_MM);
+    inner(m, i, d).map(|v| [0, 1, 2].map(|c| v[c] * exit(m, c, at)))
+}
+
+/// The same before it leaves through the exit map.
+pub(super) fn inner(m: &Material, i: usize, d: [isize; 2]) -> Option<[f64; 3]> {
+    let colors = || sample(m, i, d).map_or([0.0; 3], |e| colored(m, i, planes(m, i, e)));
+    (d[0].abs() <= 3 && d[1].abs() <= 2).then(colors).map(|v| [0, 1, 2].map(|c| v[c] * entry(m, c, i)))
 }
 
 /// All offsets of a window, line by line.

@@ -2,6 +2,8 @@
 
 use crate::convolve::{convolution_is_faster, convolve};
 use crate::exitance::{Canvas, Exitance};
+use crate::parallel::*;
+use crate::quadrature::Quadrature;
 use crate::response::Responses;
 use crate::splat::splat;
 use crate::{CHANNELS, Material, Result};
@@ -10,26 +12,32 @@ use std::collections::BTreeMap;
 /// Numbers in a block of a material's rows.
 const BLOCK: usize = 1 << 20;
 
-/// The exitance of a material under several lights at once, each given as the flux into every lit point.
+/// The exitance of a material under several lights at once, each given as the flux into every cell of `quadrature` ([`crate::Light::flux`]).
 ///
-/// Rows without light are not evaluated. The rows of a material without a colour polynomial are added by convolution where that is
-/// faster: what they leave between samples that differ by more than 15 decades is rounding. `done` is told of rows as they are added.
+/// Where the material has an exit map, it multiplies what leaves at each sample of the canvas: the light that enters between lit points leaves
+/// through the surface as it is where it leaves. Rows without light are not evaluated. The rows of a material without a colour polynomial are
+/// added by convolution where that is faster: what they leave between samples that differ by more than 15 decades is rounding. `done` is told of
+/// rows as they are added.
 ///
 /// # Errors
-/// See [`Canvas::covering`].
-pub fn relight(material: &Material, fluxes: &[Vec<[f64; 3]>], done: &dyn Fn(usize)) -> Result<Vec<Exitance>> {
+/// [`crate::Error::Internal`].
+pub fn relight(
+    material: &Material,
+    quadrature: &Quadrature,
+    fluxes: &[Vec<[f64; 3]>],
+    done: &dyn Fn(usize),
+) -> Result<Vec<Exitance>> {
     let shape = material.shape();
-    let canvas = Canvas::covering(&shape)?;
+    let canvas = quadrature.canvas();
     let mut out: Vec<Exitance> = fluxes.iter().map(|_| Exitance::new(canvas)).collect();
-    let is_lit = |i: &usize| fluxes.iter().any(|f| f.get(*i).is_some_and(|f| *f != [0.0; 3]));
-    let lit: Vec<usize> = (0..shape.rows()).filter(is_lit).collect();
+    let lit: Vec<usize> = (0..shape.rows()).filter(|&i| quadrature.is_lit(i, fluxes)).collect();
     done(shape.rows() - lit.len());
-    let rows = Responses::new(material);
+    let rows = Responses::without_exit(material);
     let mut one_by_one = Vec::new();
     for (shift, group) in by_shift(material, lit) {
-        match convolution_is_faster(material, group.len(), fluxes, &canvas) {
+        match convolution_is_faster(material, &group, quadrature, fluxes) {
             true => {
-                convolve(&mut out, &rows, shift, &group, &shape, fluxes)?;
+                convolve(&mut out, &rows, shift, &group, quadrature, fluxes)?;
                 done(group.len());
             }
             false => one_by_one.extend(group),
@@ -41,13 +49,27 @@ pub fn relight(material: &Material, fluxes: &[Vec<[f64; 3]>], done: &dyn Fn(usiz
     for indices in one_by_one.chunks((BLOCK / len.max(1)).max(1)) {
         values.resize(indices.len() * len, 0.0);
         rows.by_channel(indices, &mut values);
-        splat(&mut out, indices, &shape, fluxes, &|k, channel, dy, line| {
+        splat(&mut out, indices, shape.window, quadrature, fluxes, &|k, channel, dy, line| {
             let at = k * len + channel * rows.window_len() + dy * shape.window[0];
             line.copy_from_slice(&values[at..at + shape.window[0]]);
         });
         done(indices.len());
     }
+    if material.header.exit_grid.is_some() {
+        out.iter_mut().for_each(|image| leave(material, image));
+    }
     Ok(out)
+}
+
+/// Multiplies an image by the exit map.
+fn leave(material: &Material, image: &mut Exitance) {
+    let Canvas { origin_mm, size, pitch_mm } = image.canvas;
+    for (c, plane) in image.planes.iter_mut().enumerate() {
+        plane.par_chunks_mut(size[0].max(1)).enumerate().for_each(|(y, line)| {
+            let first = [origin_mm[0], origin_mm[1] + y as f64 * pitch_mm];
+            material.exit_line(c, first, line.len(), |x, e| line[x] *= e);
+        });
+    }
 }
 
 /// Rows that are shifted alike.
@@ -63,15 +85,21 @@ fn by_shift(material: &Material, rows: Vec<usize>) -> BTreeMap<[i16; 2], Vec<usi
 mod tests {
     use super::*;
     use crate::file::tests::example;
-    use crate::{Error, Light, Point, Shape, naive};
+    use crate::{Error, Light, LitArea, Point, Shape, naive};
+
+    fn points_of(material: &Material) -> Quadrature {
+        let shape = material.shape();
+        Quadrature::of_points(&LitArea::of(&shape).unwrap(), &shape)
+    }
 
     #[test]
     fn the_flux_that_leaves_is_that_of_the_rows_wherever_they_lie() {
         let mut material = example();
         material.lit_mm.iter_mut().enumerate().for_each(|(k, p)| p[0] += 0.013 * k as f64);
         let rows: Vec<Vec<f32>> = (0..6).map(|i| material.evaluate_row(i)).collect();
-        let flux = Light::Gradient.flux(&material.shape()).unwrap();
-        let out = relight(&material, std::slice::from_ref(&flux), &|_| {}).unwrap();
+        let points = points_of(&material);
+        let flux = Light::Gradient.flux(&points).unwrap();
+        let out = relight(&material, &points, std::slice::from_ref(&flux), &|_| {}).unwrap();
         for c in 0..3 {
             let expected: f64 = rows
                 .iter()
@@ -101,16 +129,17 @@ mod tests {
         let grey: Vec<[f64; 3]> = (0..1200).map(|k| [(k % 7) as f64; 3]).collect();
         let colored: Vec<[f64; 3]> = (0..1200).map(|k| [1.0, (k % 3) as f64, 0.3]).collect();
         for fluxes in [vec![grey.clone()], vec![colored.clone(), grey]] {
-            let canvas = Canvas::covering(&material.shape()).unwrap();
-            let few = material.shift.iter().filter(|s| **s == [2, -1]).count();
-            let ways = [few, 1200 - few].map(|n| convolution_is_faster(&material, n, &fluxes, &canvas));
+            let points = points_of(&material);
+            let canvas = points.canvas();
+            let groups = by_shift(&material, (0..1200).collect());
+            let ways = [[2, -1], [0, 1]].map(|s| convolution_is_faster(&material, &groups[&s], &points, &fluxes));
             assert_eq!(ways, [false, true], "both ways are taken");
             let mut expected = vec![Exitance::new(canvas); fluxes.len()];
             let all: Vec<usize> = (0..1200).collect();
-            splat(&mut expected, &all, &material.shape(), &fluxes, &|k, c, dy, line| {
+            splat(&mut expected, &all, material.header.window, &points, &fluxes, &|k, c, dy, line| {
                 line.iter_mut().enumerate().for_each(|(dx, to)| *to = f64::from(rows[189 * k + 3 * (9 * dy + dx) + c]));
             });
-            let found = relight(&material, &fluxes, &|_| {}).unwrap();
+            let found = relight(&material, &points, &fluxes, &|_| {}).unwrap();
             for (a, b) in found.iter().zip(&expected) {
                 let pairs = a.planes.iter().flatten().zip(b.planes.iter().flatten());
                 let worst = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
@@ -123,7 +152,7 @@ mod tests {
     fn a_canvas_that_is_nearly_all_gaps_is_refused() {
         let mut material = example();
         material.lit_mm[5] = [10_000.0, 10_000.0];
-        let refused = Canvas::covering(&material.shape());
+        let refused = LitArea::of(&material.shape());
         assert!(matches!(refused, Err(Error::TooSparse { .. })));
     }
 
@@ -131,11 +160,13 @@ mod tests {
     fn one_point_shows_its_row() {
         let material = example();
         let row = material.evaluate_row(4);
-        let flux = Light::Point([1, 1]).flux(&material.shape()).unwrap();
-        let out = &relight(&material, &[flux], &|_| {}).unwrap()[0];
-        // Point (1, 1) is 2 samples right of and 3 below the first.
+        let points = points_of(&material);
+        let flux = Light::Point([1, 1]).flux(&points).unwrap();
+        let out = &relight(&material, &points, &[flux], &|_| {}).unwrap()[0];
+        // Point (1, 1) is 2 samples right of and 3 below the first; light reaches a sample beyond it.
+        assert_eq!(out.canvas.origin_mm, [-0.5 - 1.0, -0.5 - 0.5]);
         for (k, rgb) in row.chunks_exact(3).enumerate() {
-            let at = 2 + k % 5 + (3 + k / 5) * out.canvas.size[0];
+            let at = 1 + 2 + k % 5 + (1 + 3 + k / 5) * out.canvas.size[0];
             for c in 0..3 {
                 assert!((out.planes[c][at] - f64::from(rgb[c])).abs() < 1e-6, "the row is rounded to f32");
             }
@@ -152,7 +183,7 @@ mod tests {
         let mut out = vec![0.0; canvas.size[0] * canvas.size[1]];
         for &i in lit {
             for d in naive::offsets() {
-                let value = flux(i, c) * naive::response(m, i, d).unwrap()[c];
+                let value = flux(i, c) * naive::inner(m, i, d).unwrap()[c];
                 let at =
                     |a: usize| (m.lit_mm[i][a] + d[a] as f64 * naive::PITCH_MM - canvas.origin_mm[a]) / naive::PITCH_MM;
                 for (k, sum) in out.iter_mut().enumerate() {
@@ -168,15 +199,18 @@ mod tests {
     fn a_slab_is_relit_as_a_loop_over_points_offsets_and_samples_does() {
         for m in naive::materials() {
             let fluxes = vec![(0..naive::ROWS).map(|i| [0, 1, 2].map(|c| flux(i, c))).collect::<Vec<_>>()];
-            let out = relight(&m, &fluxes, &|_| {}).unwrap();
+            let out = relight(&m, &points_of(&m), &fluxes, &|_| {}).unwrap();
             let canvas = out[0].canvas;
-            // The leftmost lit point is the last line's first, the highest the first; half a window of 7 × 5 around them.
-            assert_eq!(canvas.origin_mm, [1.25 - 2.0 * 0.03125 - 3.0 * 0.5, -2.0 - 2.0 * 0.5]);
-            // 3.0625 mm by 2.25 mm between the outermost points, and a sample more for the spread.
-            assert_eq!(canvas.size, [7 + 7 + 1, 5 + 5 + 1]);
+            // The lit area begins .45 mm left of the first point and .53 mm above it, a sample and one and a half, and ends 3.45 mm right
+            // of it and 2.8 mm below; half a window of 7 × 5 around that.
+            assert_eq!(canvas.origin_mm, [1.25 - 1.0 * 0.5 - 3.0 * 0.5, -2.0 - 1.0 * 0.5 - 2.0 * 0.5]);
+            assert_eq!(canvas.size, [1 + 7 + 1 + 6, 1 + 6 + 1 + 4]);
             for c in 0..3 {
                 let all: Vec<usize> = (0..naive::ROWS).collect();
                 for (k, (a, b)) in out[0].planes[c].iter().zip(expected(&m, &canvas, c, &all)).enumerate() {
+                    let at = [k % canvas.size[0], k / canvas.size[0]];
+                    let place = [0, 1].map(|a| canvas.origin_mm[a] + at[a] as f64 * naive::PITCH_MM);
+                    let b = b * naive::exit(&m, c, place);
                     // f64 throughout; polynomials in powers lose a digit.
                     assert!((a - b).abs() < 1e-12, "{} channel {c} sample {k}: {a} {b}", m.header.model);
                 }
@@ -187,14 +221,14 @@ mod tests {
     #[test]
     fn a_convolution_is_that_loop_over_the_rows_of_one_shift() {
         for m in naive::materials().into_iter().filter(|m| m.header.degree.is_none()) {
-            let shape = m.shape();
-            let canvas = Canvas::covering(&shape).unwrap();
+            let points = points_of(&m);
+            let canvas = points.canvas();
             let colored: Vec<[f64; 3]> = (0..naive::ROWS).map(|i| [0, 1, 2].map(|c| flux(i, c))).collect();
             let grey: Vec<[f64; 3]> = (0..naive::ROWS).map(|i| [flux(i, 1); 3]).collect();
             for shift in [[0, 0], [-1, 0], [2, 1], [1, -1]] {
                 let group: Vec<usize> = (0..naive::ROWS).filter(|&i| m.shift[i] == shift).collect();
                 let mut images = vec![Exitance::new(canvas), Exitance::new(canvas)];
-                convolve(&mut images, &Responses::new(&m), shift, &group, &shape, &[grey.clone(), colored.clone()])
+                convolve(&mut images, &Responses::new(&m), shift, &group, &points, &[grey.clone(), colored.clone()])
                     .unwrap();
                 for c in 0..3 {
                     let found = images[1].planes[c].iter().zip(expected(&m, &canvas, c, &group));
@@ -217,7 +251,7 @@ mod tests {
             (0..naive::ROWS).map(|i| if i == at { rgb } else { [0.0; 3] }).collect::<Vec<_>>()
         };
         let fluxes = [one(3, [0.0, 2.0, 0.0]), one(11, [1.0, 0.0, 3.0])];
-        let out = relight(&m, &fluxes, &|_| {}).unwrap();
+        let out = relight(&m, &points_of(&m), &fluxes, &|_| {}).unwrap();
         let (total, row) = (
             |k: usize, c: usize| out[k].planes[c].iter().sum::<f64>(),
             |i: usize, c: usize| naive::offsets().map(|d| naive::response(&m, i, d).unwrap()[c]).sum::<f64>(),
@@ -259,9 +293,10 @@ mod tests {
                 lit_pitch_mm: [apart_mm; 2],
                 lit_mm: &lit_mm,
             };
-            Canvas::covering(&shape).is_err()
+            LitArea::of(&shape).is_err()
         };
-        // Four windows of 129² are 66,564 samples, 64 times that 2064². A canvas is as wide as a window and one more than the points are apart.
-        assert!(!refused(2064.0 - 130.0) && refused(2065.0 - 130.0));
+        // Four windows of 129² are 66,564 samples, 64 times that 2064². A canvas is as wide as a window (129), than the points are apart,
+        // and than half of that on both sides.
+        assert!(!refused(967.0) && refused(969.0));
     }
 }

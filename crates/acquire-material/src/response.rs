@@ -130,6 +130,7 @@ pub struct Responses<'a> {
     /// m_k h_{k,j} on the common window, for each of B planes.
     maps: Vec<Maps>,
     colors: Option<Colors>,
+    exit: bool,
 }
 
 impl<'a> Responses<'a> {
@@ -147,7 +148,12 @@ impl<'a> Responses<'a> {
             }
             Maps::new(&wide, terms)
         });
-        Self { material, layout, maps: maps.collect(), colors: h.degree.map(Colors::new) }
+        Self { material, layout, maps: maps.collect(), colors: h.degree.map(Colors::new), exit: true }
+    }
+
+    /// Of light before it leaves: without the exit map.
+    pub(crate) fn without_exit(material: &'a Material) -> Self {
+        Self { exit: false, ..Self::new(material) }
     }
 
     /// What it was made from.
@@ -277,8 +283,14 @@ impl<'a> Responses<'a> {
         maps.stride()
     }
 
-    /// The part of the common window that a row measured, in colour.
+    /// The part of the common window that a row measured, in colour, as it leaves.
     fn finish(&self, index: usize, values: &[&[f64]], row: &mut [f64]) {
+        self.inside(index, values, row);
+        self.material.multiply(index, row, self.exit);
+    }
+
+    /// The same of the terms alone.
+    fn inside(&self, index: usize, values: &[&[f64]], row: &mut [f64]) {
         let (h, window) = (&self.material.header, self.window_len());
         let Some(&shift) = self.material.shift.get(index).filter(|_| index < h.rows()) else { return };
         let Some(known) = &self.colors else {

@@ -40,7 +40,11 @@ pub(super) fn one_by_one(rows: &dyn Rows, k: usize, accuracy: f64) -> Result<Low
             let bound = if theta > 0.0 { off / (2.0 * theta.sqrt() * scale.sqrt()) } else { 0.0 };
             if bound <= accuracy || off <= 1e-7 * scale {
                 low.residual = low.residual.max(bound);
-                orthogonalize(&mut v, &low.vectors, m);
+                if !(orthogonalize(&mut v, &low.vectors, m) > 1e-7 * scale) {
+                    // What was left is rounding, and points anywhere.
+                    theta = 0.0;
+                    unit(&mut v, &low.vectors, m, &mut random);
+                }
                 break;
             }
         }
@@ -64,13 +68,18 @@ fn orthogonal_to(v: &mut Mat<f64>, earlier: &[f64], m: usize) {
 }
 
 /// The same, and scales v to unit length; the length that it had. A zero stays.
+///
+/// Twice: of a vector that nearly vanishes the first time, what is left is mostly rounding along the earlier ones (`Giraud2005`).
 fn orthogonalize(v: &mut Mat<f64>, earlier: &[f64], m: usize) -> f64 {
-    orthogonal_to(v, earlier, m);
-    let length = v.col(0).norm_l2();
-    if length > 0.0 {
-        (0..m).for_each(|i| v[(i, 0)] /= length);
+    let mut lengths = [0.0; 2];
+    for length in &mut lengths {
+        orthogonal_to(v, earlier, m);
+        *length = v.col(0).norm_l2();
+        if *length > 0.0 {
+            (0..m).for_each(|i| v[(i, 0)] /= *length);
+        }
     }
-    length
+    lengths[0] * lengths[1]
 }
 
 /// A random unit vector orthogonal to the earlier ones.

@@ -342,6 +342,33 @@ pub(super) mod tests {
         }
     }
 
+    /// Rank 0 to 2, equal singular values, equal rows, and rows that differ by thirty decades; the largest is one, as rows are factored.
+    #[test]
+    fn rows_at_the_extremes_are_composed_again_by_every_back_end() {
+        let bump = |d: usize, at: f64| (-(d as f64 - at).powi(2) / 20.0).exp();
+        type Value<'a> = &'a dyn Fn(usize, usize) -> f64;
+        let kinds: [(&str, Value<'_>, f64); 6] = [
+            ("nothing", &|_, _| 0.0, 0.0),
+            ("equal rows", &|_, d| bump(d, 15.0), 1.0),
+            ("one term", &|i, d| (1 + i % 3) as f64 * bump(d, 15.0), 3.0),
+            ("two terms", &|i, d| bump(d, 15.0) + (i % 2) as f64 * bump(d, 11.0), 2.0),
+            ("equal values", &|i, d| f64::from(u8::from(i % 30 == d)), 1.0),
+            ("graded", &|i, d| 10.0_f64.powf(-0.5 * i as f64) * bump(d, 12.0 + (i % 2) as f64), 1.0),
+        ];
+        for (name, value, size) in kinds {
+            let values: Vec<f64> =
+                (0..60).flat_map(|i| (0..30).map(move |d| (i, d))).map(|(i, d)| value(i, d)).collect();
+            let rows = InMemory::new(&values, 30, 16);
+            for backend in ALL {
+                let low = low_rank(&rows, 30, backend, 1e-6, None).unwrap();
+                let t = triplets(&rows, &low, 30, false).unwrap();
+                let off = residual(&rows, &t);
+                // Of 1,800 entries that are f32, as are products.
+                assert!(off <= 1e-5 * size * 42.0, "{name} {backend:?}: {off:e} of {size:e}");
+            }
+        }
+    }
+
     #[test]
     fn fewer_terms_than_asked_for_are_found_in_rows_of_low_rank() {
         let values: Vec<f64> =

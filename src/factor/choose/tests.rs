@@ -184,6 +184,7 @@ fn goals_choose_among_all_terms_and_degrees() {
         super::super::content::Content::Intensity,
         [0, 0],
         None,
+        |_| {},
         &Progress::silent(),
     )
     .unwrap();

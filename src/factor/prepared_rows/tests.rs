@@ -67,7 +67,7 @@ fn rows_are_placed_by_their_shifts_and_gaps_filled_with_the_mean_in_memory_or_no
     let (matrix, progress) = (matrix(), Progress::silent());
     for content in [Content::Intensity, Content::Grey, Content::Channels] {
         for memory in [1 << 20, 0] {
-            let rows = PreparedRows::new(&matrix.reader, content, [1, 1], memory, &progress).unwrap();
+            let rows = PreparedRows::new(&matrix.reader, content, [1, 1], memory, 0.0, |_| {}, &progress).unwrap();
             assert_eq!((rows.in_memory(), rows.has_gaps()), (memory > 0, true));
             let columns = 35 * content.planes();
             assert_eq!(rows.shape(), (6, columns));
@@ -99,7 +99,8 @@ fn gaps_are_estimated_anew_from_another_basis_in_memory_or_not() {
     let (matrix, progress) = (matrix(), Progress::silent());
     let mut found = Vec::new();
     for memory in [1 << 20, 0] {
-        let mut rows = PreparedRows::new(&matrix.reader, Content::Grey, [1, 1], memory, &progress).unwrap();
+        let mut rows =
+            PreparedRows::new(&matrix.reader, Content::Grey, [1, 1], memory, 0.0, |_| {}, &progress).unwrap();
         let (before, gaps) = all_rows(&rows);
         let flat = Basis::mean(&(0..35).map(|d| 1.0 + 0.1 * f64::from(d)).collect::<Vec<_>>());
         rows.refill(flat);

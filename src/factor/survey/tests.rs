@@ -66,9 +66,8 @@ fn matrix() -> StoredMatrix {
 #[derive(Default)]
 struct Naive {
     mean: Vec<Option<f64>>,
-    largest_row: f64,
-    largest_column: f64,
-    registration: f64,
+    rows: Vec<f64>,
+    columns: Vec<f64>,
     noise_mean: f64,
 }
 
@@ -81,12 +80,12 @@ fn naive(content: Content, unit: f64) -> Naive {
         let largest = all.iter().copied().fold(0.0, f64::max);
         let scale = if content == Content::Intensity { largest } else { unit };
         if content == Content::Intensity && largest == 0.0 {
+            found.rows.push(0.0);
             continue;
         }
         let mut row = 0.0;
         for p in 0..planes {
             let (values, measured) = if planes == 3 { channel(i, p) } else { intensity(i) };
-            found.registration += steep(i, &values, &measured).iter().sum::<f64>() / (scale * scale);
             for k in (0..35).filter(|&k| measured[k]) {
                 let variance = match planes {
                     3 => photons(i, k, p),
@@ -102,10 +101,10 @@ fn naive(content: Content, unit: f64) -> Naive {
                 row += variance / (scale * scale);
             }
         }
-        found.largest_row = found.largest_row.max(row);
+        found.rows.push(row);
     }
-    found.largest_column = noise.iter().copied().fold(0.0, f64::max);
     found.noise_mean = noise.iter().sum::<f64>() / count.iter().sum::<usize>() as f64;
+    found.columns = noise;
     found.mean = sums.iter().zip(&count).map(|(s, &n)| (n > 0).then(|| s / n as f64)).collect();
     found
 }
@@ -118,7 +117,7 @@ fn the_first_pass_finds_what_a_loop_over_all_entries_does() {
     for content in [Content::Intensity, Content::Grey, Content::Channels] {
         let unit = if content == Content::Intensity { 1.0 } else { peak };
         let expected = naive(content, unit);
-        let found = survey(&matrix.reader, content, [2, 1], None, &Progress::silent()).unwrap();
+        let found = survey(&matrix.reader, content, [2, 1], None, |_| {}, &Progress::silent()).unwrap();
         assert_eq!(found.layout, Layout { window: WINDOW, extended: [9, 7] }, "as far as shifts go, not the limit");
         assert_eq!(found.placements.iter().map(|p| p.shift).collect::<Vec<_>>(), SHIFTS);
         // What is stored is f32.
@@ -127,15 +126,22 @@ fn the_first_pass_finds_what_a_loop_over_all_entries_does() {
             assert!(e.is_none_or(|e| near(*m, e)), "{content:?} mean {at}: {m} {e:?}");
         }
         let noise = &found.noise;
-        for (name, a, b) in [
-            ("row", noise.largest_row, expected.largest_row),
-            ("column", noise.largest_column, expected.largest_column),
-            ("place", noise.registration, expected.registration),
-            ("mean", noise.mean, expected.noise_mean),
-        ] {
-            // Variances are f32, and that of the place, up to a hundred times that of photons, was taken out of them.
-            assert!((a / b - 1.0).abs() < 1e-5 && b > 0.0, "{content:?} {name}: {a} {b}");
-        }
+        let all = |found: &[f64], expected: &[f64], name: &str| {
+            assert_eq!(found.len(), expected.len());
+            let largest = expected.iter().copied().fold(0.0, f64::max);
+            for (a, b) in found.iter().zip(expected) {
+                // Variances are f32, and that of the place, up to a hundred times that of photons, was taken out of them.
+                assert!((a - b).abs() < 1e-5 * largest, "{content:?} {name}: {a} {b}");
+            }
+        };
+        all(&noise.rows, &expected.rows, "rows");
+        all(&noise.columns, &expected.columns, "columns");
+        all(&[noise.mean], &[expected.noise_mean], "mean");
+        all(
+            &noise.position_sd_px,
+            &[0, 1, 2, 3, 4, 5].map(|i: usize| SD_MM[i] / matrix.reader.header().pitch_mm),
+            "place",
+        );
         let entries =
             || (0..6).flat_map(|i| (0..105).map(move |s| (i, s / 3, s % 3))).filter(|&(i, k, c)| valid(i, k, c));
         assert_eq!(found.entries, entries().count() as u64);
@@ -152,7 +158,7 @@ fn the_first_pass_finds_what_a_loop_over_all_entries_does() {
 #[test]
 fn the_mean_is_extended_where_no_row_reaches() {
     let matrix = matrix();
-    let found = survey(&matrix.reader, Content::Channels, [2, 1], None, &Progress::silent()).unwrap();
+    let found = survey(&matrix.reader, Content::Channels, [2, 1], None, |_| {}, &Progress::silent()).unwrap();
     // No shift reaches the upper left corner of the common window: its line's first sample that some row measured.
     let expected = naive(Content::Channels, found.peak);
     for p in 0..3 {
@@ -166,7 +172,7 @@ fn the_mean_is_extended_where_no_row_reaches() {
 #[test]
 fn columns_outside_a_shifted_window_are_those_that_it_cannot_measure() {
     let matrix = matrix();
-    let found = survey(&matrix.reader, Content::Channels, [2, 1], None, &Progress::silent()).unwrap();
+    let found = survey(&matrix.reader, Content::Channels, [2, 1], None, |_| {}, &Progress::silent()).unwrap();
     for shift in SHIFTS {
         let mut expected = Vec::new();
         for at in 0..3 * 63_u32 {
@@ -190,7 +196,7 @@ fn rows_on_the_same_window_without_gaps_are_complete() {
     };
     let matrix = stored([2, 3], [5, 3], |_| 0.0, row);
     for content in [Content::Intensity, Content::Grey, Content::Channels] {
-        let found = survey(&matrix.reader, content, [1, 1], None, &Progress::silent()).unwrap();
+        let found = survey(&matrix.reader, content, [1, 1], None, |_| {}, &Progress::silent()).unwrap();
         assert!(found.complete && found.warnings.is_empty());
         assert_eq!(found.layout.extended, [5, 3]);
         assert_eq!(found.mean.len(), 15 * content.planes());
@@ -215,7 +221,7 @@ fn rows_whose_brightest_sample_is_out_of_reach_are_reported_with_the_limit() {
         Row { response, variance: vec![1e-6; 105], valid: vec![true; 105] }
     };
     let matrix = stored([3, 1], WINDOW, |_| 0.0, row);
-    let found = survey(&matrix.reader, Content::Intensity, [2, 1], None, &Progress::silent()).unwrap();
+    let found = survey(&matrix.reader, Content::Intensity, [2, 1], None, |_| {}, &Progress::silent()).unwrap();
     assert_eq!(found.warnings, [Warning::ShiftLimited { rows: 2, limit: 2 }]);
 }
 

@@ -54,7 +54,8 @@ fn matrix(
 
 fn options(model: Model) -> FactorOptions {
     let backend = Some(Backend::Full);
-    FactorOptions { model: Some(model), backend, peak_shift: false, ..FactorOptions::default() }
+    let plain = FactorOptions { maps: Some(false), profile_power: 0.0, ..FactorOptions::default() };
+    FactorOptions { model: Some(model), backend, peak_shift: false, ..plain }
 }
 
 fn made(matrix: &StoredMatrix, options: &FactorOptions) -> Factored {
@@ -127,10 +128,14 @@ fn the_noise_chooses_the_terms_above_it_and_says_why() {
     assert_eq!(found.material.header.terms, 3);
     let level = found.material.header.noise_level;
     assert!((level - 0.55).abs() < 1e-6, "variance in f32: {level}");
-    assert!(found.choice.contains("terms 3: singular values 4 … are below the noise"), "{}", found.choice);
+    assert!(
+        found.choice.contains("terms 3: other singular values are below their noise (number 4: "),
+        "{}",
+        found.choice
+    );
     let few = made(&matrix, &FactorOptions { max_terms: 2, ..options(Model::Joint) });
     assert_eq!(few.material.header.terms, 2);
-    let why = "terms 2: the most allowed, singular values 3 … are still above the noise";
+    let why = "terms 2: the most allowed, more singular values are above their noise";
     assert!(few.choice.contains(why), "{}", few.choice);
     let asked = made(&matrix, &FactorOptions { terms: Some(1), ..options(Model::Joint) });
     assert!(asked.choice.contains("terms 1: as asked"), "{}", asked.choice);

@@ -3,7 +3,7 @@
 use super::entropy::{Bits, Reader, Writer};
 use super::exact::{positions, raw, shifts, weights};
 use super::maps::{Group, Price, step_index};
-use super::measure::{energy, refit_weights, slope, stride};
+use super::measure::{Sample, energy, refit_weights, slope, stride};
 use super::planes::{ColorBasis, Rotation, moments};
 use super::text::code_text;
 use crate::parallel::*;
@@ -110,10 +110,40 @@ pub(super) fn write_maps(material: &Material, price: Price, position_error_px: f
             lit_mm: Vec::new(),
             shift: Vec::new(),
             color_coefficients: Vec::new(),
+            entry_map: Vec::new(),
+            exit_map: Vec::new(),
         };
         write_colors(&mut w, material, &decoded, degree, price, first)?;
     }
+    write_through(&mut w, material, price, first)?;
     Ok(w.finish())
+}
+
+/// How many times finer than other maps entry and exit maps are kept: an error of theirs is one of all that enters or leaves at a place.
+const THROUGH_FINER: f64 = 4.0;
+
+/// Writes entry and exit maps: their sensitivity is the root of the squared response that a sample of theirs multiplies, in the mean.
+fn write_through(w: &mut Writer, material: &Material, price: Price, first: i32) -> Result<(), String> {
+    let Some(grid) = material.header.exit_grid else { return Ok(()) };
+    let sample = Sample::of(material);
+    for (map, size) in [(&material.entry_map, material.header.points), (&material.exit_map, grid.size)] {
+        let mut group = Group::new(size, grid.planes, first);
+        let sensitivity = THROUGH_FINER * sample.norm() / (map.len() as f64).sqrt();
+        for plane in map.chunks_exact(size[0] * size[1]) {
+            group.encode(w, &to_f64(plane), sensitivity, price)?;
+        }
+    }
+    Ok(())
+}
+
+fn read_through(r: &mut Reader, h: &MaterialHeader, first: i32) -> Result<[Vec<f32>; 2], String> {
+    let Some(grid) = h.exit_grid else { return Ok([Vec::new(), Vec::new()]) };
+    let mut read = |name: &str, size: [usize; 2]| {
+        let mut group = Group::new(size, grid.planes, first);
+        let planes: Vec<Vec<f64>> = (0..grid.planes).map(|_| group.decode(r)).collect::<Result<_, _>>()?;
+        to_f32(name, &planes.concat())
+    };
+    Ok([read("entry_map", h.points)?, read("exit_map", grid.size)?])
 }
 
 fn write_colors(
@@ -316,6 +346,7 @@ pub(super) fn read_maps(bytes: &[u8], header: MaterialHeader) -> Result<Material
     let offset_factors = read_offsets(&mut r, h, &scales, first, clip.offset)?;
     let incident_factors = read_incident(&mut r, h, &weights, first, clip.incident)?;
     let color_coefficients = h.degree.map_or(Ok(Vec::new()), |degree| read_colors(&mut r, h, degree, first))?;
+    let [entry_map, exit_map] = read_through(&mut r, h, first)?;
     if !r.is_at_end() {
         return Err("coded data: more than the header describes".into());
     }
@@ -327,6 +358,8 @@ pub(super) fn read_maps(bytes: &[u8], header: MaterialHeader) -> Result<Material
         offset_factors: offset_factors.into(),
         profile,
         color_coefficients,
+        entry_map,
+        exit_map,
         shift,
         header,
     };

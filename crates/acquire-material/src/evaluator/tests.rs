@@ -242,7 +242,9 @@ fn between_points_is_bilinear_in_the_lattice_and_in_the_offset() {
                     }
                     // The intensity of what is modelled has a colour; beyond it there is nothing, in proportion.
                     let row = naive::colored(&m, i, planes.map(|v| v / modelled)).map(|v| v * modelled);
-                    (0..3).for_each(|c| expected[c] += weight * row[c]);
+                    (0..3).for_each(|c| {
+                        expected[c] += weight * row[c] * naive::entry(&m, c, i) * naive::exit(&m, c, x_o)
+                    });
                 }
                 for (a, b) in evaluator.between(x_i, x_o).into_iter().zip(expected) {
                     assert!((f64::from(a) - b).abs() < 1e-6, "f32: {} {u:?} {step:?}: {a} {b}", m.header.model);

@@ -25,6 +25,7 @@ pub(crate) fn example() -> Material {
         offset_planes: 1,
         shared_maps: None,
         profile: false,
+        exit_grid: None,
         degree: Some(2),
         intensity_range: [-0.1, 1.0],
         singular_values: vec![3.0, 1.0, 1e-3],
@@ -39,6 +40,8 @@ pub(crate) fn example() -> Material {
         incident_factors: wave(12, 0.7),
         offset_factors: wave(42, 0.3).into(),
         profile: Vec::new(),
+        entry_map: Vec::new(),
+        exit_map: Vec::new(),
         color_coefficients: wave(54, 1.1),
         shift: vec![[0, 0], [1, 0], [-1, 0], [0, 0], [1, 0], [0, 0]],
         header,
@@ -269,12 +272,42 @@ fn rewritten(
 }
 
 #[test]
+fn entry_and_exit_maps_are_stored_plain_halved_and_coded() {
+    for m in crate::naive::materials().into_iter().filter(|m| m.header.exit_grid.is_some()) {
+        let plain = decode(&m.to_bytes().unwrap()).unwrap();
+        assert_eq!((&plain.entry_map, &plain.exit_map), (&m.entry_map, &m.exit_map));
+        assert_eq!(plain.header.exit_grid, m.header.exit_grid);
+        let near = |a: &[f32], b: &[f32], off: f32| {
+            assert_eq!(a.len(), b.len());
+            assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() <= off), "{a:?} {b:?}");
+        };
+        if m.header.degree.is_none() {
+            let half = decode(&m.to_half_bytes().unwrap()).unwrap();
+            // Numbers up to 1.5, rounded to 11 bits.
+            near(&half.exit_map, &m.exit_map, 1.5 / 2048.0);
+            near(&half.entry_map, &m.entry_map, 1.5 / 2048.0);
+        }
+        #[cfg(feature = "coded")]
+        {
+            let options = crate::coded::EncodeOptions::default();
+            let coded = crate::coded::encode(&m, &options).unwrap();
+            assert!(coded.added_error <= 3e-3, "as asked: {}", coded.added_error);
+            let read = crate::Material::from_bytes(&coded.bytes).unwrap();
+            assert_eq!(read, coded.material);
+            // Maps are a fourth of the added error in a mean sense; a single sample may be off by several times that.
+            near(&read.exit_map, &m.exit_map, 0.05);
+            near(&read.entry_map, &m.entry_map, 0.05);
+        }
+    }
+}
+
+#[test]
 fn files_of_another_format_or_with_transposed_or_missing_tensors_are_refused() {
     let bytes = saved(&example());
     let same = |name: &str, shape: Vec<usize>| (name.to_owned(), shape);
     assert_eq!(decode(&rewritten(&bytes, |t| t, same)).unwrap(), example());
-    let other = rewritten(&bytes, |t| t.replace("\"format\":2", "\"format\":3"), same);
-    assert_eq!(decode(&other).unwrap_err(), "format: expected 2, found 3");
+    let other = rewritten(&bytes, |t| t.replace("\"format\":2", "\"format\":4"), same);
+    assert_eq!(decode(&other).unwrap_err(), "format: expected 2 or 3, found 4");
     for wanted in ["incident_factors", "offset_factors", "color_coefficients", "lit_mm", "shift"] {
         let transposed = rewritten(
             &bytes,

@@ -1,0 +1,336 @@
+//! Entry and exit maps: what a material's rows and its slab under even light lack, put into two maps by iterative proportional fitting
+//! (`DemingStephan1940`, `SinkhornKnopp1967`).
+//!
+//! R̂_c(x_i, x_o) = a_c(x_i) e_c(x_o) M_c(x_i, x_o − x_i). For every x_i the sum over the window is to be that of the matrix (the row's albedo),
+//! and at every x_o the exitance under even light. Entries that were not measured count as what the material says there.
+
+use crate::material::{ExitGrid, Exitance, Light, LitArea, Material, Quadrature, Responses, splat};
+use crate::transport::{MatrixReader, RowBlock};
+use crate::{Error, Result};
+use rayon::prelude::*;
+
+/// Rounds of fitting: each takes the misfit of the one before to about a fifth of it (chessboard and marble, docs/materials.md).
+const ROUNDS: usize = 6;
+/// Where this share of the largest exitance leaves, or of the largest albedo enters, a map is half way to its value from one: the terms say so
+/// little there that their ratio to what was measured is noise. What that leaves of the exitance's misfit is a millionth of it where the slab is
+/// bright, and less than this share of the largest where it is dark.
+const DIM: f64 = 1e-3;
+/// Differences below this share of the largest exitance are not seen: 80 dB.
+const UNSEEN: f64 = 1e-4;
+/// A map never changes light by more than this.
+const MOST: f64 = 30.0;
+/// Numbers in a block of rows.
+const BLOCK: usize = 1 << 20;
+
+/// What the maps are fitted to.
+pub(super) struct Sums {
+    quadrature: Quadrature,
+    /// Even light.
+    flux: Vec<Vec<[f64; 3]>>,
+    /// What leaves under it, as far as it was measured.
+    exitance: Exitance,
+    /// The variance of that, as far as it is independent from entry to entry.
+    exitance_variance: Exitance,
+    /// Sums of rows, \[N\], likewise, and their variances.
+    rows: Vec<[f64; 3]>,
+    row_variance: Vec<[f64; 3]>,
+    /// Rows of which a part was not measured, and where they were.
+    gaps: Vec<(usize, Vec<u8>)>,
+}
+
+impl Sums {
+    /// Of no row.
+    ///
+    /// # Errors
+    /// [`Error::Field`] when the lit points are too far apart for an image.
+    pub(super) fn new(reader: &MatrixReader) -> Result<Self> {
+        let shape = reader.shape();
+        let area = LitArea::of(&shape).map_err(|error| match error {
+            acquire_material::Error::TooSparse { expected, found } => {
+                Error::field(reader.path(), "lit_mm", expected, found)
+            }
+            other => other.into(),
+        })?;
+        let quadrature = Quadrature::new(&area, &shape);
+        let flux = vec![Light::Uniform.flux(&quadrature)?];
+        let exitance = Exitance::new(area.canvas);
+        let none = vec![[0.0; 3]; shape.rows()];
+        Ok(Self {
+            quadrature,
+            flux,
+            exitance_variance: exitance.clone(),
+            exitance,
+            rows: none.clone(),
+            row_variance: none,
+            gaps: Vec::new(),
+        })
+    }
+
+    /// Adds rows of the matrix.
+    pub(super) fn add(&mut self, block: &RowBlock, window: [usize; 2]) {
+        splat(std::slice::from_mut(&mut self.exitance), block, window, &self.quadrature, &self.flux);
+        let squares =
+            RowBlock { response: block.variance.clone(), variance: Vec::new(), valid: block.valid.clone(), ..*block };
+        // Shares of a cell's light are squared by no more than themselves: rather too large a variance than too small a one.
+        let area: Vec<Vec<[f64; 3]>> = self.flux.iter().map(|f| f.iter().map(|f| f.map(|f| f * f)).collect()).collect();
+        if !block.variance.is_empty() {
+            let image = std::slice::from_mut(&mut self.exitance_variance);
+            splat(image, &squares, window, &self.quadrature, &area);
+        }
+        let sums = |k: usize| {
+            let row = block.view(k);
+            let (mut sum, mut variance) = ([0.0; 3], [0.0; 3]);
+            for (rgb, valid) in row.response.chunks_exact(3).zip(row.valid.chunks_exact(3)) {
+                (0..3).filter(|&c| valid[c] != 0).for_each(|c| sum[c] += f64::from(rgb[c]));
+            }
+            for (s, v) in row.variance.iter().enumerate().filter(|(s, _)| row.valid[*s] != 0) {
+                variance[s % 3] += f64::from(*v);
+            }
+            let complete = row.valid.iter().all(|&v| v != 0);
+            (sum, variance, (!complete).then(|| row.valid.to_vec()))
+        };
+        let found: Vec<([f64; 3], [f64; 3], Option<Vec<u8>>)> = (0..block.rows).into_par_iter().map(sums).collect();
+        for (k, (sum, variance, gap)) in found.into_iter().enumerate() {
+            (self.rows[block.first + k], self.row_variance[block.first + k]) = (sum, variance);
+            self.gaps.extend(gap.map(|gap| (block.first + k, gap)));
+        }
+    }
+
+    /// The same with what the material says where nothing was measured.
+    fn filled(&self, material: &Material) -> (Exitance, Vec<[f64; 3]>) {
+        let (mut exitance, mut sums) = (self.exitance.clone(), self.rows.clone());
+        let responses = Responses::new(material);
+        let row_len = material.header.row_len();
+        for (row, valid) in &self.gaps {
+            let response = responses.row(*row);
+            for (s, v) in response.iter().enumerate().filter(|(s, _)| valid[*s] == 0) {
+                sums[*row][s % 3] += f64::from(*v);
+            }
+            let valid = valid.iter().map(|v| 1 - v).collect();
+            let block = RowBlock { first: *row, rows: 1, response, variance: vec![0.0; row_len], valid };
+            splat(std::slice::from_mut(&mut exitance), &block, material.header.window, &self.quadrature, &self.flux);
+        }
+        (exitance, sums)
+    }
+
+    /// Where the exit map lies.
+    pub(super) fn grid(&self, planes: usize) -> ExitGrid {
+        let canvas = self.exitance.canvas;
+        ExitGrid { origin_mm: canvas.origin_mm, size: canvas.size, planes }
+    }
+
+    /// Whether the rows' sums, or the exitance under even light, differ from those of a material without maps by more than noise, and by more
+    /// than can be seen.
+    ///
+    /// # Errors
+    /// Those of relighting.
+    pub(super) fn differ(&self, material: &Material) -> Result<bool> {
+        let (exitance, sums) = self.filled(material);
+        let found = acquire_material::relight(material, &self.quadrature, &self.flux, &|_| {})?;
+        let largest = |values: &[f64]| values.iter().fold(0.0_f64, |a, v| a.max(v.abs()));
+        let mut tests = Vec::new();
+        let own = row_sums(material);
+        for c in 0..3 {
+            let (wanted, found, variance) =
+                (&exitance.planes[c], &found[0].planes[c], &self.exitance_variance.planes[c]);
+            tests.push(excess(wanted, found, variance, UNSEEN * largest(wanted)));
+            let channel = |of: &[[f64; 3]]| of.iter().map(|v| v[c]).collect::<Vec<f64>>();
+            let (wanted, found, variance) = (channel(&sums), channel(&own), channel(&self.row_variance));
+            tests.push(excess(&wanted, &found, &variance, UNSEEN * largest(&wanted)));
+        }
+        Ok(tests.into_iter().any(|t| t > 1.0))
+    }
+
+    /// Gives `material` maps of `planes` channels; those that it has are where the fit begins.
+    ///
+    /// # Errors
+    /// Those of relighting.
+    pub(super) fn fit(&self, material: &mut Material, planes: usize) -> Result<()> {
+        let grid = self.grid(planes);
+        let samples = grid.size[0] * grid.size[1];
+        if material.header.exit_grid != Some(grid) {
+            material.header.exit_grid = Some(grid);
+            material.entry_map = vec![1.0; planes * material.header.rows()];
+            material.exit_map = vec![1.0; planes * samples];
+        }
+        let (exitance, sums) = self.filled(material);
+        let wanted: Vec<Vec<f64>> = shared(&exitance.planes, planes);
+        for _ in 0..ROUNDS {
+            self.enter(material, &sums, planes);
+            // What leaves without the exit map.
+            material.exit_map.fill(1.0);
+            let inside = acquire_material::relight(material, &self.quadrature, &self.flux, &|_| {})?;
+            for (plane, (wanted, inside)) in wanted.iter().zip(shared(&inside[0].planes, planes)).enumerate() {
+                let map = ratios(wanted, &inside);
+                let to = &mut material.exit_map[plane * samples..][..samples];
+                to.iter_mut().zip(map).for_each(|(to, e)| *to = e as f32);
+            }
+        }
+        Ok(())
+    }
+
+    /// Entry maps under which rows have their sums.
+    fn enter(&self, material: &mut Material, sums: &[[f64; 3]], planes: usize) {
+        material.entry_map.fill(1.0);
+        let rows = material.header.rows();
+        let found = row_sums(material);
+        let channel = |of: &[[f64; 3]], c: usize| of.iter().map(|v| v[c]).collect::<Vec<f64>>();
+        let by_plane = |of: &[[f64; 3]]| shared(&[0, 1, 2].map(|c| channel(of, c)), planes);
+        for (plane, (wanted, found)) in by_plane(sums).iter().zip(by_plane(&found)).enumerate() {
+            let to = &mut material.entry_map[plane * rows..][..rows];
+            to.iter_mut().zip(ratios(wanted, &found)).for_each(|(to, a)| *to = a as f32);
+        }
+    }
+}
+
+/// Sums of the rows of a material over their windows.
+fn row_sums(material: &Material) -> Vec<[f64; 3]> {
+    let responses = Responses::new(material);
+    let window = responses.window_len();
+    let all: Vec<usize> = (0..material.header.rows()).collect();
+    let (mut found, mut values) = (Vec::with_capacity(all.len()), Vec::new());
+    for indices in all.chunks((BLOCK / (3 * window).max(1)).max(1)) {
+        values.resize(3 * window * indices.len(), 0.0);
+        responses.by_channel(indices, &mut values);
+        let row = |row: &[f64]| std::array::from_fn::<f64, 3, _>(|c| row[c * window..][..window].iter().sum());
+        found.extend(values.par_chunks(3 * window).map(row).collect::<Vec<[f64; 3]>>());
+    }
+    found
+}
+
+/// Mean square of the differences over their variance and what is unseen; over what scatter alone may give it.
+fn excess(wanted: &[f64], found: &[f64], variance: &[f64], unseen: f64) -> f64 {
+    let entries = wanted.iter().zip(found).zip(variance);
+    let terms = entries.filter_map(|((w, f), v)| {
+        let bound = v + unseen * unseen;
+        (bound > 0.0).then(|| (w - f).powi(2) / bound)
+    });
+    let (sum, count) = terms.fold((0.0, 0_usize), |(s, n), t| (s + t, n + 1));
+    let mean = sum / count.max(1) as f64;
+    mean / (1.0 + 5.0 * (2.0 / count.max(1) as f64).sqrt())
+}
+
+/// Three channels, or their sum where one map is for all of them.
+fn shared(channels: &[Vec<f64>; 3], planes: usize) -> Vec<Vec<f64>> {
+    if planes == 3 {
+        return channels.to_vec();
+    }
+    let [r, g, b] = channels;
+    vec![r.iter().zip(g).zip(b).map(|((r, g), b)| r + g + b).collect()]
+}
+
+/// What `found` is to be multiplied by to become `wanted`, drawn towards one where there is nearly nothing.
+fn ratios(wanted: &[f64], found: &[f64]) -> Vec<f64> {
+    let dim = DIM * found.iter().fold(0.0_f64, |a, v| a.max(v.abs()));
+    let ratio = |(&wanted, &found): (&f64, &f64)| {
+        let ratio = (wanted * found + dim * dim) / (found * found + dim * dim);
+        // Light that the terms would have below zero is not turned over: nothing is left of it.
+        if ratio.is_finite() { ratio.clamp(1.0 / MOST, MOST) } else { 1.0 }
+    };
+    wanted.iter().zip(found).map(ratio).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_matrices::stored;
+    use super::super::{FactorOptions, factor};
+    use super::*;
+    use crate::material::Model;
+    use crate::progress::Progress;
+    use crate::transport::Row;
+
+    /// What enters and leaves, point by point, of equal rows with a step between two media; samples with `gap` were not measured.
+    fn value(i: usize, e: usize, c: usize) -> f64 {
+        let (x, y) = ((i % 9) as f64 + (e % 7) as f64 / 2.0, (i / 9) as f64 + (e / 7) as f64 / 3.0);
+        let d2 = ((e % 7) as f64 - 3.0).powi(2) + ((e / 7) as f64 - 2.0).powi(2);
+        let entry = 1.0 + 0.3 * ((i * (c + 2)) as f64).sin();
+        entry * (1.0 + 0.4 * (1.7 * x + 0.9 * y).sin()) * (-d2 / (3.0 + c as f64)).exp()
+    }
+
+    fn matrix(gap: impl Fn(usize, usize) -> bool) -> super::super::test_matrices::StoredMatrix {
+        let entries = || (0..35).flat_map(|e| (0..3).map(move |c| (e, c)));
+        stored(
+            [9, 6],
+            [7, 5],
+            |_| 0.0,
+            |i| Row {
+                response: entries().map(|(e, c)| if gap(i, e) { 0.0 } else { value(i, e, c) as f32 }).collect(),
+                variance: vec![0.0; 105],
+                valid: entries().map(|(e, _)| !gap(i, e)).collect(),
+            },
+        )
+    }
+
+    /// The largest difference of exitances under even light, and of rows' sums, relative to the largest of both.
+    fn off(reader: &MatrixReader, material: &Material) -> [f64; 2] {
+        let mut sums = Sums::new(reader).unwrap();
+        reader
+            .for_each_block(|block| {
+                sums.add(&block, [7, 5]);
+                Ok(())
+            })
+            .unwrap();
+        let (exitance, rows) = sums.filled(material);
+        let found = acquire_material::relight(material, &sums.quadrature, &sums.flux, &|_| {}).unwrap();
+        let pairs = exitance.planes.iter().flatten().zip(found[0].planes.iter().flatten());
+        let (mut apart, mut largest) = ([0.0_f64; 2], [0.0_f64; 2]);
+        for (a, b) in pairs {
+            (apart[0], largest[0]) = (apart[0].max((a - b).abs()), largest[0].max(a.abs()));
+        }
+        for (a, b) in rows.iter().flatten().zip(row_sums(material).iter().flatten()) {
+            (apart[1], largest[1]) = (apart[1].max((a - b).abs()), largest[1].max(a.abs()));
+        }
+        [apart[0] / largest[0], apart[1] / largest[1]]
+    }
+
+    #[test]
+    fn rows_have_their_albedo_and_the_slab_its_exitance_with_one_term_and_with_gaps() {
+        for with_gaps in [false, true] {
+            let matrix = matrix(|i, e| with_gaps && (i * 35 + e) % 23 == 0);
+            let options = FactorOptions {
+                model: Some(Model::Joint),
+                terms: Some(1),
+                maps: Some(true),
+                peak_shift: false,
+                ..FactorOptions::default()
+            };
+            let made = factor(&matrix.reader, &options, &Progress::silent()).unwrap();
+            assert!(made.material.header.exit_grid.is_some());
+            let with = off(&matrix.reader, &made.material);
+            let plain = FactorOptions { maps: Some(false), ..options };
+            let without = off(&matrix.reader, &factor(&matrix.reader, &plain, &Progress::silent()).unwrap().material);
+            // Six rounds of three fits; a dim rim is half way.
+            assert!(with[0] < 5e-3 && with[1] < 5e-3, "{with:?}, {without:?} without maps");
+            assert!(without[0] > 0.02 && without[1] > 0.02, "{without:?}");
+        }
+    }
+
+    #[test]
+    fn ratios_are_those_asked_for_where_there_is_light_and_one_where_there_is_none() {
+        let found = ratios(&[2.0, 0.5, 1e-9, 0.0], &[1.0, 1.0, 3e-9, 0.0]);
+        // A millionth is what the dim share leaves.
+        assert!((found[0] - 2.0).abs() < 2e-6 && (found[1] - 0.5).abs() < 2e-6, "{found:?}");
+        assert!((found[2] - 1.0).abs() < 1e-2 && found[3] == 1.0, "{found:?}");
+        assert_eq!(ratios(&[1.0], &[-1.0]), [1.0 / MOST], "light is not turned over");
+        assert_eq!(ratios(&[0.0; 3], &[0.0; 3]), [1.0; 3]);
+    }
+
+    #[test]
+    fn equal_rows_need_no_maps() {
+        let matrix = stored(
+            [9, 6],
+            [7, 5],
+            |_| 0.0,
+            |_| Row {
+                response: (0..105)
+                    .map(|s| (-((s % 21) as f64 - 10.0).powi(2) / 30.0).exp() as f32 * (1 + s % 3) as f32)
+                    .collect(),
+                variance: vec![0.0; 105],
+                valid: vec![true; 105],
+            },
+        );
+        let options = FactorOptions { model: Some(Model::Joint), ..FactorOptions::default() };
+        let made = factor(&matrix.reader, &options, &Progress::silent()).unwrap();
+        assert_eq!((made.material.header.terms, made.material.header.exit_grid), (1, None));
+    }
+}
