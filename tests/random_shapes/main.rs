@@ -10,7 +10,7 @@ use acquire::material::coded::{self, Quality};
 use acquire::material::{
     Evaluator, Exitance, Material, MaterialHeader, Model, OffsetFactors, Precision, SharedBasis, Source, save,
 };
-use acquire::material::{export_npz, relight};
+use acquire::material::{Quadrature, export_npz, lit_area, relight};
 use acquire::progress::Progress;
 use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row, ShotRecord};
 use proptest::prelude::*;

@@ -32,7 +32,10 @@ pub(crate) fn material(case: Case, kind: usize) -> Material {
         None => OffsetFactors::Own(draw.f32s(b * terms * samples)),
     };
     Material {
+        entry_map: Vec::new(),
+        exit_map: Vec::new(),
         header: MaterialHeader {
+            exit_grid: None,
             model,
             points,
             window,

@@ -102,6 +102,8 @@ fn exported_arrays_make_the_same_rows() {
         export_npz(&m, &path).unwrap();
         let header: MaterialHeader = serde_json::from_slice(&array::<u8>(&path, "header_json")).unwrap();
         let back = Material {
+            entry_map: m.entry_map.clone(),
+            exit_map: m.exit_map.clone(),
             lit_mm: array::<f64>(&path, "lit_mm").as_chunks::<2>().0.to_vec(),
             weights: array(&path, "weights"),
             incident_factors: array(&path, "incident_factors"),
