@@ -58,4 +58,7 @@ pub mod report;
 pub mod cli;
 
 pub use error::{Error, Result};
-pub use warning::{DriftJump, Warning};
+pub use warning::{
+    CaptureWarning, DriftJump, FactorWarning, RadianceWarning, RegistrationWarning, ResponseWarning, SimulateWarning,
+    Warning,
+};

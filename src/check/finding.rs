@@ -1,6 +1,6 @@
 //! What `check` can find: typed, with a severity and the part of the capture that it is about.
 
-use crate::Warning;
+use crate::{CaptureWarning, RadianceWarning, RegistrationWarning, ResponseWarning, Warning};
 use serde::Serialize;
 
 /// How much a finding matters.
@@ -271,29 +271,21 @@ impl Finding {
 }
 
 fn topic_of(warning: &Warning) -> Topic {
+    use {CaptureWarning as C, RadianceWarning as M, RegistrationWarning as R, ResponseWarning as E};
     match warning {
-        Warning::ExposureDisagrees { .. }
-        | Warning::UnusableExif { .. }
-        | Warning::ExposureRatios { .. }
-        | Warning::ExposuresUnlinked { .. } => Topic::Exposures,
-        Warning::ApertureOrIsoChanges { .. } | Warning::DamagedExif { .. } => Topic::Settings,
-        Warning::SaturatedSamples { .. }
-        | Warning::AlbedoAboveOne { .. }
-        | Warning::NoiseEstimated { .. }
-        | Warning::NoiseDisagrees { .. }
-        | Warning::HotPixels { .. }
-        | Warning::Flicker { .. } => Topic::Light,
-        Warning::DriftFromLatticeDots
-        | Warning::DriftUnmeasured { .. }
-        | Warning::DriftJumps { .. }
-        | Warning::CameraMoved { .. }
-        | Warning::FrameMoved { .. } => Topic::Drift,
-        Warning::StronglyBlurred { .. }
-        | Warning::PointSpreadUnmeasured
-        | Warning::PointSpreadVaries { .. }
-        | Warning::StrayLight { .. } => Topic::Focus,
-        Warning::BoardTooSmall { .. } | Warning::BoardElsewhere { .. } => Topic::Registration,
-        _ => Topic::Dots,
+        Warning::Capture(C::ExposureDisagrees { .. } | C::UnusableExif { .. }) => Topic::Exposures,
+        Warning::Capture(C::ApertureOrIsoChanges { .. } | C::DamagedExif { .. }) => Topic::Settings,
+        Warning::Radiance(M::ExposureRatios { .. } | M::ExposuresUnlinked { .. }) => Topic::Exposures,
+        Warning::Radiance(M::StrayLight { .. }) => Topic::Focus,
+        Warning::Radiance(_) => Topic::Light,
+        Warning::Registration(R::BoardTooSmall { .. } | R::BoardElsewhere { .. }) => Topic::Registration,
+        Warning::Registration(R::StronglyBlurred { .. } | R::PointSpreadUnmeasured | R::PointSpreadVaries { .. }) => {
+            Topic::Focus
+        }
+        Warning::Registration(_) => Topic::Drift,
+        Warning::Response(E::SaturatedSamples { .. } | E::AlbedoAboveOne { .. }) => Topic::Light,
+        // `check` neither factors nor simulates.
+        Warning::Response(_) | Warning::Factor(_) | Warning::Simulate(_) => Topic::Dots,
     }
 }
 

@@ -32,7 +32,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
         return Err(Error::Setting { setting: "out", expected, found: args.out.display().to_string() });
     }
     let report = build_matrix(&args.capture, &args.build.into(), &args.out, &context.progress)?;
-    report.warnings.iter().for_each(|w| context.warn(w));
+    report.warnings.iter().cloned().for_each(|w| context.warn(w));
     context.done(summary(&report));
     let stages: Vec<_> = context.progress.timings().iter().map(|t| format!("{} {:.2} s", t.stage, t.secs)).collect();
     context.done(stages.join(", "));

@@ -78,8 +78,9 @@ impl Context {
     }
 
     /// A finding that does not stop the work.
-    fn warn(&self, warning: &crate::Warning) {
-        let advice = messages::advice(warning).map(|advice| format!("; {advice}"));
+    fn warn(&self, warning: impl Into<crate::Warning>) {
+        let warning = warning.into();
+        let advice = messages::advice(&warning).map(|advice| format!("; {advice}"));
         self.progress.say(format_args!("warning: {warning}{}", advice.unwrap_or_default()));
     }
 }

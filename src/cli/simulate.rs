@@ -62,7 +62,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     options.switch(args.only.as_deref(), &args.with, &args.without)?;
     let start = std::time::Instant::now();
     let summary = simulate::simulate(&options, &args.dir, &context.progress)?;
-    for warning in &summary.warnings {
+    for warning in summary.warnings.iter().cloned() {
         context.warn(warning);
     }
     let (dir, secs) = (args.dir.display(), start.elapsed().as_secs_f64());

@@ -8,7 +8,7 @@ use super::{FactorOptions, Factored};
 use crate::material::{Material, MaterialHeader, Responses};
 use crate::transport::rows::{RowView, gradient};
 use crate::transport::{MatrixReader, RowBlock};
-use crate::{Result, Warning};
+use crate::{FactorWarning, Result};
 use std::ops::Range;
 
 /// Rows looked at to choose the degree; its mean z² is then known to 1 in 50.
@@ -59,12 +59,12 @@ pub enum Goal {
 
 impl Goal {
     /// The finding that a material misses the goal; a hundredth of a decibel is not worth a word.
-    pub(super) fn missed(self, material: &Material, psnr_db: Option<f64>) -> Option<Warning> {
+    pub(super) fn missed(self, material: &Material, psnr_db: Option<f64>) -> Option<FactorWarning> {
         match (self, psnr_db) {
             (Self::Psnr(asked), Some(db)) if db < asked - 0.01 => {
-                Some(Warning::GoalMissed { asked: format!("{asked} dB"), found: format!("{db:.2} dB") })
+                Some(FactorWarning::GoalMissed { asked: format!("{asked} dB"), found: format!("{db:.2} dB") })
             }
-            (Self::Bytes(asked), _) if material.bytes_f32() > asked => Some(Warning::GoalMissed {
+            (Self::Bytes(asked), _) if material.bytes_f32() > asked => Some(FactorWarning::GoalMissed {
                 asked: format!("{asked} bytes"),
                 found: format!("{} bytes", material.bytes_f32()),
             }),

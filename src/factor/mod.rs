@@ -28,7 +28,7 @@ use crate::material::legendre::MOST_DEGREE;
 use crate::material::{Material, Model};
 use crate::progress::Progress;
 use crate::transport::MatrixReader;
-use crate::{Error, Result, Warning};
+use crate::{Error, FactorWarning, Result};
 use content::Content;
 use prepared_rows::PreparedRows;
 
@@ -91,7 +91,7 @@ pub struct Factored {
     /// The material; its header has the warnings of the matrix, then those below.
     pub material: Material,
     /// Findings of the factorization.
-    pub warnings: Vec<Warning>,
+    pub warnings: Vec<FactorWarning>,
     /// ‖R̂−R‖ / ‖R‖ over the valid entries of the matrix it was made from.
     pub rel_rmse: f64,
     /// `psnr_db` of `docs/metrics.md` on the same entries; `None` when nothing is left or nothing was there.
@@ -190,8 +190,9 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progr
     if options.terms.is_none() {
         warnings.extend(options.goal.missed(&material, psnr_db));
     }
-    let all = reader.header().warnings.iter().chain(&warnings);
-    material.header.warnings = all.map(serde_json::to_value).collect::<Result<_, _>>().map_err(Error::internal)?;
+    let of_matrix = reader.header().warnings.iter().map(serde_json::to_value);
+    let all = of_matrix.chain(warnings.iter().map(serde_json::to_value));
+    material.header.warnings = all.collect::<Result<_, _>>().map_err(Error::internal)?;
     material.header.provenance = serde_json::json!({
         "version": env!("CARGO_PKG_VERSION"),
         "options": options,

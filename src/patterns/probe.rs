@@ -8,7 +8,7 @@ use crate::pipeline::{BuildOptions, BuildReport, build_matrix};
 use crate::progress::Progress;
 use crate::registration::Registration;
 use crate::transport::MatrixReader;
-use crate::{Error, Result, Warning};
+use crate::{Error, ResponseWarning, Result, Warning};
 use std::path::Path;
 
 /// A probe capture, measured.
@@ -70,7 +70,9 @@ impl Probe {
         let refuse = |field: &str, expected: &str, found: String| {
             Err(Error::field(capture.manifest_path(), field, expected, found))
         };
-        if let Some(near) = report.warnings.iter().find(|w| matches!(w, Warning::CrossTalk { .. })) {
+        if let Some(near) =
+            report.warnings.iter().find(|w| matches!(w, Warning::Response(ResponseWarning::CrossTalk { .. })))
+        {
             return refuse("shots: dots", "a probe whose dots do not light each other's windows", near.to_string());
         }
         let matrix = MatrixReader::open(&store)?;

@@ -94,14 +94,15 @@ fn head(out: &mut String, input: &ReportInput) {
 }
 
 fn warnings(out: &mut String, input: &ReportInput) {
-    let all: Vec<_> = input.matrix.warnings.iter().chain(input.warnings).collect();
+    let of_matrix = input.matrix.warnings.iter().map(ToString::to_string);
+    let all: Vec<_> = of_matrix.chain(input.warnings.iter().map(ToString::to_string)).collect();
     if all.is_empty() {
         return;
     }
     let noun = if all.len() == 1 { "finding" } else { "findings" };
     let _ = write!(out, "<section class=\"warnings\"><b>{} {noun} about this measurement</b><ul>", all.len());
     for warning in all {
-        let _ = write!(out, "<li>{}</li>", escape(&warning.to_string()));
+        let _ = write!(out, "<li>{}</li>", escape(&warning));
     }
     out.push_str("</ul></section>");
 }
