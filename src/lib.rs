@@ -6,6 +6,7 @@ mod cholesky;
 mod error;
 mod output;
 mod warning;
+mod words;
 
 pub mod geometry;
 pub mod progress;

@@ -99,7 +99,7 @@ const BLUR_SHARE: f64 = 1.0 / 3.0;
 /// [`Error::Setting`] for no lattice shots to look at; [`Error::Internal`].
 pub fn check(dir: &Path, options: &CheckOptions, progress: &Progress) -> Result<CheckReport> {
     if options.lattice_shots == 0 {
-        let (expected, found) = ("1 or more".into(), "0".into());
+        let (expected, found) = ("at least 1".into(), "0".into());
         return Err(Error::Setting { setting: "lattice_shots", expected, found });
     }
     let mut report = CheckReport { name: None, figures: Figures::default(), findings: Vec::new(), stopped_by: None };

@@ -1,6 +1,7 @@
 use super::{Context, options};
 use crate::pipeline::{BuildReport, build_matrix};
 use crate::simulate::TRUTH_MATRIX;
+use crate::words::count;
 use crate::{Error, Result};
 use std::path::PathBuf;
 
@@ -53,12 +54,12 @@ pub(super) fn summary(report: &BuildReport) -> String {
         _ => String::new(),
     };
     format!(
-        "R_d of {}×{} points, {}×{} window from {} photographs; registration RMS {:.3} px camera, {:.3} px projector; drift RMS {drift_rms:.2} px{working}",
+        "R_d of {}×{} points, {}×{} window from {}; registration RMS {:.3} px camera, {:.3} px projector; drift RMS {drift_rms:.2} px{working}",
         report.points[0],
         report.points[1],
         report.window[0],
         report.window[1],
-        report.photographs,
+        count(report.photographs, "photograph"),
         r.camera_rms_px,
         r.projector_rms_px,
     )

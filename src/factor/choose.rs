@@ -125,10 +125,10 @@ pub(super) fn degree_by_noise(reader: &MatrixReader, material: &Material, most: 
     }
     let (degree, mean) = (choice.degree(), choice.mean());
     let reason = match mean.get(degree + 1) {
-        Some(z2) => format!("degree {} explains no more than noise (mean z² {z2:.2}, 2 needed)", degree + 1),
+        Some(z2) => format!("degree {} explains no more than noise (mean z² {z2:.2}, 2 required)", degree + 1),
         // The sum that chose it ends above the one before.
         None => {
-            format!("the highest allowed, it still explains more than noise (mean z² {:.2}, 2 needed)", mean[degree])
+            format!("the highest allowed; it still explains more than noise (mean z² {:.2}, 2 required)", mean[degree])
         }
     };
     Ok((degree, reason))
@@ -221,7 +221,10 @@ pub(super) fn terms_and_degree(
                 let top = all().max_by(best)?;
                 Some((
                     top,
-                    format!("{db} dB are not reached: colour by a polynomial ends near {:.1} dB", psnr(top.0, top.1)),
+                    format!(
+                        "{db} dB not reached: colour by a polynomial is limited to about {:.1} dB",
+                        psnr(top.0, top.1)
+                    ),
                     true,
                 ))
             })

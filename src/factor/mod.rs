@@ -28,6 +28,7 @@ use crate::material::legendre::MOST_DEGREE;
 use crate::material::{Material, Model};
 use crate::progress::Progress;
 use crate::transport::MatrixReader;
+use crate::words::count;
 use crate::{Error, FactorWarning, Result};
 use content::Content;
 use prepared_rows::PreparedRows;
@@ -180,7 +181,7 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progr
         .material
         .header
         .shared_maps
-        .map(|k| format!("; channels share {k} offset map{}", if k == 1 { "" } else { "s" }))
+        .map(|k| format!("; channels share {}", count(k, "offset map")))
         .unwrap_or_default();
     let choice = format!("{model}, terms {terms}: {}{maps}{why_degree}{grey}; {}", fit.why, fit.how);
     let (rel_rmse, psnr_db) = (fit.misfit.rel_rmse(), fit.misfit.psnr_db());

@@ -12,6 +12,7 @@ use super::shared_basis::Sharing;
 use super::{FactorOptions, Misfit};
 use crate::material::{Material, MaterialHeader, Model, OffsetFactors, Responses};
 use crate::transport::MatrixReader;
+use crate::words::count;
 use crate::{Error, Result};
 use rayon::prelude::*;
 
@@ -59,9 +60,8 @@ pub(super) fn fit(
         let enough = !plan.short || rank < most || most >= 4 * options.max_terms || most >= n.min(columns);
         if enough {
             let how = format!(
-                "{chosen}, {} {}{}{}",
-                low.passes,
-                if low.passes == 1 { "pass" } else { "passes" },
+                "{chosen}, {}{}{}",
+                count(low.passes, "pass"),
                 if low.residual > 0.0 { format!(", singular values to {:.0e}", low.residual) } else { String::new() },
                 if rows.in_memory() { "" } else { ", streamed from the store" },
             );
@@ -136,7 +136,7 @@ impl Asked<'_, '_> {
         let most = self.rank.min(self.most);
         if let Some(asked) = options.terms {
             let why = match asked > self.rank {
-                true => format!("as asked, {asked}: the rows have no more"),
+                true => format!("{asked} asked, all that the rows have"),
                 false => "as asked".to_owned(),
             };
             return Ok(Plan { terms: asked.min(self.rank), maps: None, degree: None, why, short: false });
@@ -153,7 +153,7 @@ impl Asked<'_, '_> {
                     Some(&next) => {
                         format!("singular values {} … are below the noise ({next:.3e} < {level:.3e})", terms + 1)
                     }
-                    None => format!("the rows have no more, noise {level:.3e}"),
+                    None => format!("all that the rows have, noise {level:.3e}"),
                 };
                 Ok(Plan { terms, maps: None, degree: None, why, short: false })
             }
@@ -210,7 +210,7 @@ impl Asked<'_, '_> {
                 Some(found) => (found, format!("the fewest bytes that reach {db} dB")),
                 None => {
                     let best = candidates.iter().max_by(|a, b| a.3.total_cmp(&b.3));
-                    (best.unwrap_or(&candidates[0]), format!("{db} dB are not reached with the most that there are"))
+                    (best.unwrap_or(&candidates[0]), format!("the most possible, {db} dB not reached"))
                 }
             },
             Goal::Bytes(bytes) => match candidates.iter().filter(|c| c.2 <= bytes).max_by(|a, b| a.3.total_cmp(&b.3)) {

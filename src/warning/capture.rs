@@ -1,5 +1,6 @@
 //! What reading a capture finds: exposure times, EXIF, settings.
 
+use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -53,16 +54,18 @@ impl fmt::Display for CaptureWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::ExposureDisagrees { file, used_secs, other_secs, other, photographs } => {
-                write!(f, "{file}: exposure {used_secs} s is used, {other} says {other_secs} s")?;
-                if *photographs > 1 { write!(f, " ({photographs} photographs alike)") } else { Ok(()) }
+                write!(f, "{file}: the exposure of {used_secs} s is used, but {other} says {other_secs} s")?;
+                if *photographs > 1 { write!(f, " (the same in {photographs} photographs)") } else { Ok(()) }
             }
-            Self::ApertureOrIsoChanges { file, factor } => {
-                write!(f, "{file}: aperture or ISO differ from the first photograph; radiance is scaled by {factor:.4}")
-            }
+            Self::ApertureOrIsoChanges { file, factor } => write!(
+                f,
+                "{file}: aperture or ISO differs from the first photograph's; its radiance is scaled by {factor:.4}"
+            ),
             Self::DamagedExif { file, reason } => write!(f, "{file}: EXIF is damaged and was read in part: {reason}"),
             Self::UnusableExif { file, tag, found, photographs } => write!(
                 f,
-                "{file}: EXIF {tag} is {found}, which cannot be; it is not used (in {photographs} photographs)"
+                "{file}: EXIF {tag} is {found}, an impossible value; it is ignored (in {})",
+                count(*photographs, "photograph")
             ),
         }
     }

@@ -1,5 +1,6 @@
 //! What a factorization finds.
 
+use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -32,11 +33,13 @@ pub enum FactorWarning {
 impl fmt::Display for FactorWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::EmptyRows { rows } => write!(f, "{rows} rows have no positive peak; they are kept as zeros"),
+            Self::EmptyRows { rows } => write!(f, "no positive peak in {}; stored as zeros", count(*rows, "row")),
             Self::ShiftLimited { rows, limit } => {
+                let limit = count(*limit, "sample");
                 write!(
                     f,
-                    "{rows} rows have their peak more than {limit} samples from the lit point; their shift was limited to it"
+                    "in {} the peak is more than {limit} from the lit point; the shift is limited to {limit}",
+                    count(*rows, "row")
                 )
             }
             Self::GoalMissed { asked, found } => write!(f, "target not reached: asked {asked}, got {found}"),

@@ -1,5 +1,6 @@
 //! What merging finds: noise, exposure times, response curve, lamp, hot photosites, stray light.
 
+use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -97,19 +98,20 @@ impl fmt::Display for RadianceWarning {
             } => write!(
                 f,
                 "noise estimated from the photographs: gain {gain_dn_per_electron:.4} ± {gain_sd:.4} DN per electron, read noise {read_noise_electrons:.2} ± {read_noise_sd:.2} electrons, black {black_dn:.2} ± {black_sd:.2} DN, saturation {saturation_dn:.0} DN{}",
-                if *saturation_seen { "" } else { " (nothing clips; the largest code value)" }
+                if *saturation_seen { "" } else { " (no pixel clips: the largest code value)" }
             ),
             Self::NoiseDisagrees { field, given, found, sd } => write!(
                 f,
-                "noise.{field} of the rig is {given:.4}, the photographs say {found:.4} ± {sd:.4}: the reported variance may be wrong"
+                "noise.{field} is {given:.4} in rig.toml, but {found:.4} ± {sd:.4} in the photographs: the reported variance may be wrong"
             ),
             Self::HotPixels { photosites, stuck, strongest_dn_per_sec } => write!(
                 f,
-                "{photosites} photosites are hot (up to {strongest_dn_per_sec:.0} DN/s; {stuck} saturate every black exposure): their neighbours stand in for them"
+                "{} found (up to {strongest_dn_per_sec:.0} DN/s; {stuck} saturated in every black exposure) and replaced by the neighbours",
+                count(*photosites, "hot photosite")
             ),
             Self::ExposureRatios { nominal_secs, measured_secs, relative_sd } => write!(
                 f,
-                "the exposure of {nominal_secs:.6} s was {measured_secs:.6} s ({:+.2} % ± {:.2} %) by the photographs",
+                "the nominal exposure of {nominal_secs:.6} s is {measured_secs:.6} s ({:+.2} % ± {:.2} %) in the photographs",
                 100.0 * (measured_secs / nominal_secs - 1.0),
                 100.0 * relative_sd
             ),
@@ -118,7 +120,7 @@ impl fmt::Display for RadianceWarning {
                 let groups: Vec<String> = groups.iter().map(list).collect();
                 write!(
                     f,
-                    "no stack links the exposures of {} s: their common scale rests on the nominal times",
+                    "no stack links the exposures of {} s: their common scale relies on the nominal times",
                     groups.join(" s and ")
                 )
             }
@@ -127,13 +129,13 @@ impl fmt::Display for RadianceWarning {
             }
             Self::Flicker { relative_sd, remaining_sd } => write!(
                 f,
-                "the lamp flickers by {:.2} % from photograph to photograph; it was taken out but for {:.2} %",
+                "the lamp flickers by {:.2} % from photograph to photograph; {:.2} % remains after the correction",
                 100.0 * relative_sd,
                 100.0 * remaining_sd
             ),
             Self::StrayLight { share } => write!(
                 f,
-                "{:.2} % of the light is in a wide halo of the camera; it was measured on the frame and taken out: clean the lens, shade it",
+                "{:.2} % of the light is in a wide halo of the camera, which was measured on the frame and removed: clean the lens and shade it",
                 100.0 * share
             ),
         }

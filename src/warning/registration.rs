@@ -1,5 +1,6 @@
 //! What registration finds: board, frame, point spread, drift.
 
+use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -85,48 +86,44 @@ impl fmt::Display for RegistrationWarning {
             }
             Self::BoardElsewhere { largest_px } => write!(
                 f,
-                "the board lay up to {largest_px:.2} px from where the frame's marks put the slab's corners; the marks are believed"
+                "board and frame marks disagree about the slab's corners by up to {largest_px:.2} px; the marks are used"
             ),
             Self::FrameMoved { shot, moved_px: [x, y], sd_px } => write!(
                 f,
-                "the frame is seen ({x:.3}, {y:.3}) px from its first place in \"{shot}\" (standard deviation {sd_px:.3} px): camera or frame have moved during the capture"
+                "in \"{shot}\" the frame is ({x:.3}, {y:.3}) px from its first place (standard deviation {sd_px:.3} px): camera or frame moved during the capture"
             ),
             Self::CameraMoved { first, shots, measured, largest_px } => write!(
                 f,
-                "camera and sample have moved against each other by up to {largest_px:.2} px in {shots} of the {measured} lattice shots that show the sample's rim well enough (\"{first}\" first); their windows were moved with the rim"
+                "camera and sample moved relative to each other by up to {largest_px:.2} px, in {shots} of the {} that show the sample's rim well enough (first: \"{first}\"); windows were moved with the rim",
+                count(*measured, "lattice shot")
             ),
             Self::DriftJumps { jumps } => {
                 let named = jumps.iter().take(5).map(|j| format!("\"{}\" by {:.2} px", j.shot, j.length_px));
                 let more = if jumps.len() > 5 { format!(" and {} more", jumps.len() - 5) } else { String::new() };
                 let list = named.collect::<Vec<_>>().join(", ");
-                write!(f, "the pattern jumped before {list}{more}; it is taken out, but something was touched")
+                write!(f, "the pattern jumped before {list}{more}; the jumps are corrected, but something was touched")
             }
-            Self::DriftFromLatticeDots => {
-                write!(
-                    f,
-                    "no reference dots in the patterns: drift comes from the lattice's own dots and is biased near edges of materials"
-                )
-            }
-            Self::DriftUnmeasured { first, shots } => {
-                write!(
-                    f,
-                    "{shots} shots (\"{first}\" first) have too few dots to measure their drift; it is taken for none"
-                )
-            }
+            Self::DriftFromLatticeDots => write!(
+                f,
+                "the patterns have no reference dots: drift is measured on the lattice dots, which is biased near edges of materials"
+            ),
+            Self::DriftUnmeasured { first, shots } => write!(
+                f,
+                "too few dots to measure the drift of {} (first: \"{first}\"); no drift is assumed",
+                count(*shots, "shot")
+            ),
             Self::PointSpreadUnmeasured => {
-                write!(f, "the board's edges do not tell how much the lens blurs; its blur is left in the rows")
+                write!(f, "the lens blur cannot be measured at the board's edges; it remains in the rows")
             }
             Self::PointSpreadVaries { psf_px, range_px } => write!(
                 f,
-                "the lens blurs by {:.2} px in one part of the picture and {:.2} px in another; {psf_px:.2} px is taken out everywhere: check focus and tilt",
+                "the lens blur varies from {:.2} px to {:.2} px over the picture; {psf_px:.2} px is removed everywhere: check focus and tilt",
                 range_px[0], range_px[1]
             ),
-            Self::StronglyBlurred { psf_px } => {
-                write!(
-                    f,
-                    "the lens blurs by {psf_px:.2} px: peaks are known to some per cent only; focus it, or stop it down"
-                )
-            }
+            Self::StronglyBlurred { psf_px } => write!(
+                f,
+                "the lens blurs by {psf_px:.2} px, so that peaks are accurate to a few per cent only: focus it, or stop it down"
+            ),
         }
     }
 }

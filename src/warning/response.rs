@@ -1,5 +1,6 @@
 //! What the extraction of rows finds: samples, windows, cross-talk, albedo.
 
+use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -54,32 +55,33 @@ impl fmt::Display for ResponseWarning {
         match self {
             Self::SaturatedSamples { first, shots, samples } => write!(
                 f,
-                "{samples} samples in {shots} shots (\"{first}\" first) were saturated in every exposure; they are marked invalid"
+                "every exposure saturates in {} of {} (first: \"{first}\"); treated as unmeasured",
+                count(*samples, "sample"),
+                count(*shots, "shot")
             ),
-            Self::ClippedWindow { rows, samples } => {
-                write!(
-                    f,
-                    "{samples} samples of {rows} windows lie outside the slab or the photograph; they are marked invalid"
-                )
-            }
+            Self::ClippedWindow { rows, samples } => write!(
+                f,
+                "{} of {} outside the slab or the photograph; treated as unmeasured",
+                count(*samples, "sample"),
+                count(*rows, "window")
+            ),
             Self::UnlitPoints { rows } => {
-                write!(f, "{rows} grid points are lit by no shot; their rows are marked invalid")
+                write!(f, "no shot lights {}; treated as unmeasured", count(*rows, "grid point"))
             }
             Self::CrossTalk { spacing_samples, needed_samples, removed_share, modelled_share } => {
-                let needed = needed_samples.map_or("more than two windows".into(), |n| format!("{n} samples"));
+                let needed = needed_samples.map_or("more than two windows".into(), |n| count(n, "sample"));
                 write!(
                     f,
-                    "dots of one shot are {spacing_samples:.1} samples apart and light each other's windows: {:.1} % of the light was removed, {:.1} % of the samples are modelled; {needed} apart would do",
+                    "dots of one shot are {spacing_samples:.1} samples apart and light each other's windows: {:.1} % of the light was removed, {:.1} % of the samples are modelled; a distance of {needed} avoids it",
                     100.0 * removed_share,
                     100.0 * modelled_share
                 )
             }
-            Self::AlbedoAboveOne { rows, largest } => {
-                write!(
-                    f,
-                    "{rows} rows send back more light than arrives (albedo up to {largest:.3}): check the white reference"
-                )
-            }
+            Self::AlbedoAboveOne { rows, largest } => write!(
+                f,
+                "more light leaves than arrives in {} (albedo up to {largest:.3}): check the white reference",
+                count(*rows, "row")
+            ),
         }
     }
 }

@@ -53,15 +53,17 @@ impl fmt::Display for SimulateWarning {
                 "a slab has one refractive index: {used_index} of {used} is used for {other} ({other_index}) too"
             ),
             Self::DiffusionTooClear { medium, channel, mean_free_path_mm, exceeds, length_mm } => {
-                let path = mean_free_path_mm.map_or("without end".into(), |mm| format!("of {mm:.3} mm"));
+                let path = mean_free_path_mm.map_or("infinite transport mean free path".into(), |mm| {
+                    format!("transport mean free path of {mm:.3} mm")
+                });
                 write!(
                     f,
-                    "{medium}, {channel}: a transport mean free path {path} exceeds the {exceeds} of {length_mm} mm, diffusion is far off"
+                    "{medium}, {channel}: the {path} exceeds the {exceeds} of {length_mm} mm; diffusion is inaccurate"
                 )
             }
             Self::DiffusionTooDark { medium, channel, reduced_scattering_per_mm, absorption_per_mm } => write!(
                 f,
-                "{medium}, {channel}: absorption {absorption_per_mm} /mm exceeds scattering {reduced_scattering_per_mm} /mm, diffusion is far off"
+                "{medium}, {channel}: absorption of {absorption_per_mm} /mm exceeds reduced scattering of {reduced_scattering_per_mm} /mm; diffusion is inaccurate"
             ),
         }
     }

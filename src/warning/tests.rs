@@ -192,3 +192,18 @@ fn an_unknown_warning_is_refused_in_words() {
     let refused = serde_json::from_str::<Warning>(r#"{"warning":"moon-too-bright","rows":1}"#).unwrap_err();
     assert!(refused.to_string().starts_with("a warning that this version of acquire knows"), "{refused}");
 }
+
+#[test]
+fn numbers_of_things_agree_with_their_nouns() {
+    let said = |warning: Warning| warning.to_string();
+    let saturated = |samples, shots| ResponseWarning::SaturatedSamples { first: "lattice-0001".into(), shots, samples };
+    let expected = "every exposure saturates in 1 sample of 1 shot (first: \"lattice-0001\"); treated as unmeasured";
+    assert_eq!(said(saturated(1, 1).into()), expected);
+    let expected = "every exposure saturates in 7 samples of 2 shots (first: \"lattice-0001\"); treated as unmeasured";
+    assert_eq!(said(saturated(7, 2).into()), expected);
+    let limited = FactorWarning::ShiftLimited { rows: 1, limit: 4 };
+    assert_eq!(
+        said(limited.into()),
+        "in 1 row the peak is more than 4 samples from the lit point; the shift is limited to 4 samples"
+    );
+}

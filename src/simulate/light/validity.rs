@@ -114,7 +114,7 @@ mod tests {
         record.media.clear();
         let found = warnings(&volume, &record, 7.5);
         assert_eq!(found.len(), 6);
-        assert!(found[0].to_string().contains("2 of 4 voxels") && found[0].to_string().contains("without end"));
+        assert!(found[0].to_string().contains("2 of 4 voxels") && found[0].to_string().contains("infinite"));
         assert!(found[1].to_string().contains("1 of 4 voxels"), "{}", found[1]);
     }
 }
