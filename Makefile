@@ -29,7 +29,7 @@ check: setup
 build: setup
 	$(CARGO) build --release --locked
 
-MUTANTS ?= $(addprefix src/,evaluate factor transport response radiance registration)
+MUTANTS ?= $(addprefix src/,evaluate factor transport response radiance registration) crates/acquire-material
 STEP    ?= 1
 
 mutants: setup

@@ -24,9 +24,11 @@ from compare_build import git, say, seed
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / "target/mutants"
 TREE, CARGO, TOOL = WORK / "tree", WORK / "cargo", WORK / "tool"
-PROGRAM, BUILT, DROPPED, RESULTS = WORK / "tests", WORK / "built.json", WORK / "dropped.tsv", WORK / "results.tsv"
+BUILT, DROPPED, RESULTS = WORK / "built.json", WORK / "dropped.tsv", WORK / "results.tsv"
+# Packages and where they are.
+CRATES = {"acquire": Path("."), "acquire-material": Path("crates/acquire-material")}
 # Optimized a little, or the build takes longer than the tests; without lines, which nobody reads.
-PROFILE = ["--config", "profile.release.package.acquire.opt-level=1", "--config", "profile.release.package.acquire.debug=0"]
+PROFILE = [f"--config=profile.release.package.{crate}.{setting}" for crate in CRATES for setting in ["opt-level=1", "debug=0"]]
 ROUNDS = 12
 COLUMNS = "number file line column what function result seconds test".split()
 RUNTIME = """
@@ -43,7 +45,7 @@ pub fn mutant(number: usize) -> bool {
     });
     static REACHED: [AtomicBool; COUNT + 1] = [const { AtomicBool::new(false) }; COUNT + 1];
     static FILE: LazyLock<Mutex<std::fs::File>> =
-        LazyLock::new(|| Mutex::new(std::fs::File::create(std::env::var("MUTANT_REACHED").unwrap()).unwrap()));
+        LazyLock::new(|| Mutex::new(std::fs::File::options().create(true).append(true).open(std::env::var("MUTANT_REACHED").unwrap()).unwrap()));
     if *CHOSEN == usize::MAX && !REACHED[number].swap(true, Relaxed) {
         writeln!(FILE.lock().unwrap(), "{number}").unwrap();
     }
@@ -58,7 +60,7 @@ def arguments():
                                      "the tests of its own module, then the others of its top folder. A Markdown table per folder and the list of the "
                                      "missed go to stdout, each mutant to target/mutants/results.tsv, progress to stderr. The checkout is not touched.",
                                      epilog="Exit status 0 when the tables were printed, whatever was missed.")
-    parser.add_argument("paths", metavar="PATH", nargs="+", help="a folder or file below src")
+    parser.add_argument("paths", metavar="PATH", nargs="+", help="a folder or file below src or crates/NAME/src, or crates/NAME")
     parser.add_argument("--step", metavar="N", type=int, default=1, help="only every N-th mutant of a file [default: %(default)s]")
     parser.add_argument("--jobs", metavar="N", type=int, default=2, help="mutants at a time [default: %(default)s]")
     parser.add_argument("--list", action="store_true", help="build, and print how many there are; run none")
@@ -73,20 +75,38 @@ def is_test(path):
 
 
 def sources(paths):
-    """Files below src, as named from the root, in the order of the paths."""
+    """Files below the crates' src, as named from the root, in the order of the paths."""
     found = []
     for name in paths:
         path = (ROOT / name).resolve()
+        path = path / "src" if path in [ROOT / place for place in CRATES.values()] else path
         files = sorted(path.rglob("*.rs")) if path.is_dir() else [path]
-        if not files or not all(f.is_file() and f.is_relative_to(ROOT / "src") for f in files):
-            sys.exit(f"error: {name}: not below {ROOT / 'src'}, or no such file")
-        found += [str(f.relative_to(ROOT)) for f in files if not is_test(f) and f.name not in ("lib.rs", "main.rs")]
+        if not files or not all(f.is_file() and any(f.is_relative_to(ROOT / place / "src") for place in CRATES.values()) for f in files):
+            sys.exit(f"error: {name}: not below the src of a crate, or no such file")
+        found += [str(f.relative_to(ROOT)) for f in files if not is_test(f.relative_to(ROOT)) and f.name != "main.rs"]
     return list(dict.fromkeys(found))
 
 
+def crate_of(file):
+    return "acquire" if Path(file).parts[0] == "src" else Path(file).parts[1]
+
+
+def library_of(crate):
+    return str(CRATES[crate] / "src/lib.rs")
+
+
+def program_of(crate):
+    return WORK / f"tests-{crate}"
+
+
+def crates_of(files):
+    return list(dict.fromkeys(map(crate_of, files)))
+
+
 def folder_of(file):
-    parts = Path(file).parts
-    return parts[1].removesuffix(".rs")
+    """A top folder of the root crate, or another crate as a whole: it is small."""
+    crate = crate_of(file)
+    return Path(file).parts[1].removesuffix(".rs") if crate == "acquire" else crate
 
 
 def copy_tree():
@@ -101,7 +121,7 @@ def copy_tree():
 def state_of_sources():
     """Equal when the tests' program would be."""
     digest = hashlib.sha256()
-    for path in sorted([*(ROOT / "src").rglob("*"), *(ROOT / "scripts/mutants/src").rglob("*.rs"), ROOT / "Cargo.lock", Path(__file__)]):
+    for path in sorted([*(p for place in CRATES.values() for p in (ROOT / place / "src").rglob("*")), *(ROOT / "scripts/mutants/src").rglob("*.rs"), ROOT / "Cargo.lock", Path(__file__)]):
         if path.is_file():
             digest.update(str(path).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
@@ -109,7 +129,8 @@ def state_of_sources():
 
 def plant(files):
     """Mutants (number, file, line, column, what, function) and places (file, start, end, numbers), planted into the copy."""
-    for file in [*files, "src/lib.rs"]:
+    libraries = [library_of(crate) for crate in CRATES]
+    for file in [*files, *libraries]:
         shutil.copyfile(ROOT / file, TREE / file)
     done = subprocess.run([TOOL / "debug/mutants", TREE, DROPPED, *files], capture_output=True, text=True)
     if done.returncode:
@@ -117,21 +138,25 @@ def plant(files):
     lines = [line.split("\t") for line in done.stdout.splitlines()]
     mutants = [line[1:] for line in lines if line[0] == "mutant"]
     places = [(l[1], int(l[2]), int(l[3]), l[4].split(",")) for l in lines if l[0] == "place"]
-    library = TREE / "src/lib.rs"
-    library.write_text(ALLOWED + library.read_text() + RUNTIME.replace("COUNT", str(len(mutants))))
-    return mutants, places
+    # Every crate has the runtime, and numbers of its own out of all.
+    for library in libraries:
+        path = TREE / library
+        path.write_text(ALLOWED + path.read_text() + RUNTIME.replace("COUNT", str(len(mutants))))
+    shifted = {library: len(ALLOWED.encode()) for library in libraries}
+    return mutants, [(file, start + shifted.get(file, 0), end + shifted.get(file, 0), numbers) for file, start, end, numbers in places]
 
 
-def compile_tests():
-    """The built program (None when it does not compile) and the compiler's errors, as lists of (file, start, end)."""
-    command = ["cargo", "test", "--release", "--locked", "--lib", "--no-run", "--message-format=json", *PROFILE]
+def compile_tests(crates):
+    """The built programs by crate (None when one does not compile) and the compiler's errors, as lists of (file, start, end)."""
+    packages = [f"--package={crate}" for crate in crates]
+    command = ["cargo", "test", "--release", "--locked", "--lib", "--no-run", "--message-format=json", *packages, *PROFILE]
     env = {**os.environ, "CARGO_TARGET_DIR": str(CARGO), "CARGO_INCREMENTAL": "0"}
     done = subprocess.run(command, cwd=TREE, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    program, errors, texts = None, [], []
+    programs, errors, texts = {}, [], []
     for line in done.stdout.splitlines():
         said = json.loads(line) if line.startswith("{") else {}
         if said.get("executable") and said["profile"]["test"]:
-            program = said["executable"]
+            programs[said["target"]["name"].replace("_", "-")] = said["executable"]
         message = said.get("message")
         if said.get("reason") == "compiler-message" and message["level"] == "error" and message["spans"]:
             chosen = [s for s in message["spans"] if s["is_primary"]] or message["spans"]
@@ -140,7 +165,7 @@ def compile_tests():
     (WORK / "errors.txt").write_text("\n".join(texts) + done.stderr)
     if done.returncode and not errors:
         sys.exit(f"error: the mutated tree does not build: see {WORK / 'errors.txt'}\n{done.stderr[-2000:]}")
-    return (program if done.returncode == 0 else None), errors
+    return (programs if done.returncode == 0 else None), errors
 
 
 def culprits(errors, places):
@@ -158,11 +183,12 @@ def culprits(errors, places):
 def build(files):
     """Plants and builds until all that is planted compiles. What does not compile is left out, round by round."""
     state = state_of_sources()
-    if BUILT.is_file() and PROGRAM.is_file():
+    crates = crates_of(files)
+    if BUILT.is_file() and all(program_of(crate).is_file() for crate in crates):
         built = json.loads(BUILT.read_text())
         if built["state"] == state and set(files) <= set(built["files"]):
             return built
-    for path in [PROGRAM, BUILT, DROPPED]:
+    for path in [*map(program_of, CRATES), BUILT, DROPPED]:
         path.unlink(missing_ok=True)
     seed(ROOT, CARGO)
     copy_tree()
@@ -173,9 +199,10 @@ def build(files):
         mutants, places = plant(files)
         generated = generated or Counter(m[1] for m in mutants)
         say(f"mutants: round {round + 1}: building {len(mutants)}")
-        program, errors = compile_tests()
-        if program:
-            shutil.copy2(program, PROGRAM)
+        programs, errors = compile_tests(crates)
+        if programs:
+            for crate, program in programs.items():
+                shutil.copy2(program, program_of(crate))
             built = {"state": state, "files": files, "generated": generated, "mutants": mutants}
             BUILT.write_text(json.dumps(built))
             return built
@@ -188,13 +215,13 @@ def build(files):
     sys.exit(f"error: still mutants that do not compile after {ROUNDS} rounds: see {WORK / 'errors.txt'}")
 
 
-def run(tests, number, limit, reached=os.devnull):
-    """`passed`, `failed` or `timeout` of tests, one after the other on one thread, and the seconds it took."""
+def run(crate, tests, number, limit, reached=os.devnull):
+    """`passed`, `failed` or `timeout` of tests of a crate, one after the other on one thread, and the seconds it took."""
     env = {**os.environ, "MUTANT": number, "MUTANT_REACHED": str(reached), "RAYON_NUM_THREADS": "1", "RUST_BACKTRACE": "0"}
     start = time.monotonic()
-    command = [PROGRAM, "--exact", *tests, "--test-threads", "1", "-q"]
+    command = [program_of(crate), "--exact", *tests, "--test-threads", "1", "-q"]
     try:
-        code = subprocess.run(command, cwd=TREE, env=env, timeout=limit, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode
+        code = subprocess.run(command, cwd=TREE / CRATES[crate], env=env, timeout=limit, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode
         result = "failed" if code else "passed"
     except subprocess.TimeoutExpired:
         result = "timeout"
@@ -202,12 +229,15 @@ def run(tests, number, limit, reached=os.devnull):
 
 
 class Tests:
-    """The tests of a top folder: how long each takes, and which mutants it reaches."""
+    """The tests of a top folder or a crate: how long each takes, and which mutants it reaches."""
 
     def __init__(self, folder, pool):
+        self.crate, prefix = (folder, "") if folder in CRATES else ("acquire", f"{folder}::")
+
         def listed(*more):
-            text = subprocess.run([PROGRAM, f"{folder}::", "--list", *more], capture_output=True, text=True, check=True).stdout
-            return {line.removesuffix(": test") for line in text.splitlines() if line.startswith(f"{folder}::") and line.endswith(": test")}
+            command = [program_of(self.crate), *([prefix] if prefix else []), "--list", *more]
+            text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+            return {line.removesuffix(": test") for line in text.splitlines() if line.startswith(prefix) and line.endswith(": test")}
 
         self.seconds, self.reached = {}, {}
         (WORK / "reached").mkdir(exist_ok=True)
@@ -215,7 +245,7 @@ class Tests:
         def measure(name):
             file = WORK / "reached" / hashlib.sha256(name.encode()).hexdigest()[:16]
             file.unlink(missing_ok=True)
-            result, seconds = run([name], "reached", 600, file)
+            result, seconds = run(self.crate, [name], "reached", 600, file)
             if result != "passed":
                 say(f"mutants: {name} fails without a mutant: left out")
                 return
@@ -231,8 +261,9 @@ class Tests:
     def meeting(self, mutant):
         """The tests that reach a mutant, in parts that run one after the other: its own module's, then the rest, quick ones first."""
         number, file = mutant[:2]
-        module = "::".join(Path(file).with_suffix("").parts[1:]) + "::"
-        module = module.replace("::mod::", "::tests::")
+        parts = Path(file).relative_to(CRATES[self.crate]).with_suffix("").parts[1:]
+        # The tests of mod.rs and lib.rs are in the module `tests` beside them.
+        module = "::".join([*parts[:-1], "tests" if parts[-1] in ("mod", "lib") else parts[-1]]) + "::"
         names = sorted(self.by_mutant.get(number, []), key=lambda n: self.seconds[n])
         for part in [[n for n in names if n.startswith(module)], [n for n in names if not n.startswith(module)]]:
             quick = [n for n in part if self.seconds[n] < 0.3]
@@ -245,7 +276,7 @@ def meet(mutant, tests):
     seconds, result = 0.0, "not reached"
     for names in tests.meeting(mutant):
         # Several times what they take without a mutant; the rest is for a machine with other work.
-        said, took = run(names, mutant[0], 3 + 5 * sum(tests.seconds[n] for n in names))
+        said, took = run(tests.crate, names, mutant[0], 3 + 5 * sum(tests.seconds[n] for n in names))
         seconds += took
         if said != "passed":
             return ("caught" if said == "failed" else "timed out"), seconds, names[0] if len(names) == 1 else ""

@@ -178,7 +178,7 @@ pub enum Error {
         reason: String,
     },
     /// Two inputs do not belong together.
-    #[error("{} and {}: {field}: {a_value} against {b_value}", a.display(), b.display())]
+    #[error("{} and {}: {field} differs: {a_value} and {b_value}", a.display(), b.display())]
     Mismatch {
         /// One input.
         a: PathBuf,
@@ -202,13 +202,13 @@ pub enum Error {
         found: String,
     },
     /// An output folder has files in it, and replacing was not asked for.
-    #[error("{}: expected a folder that is empty or not there, found files in it", path.display())]
+    #[error("{}: expected an empty or a new folder, found files in it", path.display())]
     NotEmpty {
         /// The folder.
         path: PathBuf,
     },
     /// What would be replaced was not made by this program.
-    #[error("{}: not replaced, it is not of an earlier output of this program", path.display())]
+    #[error("{}: not replaced, as it is not an output of this program", path.display())]
     NotOurs {
         /// The file, or the folder that has no record of such an output.
         path: PathBuf,
@@ -239,7 +239,7 @@ pub enum Error {
     },
     /// Diffusion has no usable answer for a slab.
     #[error(
-        "the light of channel {channel} cannot be solved for by diffusion: after {iterations} iterations the residual is {residual:.1e} and {missing:.1e} of the light is missing"
+        "diffusion does not converge in channel {channel}: after {iterations} iterations the residual is {residual:.1e} and {missing:.1e} of the light is missing"
     )]
     Diffusion {
         /// The channel: R, G or B.
@@ -252,7 +252,7 @@ pub enum Error {
         missing: f64,
     },
     /// Our own fault.
-    #[error("internal: {what}")]
+    #[error("internal error: {what}")]
     Internal {
         /// What was found to be impossible.
         what: String,

@@ -6,6 +6,7 @@ mod cholesky;
 mod error;
 mod output;
 mod warning;
+mod words;
 
 pub mod geometry;
 pub mod progress;
@@ -58,4 +59,7 @@ pub mod report;
 pub mod cli;
 
 pub use error::{Error, Result};
-pub use warning::{DriftJump, Warning};
+pub use warning::{
+    CaptureWarning, DriftJump, FactorWarning, RadianceWarning, RegistrationWarning, ResponseWarning, SimulateWarning,
+    Warning,
+};

@@ -8,7 +8,7 @@ use acquire::factor::{Backend, FactorOptions, Factored, Goal, factor};
 use acquire::material::Model;
 use acquire::progress::Progress;
 use acquire::transport::MatrixReader;
-use acquire::{Error, Warning};
+use acquire::{Error, FactorWarning};
 use matrices::{fixed, noise, profile, run, tucker, write};
 use serde_json::Value;
 use std::sync::Arc;
@@ -250,11 +250,11 @@ fn degree_zero_is_the_mean_of_each_channel() {
 fn rows_of_zeros_are_kept_as_zeros_and_reported() {
     let response = |i: usize, d: [f64; 2], _: usize| if i == 5 { 0.0 } else { profile(d, 1.0) as f32 };
     let f = run(&tucker(), [4, 4], [5, 5], response).unwrap();
-    assert!(f.warnings.contains(&Warning::EmptyRows { rows: 1 }));
+    assert!(f.warnings.contains(&FactorWarning::EmptyRows { rows: 1 }));
     assert!(f.material.evaluate_row(5).iter().all(|&v| v == 0.0));
     assert!(row_error(&f, 6, |d, c| response(6, d, c)) <= ONE_TERM);
     let all = run(&tucker(), [3, 3], [5, 5], |_, _, _| 0.0).unwrap();
-    assert!(all.warnings.contains(&Warning::EmptyRows { rows: 9 }));
+    assert!(all.warnings.contains(&FactorWarning::EmptyRows { rows: 9 }));
     assert!(all.material.evaluate_row(0).iter().all(|&v| v == 0.0));
     assert_eq!(all.rel_rmse, 0.0);
 }
@@ -267,7 +267,7 @@ fn one_entry_that_is_not_zero_comes_back_alone() {
     for options in [fixed(1, 1), fixed(15, 7), tucker()] {
         let f = run(&options, [3, 3], [5, 5], response).unwrap();
         assert_eq!(f.material.header.terms, 1);
-        assert!(f.warnings.contains(&Warning::EmptyRows { rows: 8 }));
+        assert!(f.warnings.contains(&FactorWarning::EmptyRows { rows: 8 }));
         for i in 0..9 {
             if i == 4 {
                 assert!(row_error(&f, i, |d, c| response(i, d, c)) <= ONE_TERM);
@@ -310,7 +310,7 @@ fn one_row_and_one_column_are_exact() {
 fn more_terms_than_the_rows_have_are_not_made_up() {
     let f = run(&fixed(15, 1), [4, 4], [5, 5], |_, d, _| profile(d, 1.0) as f32).unwrap();
     assert_eq!(f.material.header.terms, 1);
-    assert!(f.choice.contains("as asked, 15"), "{}", f.choice);
+    assert!(f.choice.contains("15 asked, all that"), "{}", f.choice);
 }
 
 #[test]
@@ -349,7 +349,7 @@ fn a_peak_on_the_rim_is_reported_and_comes_back() {
         profile([d[0] - peak[0], d[1] - peak[1]], 2.0) as f32
     };
     let limited = run(&fixed(2, 1), [3, 3], [9, 9], response).unwrap();
-    assert!(limited.warnings.iter().any(|w| matches!(w, Warning::ShiftLimited { rows: 1, .. })));
+    assert!(limited.warnings.iter().any(|w| matches!(w, FactorWarning::ShiftLimited { rows: 1, .. })));
     assert_eq!(limited.material.shift[4], [-2, 2], "the brightest within reach");
     // Allowed to go there, it shares a quarter of the common window with the others.
     let moved = run(&FactorOptions { max_shift: Some(4), ..fixed(1, 1) }, [3, 3], [9, 9], response).unwrap();
@@ -375,7 +375,7 @@ fn negative_entries_around_zero_keep_their_sign() {
     // A row that is nowhere above zero has no peak to be divided by.
     let dark = |i: usize, d: [f64; 2], c: usize| if i == 3 { -0.01 } else { response(i, d, c) };
     let f = run(&fixed(40, 1), [4, 4], [5, 5], dark).unwrap();
-    assert!(f.warnings.contains(&Warning::EmptyRows { rows: 1 }));
+    assert!(f.warnings.contains(&FactorWarning::EmptyRows { rows: 1 }));
     assert!(f.material.evaluate_row(3).iter().all(|v| v.is_finite()));
 }
 

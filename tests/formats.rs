@@ -2,11 +2,11 @@
 
 mod common;
 
-use acquire::Warning;
 use acquire::capture::{Capture, Manifest, Noise, Rig, Samples};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{SimulateOptions, SlabMaterial};
+use acquire::{RadianceWarning, Warning};
 use common::{Comparison, compare};
 use std::path::Path;
 
@@ -86,8 +86,11 @@ fn tiff_and_floating_point_exr_give_the_matrix_and_the_variance_of_png() {
         // Rounding was 1/12 of 9 DN² of read noise: leaving it out of the variance does not show.
         assert!((found.rel_rmse / png.rel_rmse - 1.0).abs() < 0.01, "{noise:?} {found:?} {png:?}");
         assert!((0.93..0.97).contains(&found.coverage), "{noise:?} {found:?}");
-        assert!(!warnings.iter().any(|w| matches!(w, Warning::NoiseDisagrees { .. })), "{warnings:?}");
-        let estimated = warnings.iter().any(|w| matches!(w, Warning::NoiseEstimated { gain_dn_per_electron, black_dn, .. }
+        assert!(
+            !warnings.iter().any(|w| matches!(w, Warning::Radiance(RadianceWarning::NoiseDisagrees { .. }))),
+            "{warnings:?}"
+        );
+        let estimated = warnings.iter().any(|w| matches!(w, Warning::Radiance(RadianceWarning::NoiseEstimated { gain_dn_per_electron, black_dn, .. })
             if (gain_dn_per_electron * unit / given.gain_dn_per_electron - 1.0).abs() < 0.02 && (black_dn * unit).abs() < 0.5));
         assert_eq!(estimated, noise.is_none(), "{warnings:?}");
     }

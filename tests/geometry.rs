@@ -7,7 +7,7 @@ use acquire::geometry::{CameraView, Homography, Lens, Point, SlabFromProjector};
 use acquire::pipeline::{BuildOptions, BuildReport, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{Cause, SimulateOptions, SlabMaterial};
-use acquire::{Error, Result, Warning};
+use acquire::{Error, RegistrationWarning, Result, Warning};
 use common::compare;
 use std::path::Path;
 
@@ -155,8 +155,9 @@ fn drift_with_reference_dots_follows_walk_and_jumps() {
     let report = build(&dir);
     let found = compare(&dir.with_extension("rd.zarr"), &dir.join("truth.rd.zarr"));
     assert!(found.drift_rms_px < 0.03, "{found:?}");
-    let jumps =
-        report.warnings.iter().find_map(|w| if let Warning::DriftJumps { jumps } = w { Some(jumps) } else { None });
+    let jumps = report.warnings.iter().find_map(|w| {
+        if let Warning::Registration(RegistrationWarning::DriftJumps { jumps }) = w { Some(jumps) } else { None }
+    });
     // Three jumps of 1.5 px, which steps of the walk (0.16 px) lengthen or shorten.
     let jumps = jumps.expect("jumps are told");
     assert!(jumps.len() == 3 && jumps.iter().all(|j| (j.length_px - 1.5).abs() < 0.4), "{jumps:?}");
@@ -171,8 +172,9 @@ fn drift_without_reference_dots(causes: &[Cause]) {
     let found = compare(&dir.with_extension("rd.zarr"), &dir.join("truth.rd.zarr"));
     // Centroids, which the glow pulls, are off by 0.11 px here.
     assert!(found.drift_rms_px < 0.03, "{causes:?}: {found:?}");
-    assert!(report.warnings.contains(&Warning::DriftFromLatticeDots));
-    let jumped = report.warnings.iter().any(|w| matches!(w, Warning::DriftJumps { .. }));
+    assert!(report.warnings.contains(&Warning::Registration(RegistrationWarning::DriftFromLatticeDots)));
+    let jumped =
+        report.warnings.iter().any(|w| matches!(w, Warning::Registration(RegistrationWarning::DriftJumps { .. })));
     assert_eq!(jumped, !causes.is_empty(), "{:?}", report.warnings);
 }
 
@@ -228,7 +230,8 @@ fn a_camera_that_moves_is_told_and_followed_and_one_that_stands_is_not_suspected
         }
         let (_folder, dir) = common::capture(&options);
         let report = build(&dir);
-        let told = report.warnings.iter().any(|w| matches!(w, Warning::CameraMoved { .. }));
+        let told =
+            report.warnings.iter().any(|w| matches!(w, Warning::Registration(RegistrationWarning::CameraMoved { .. })));
         assert_eq!(told, moves, "{:?}", report.warnings);
         let found = compare(&dir.with_extension("rd.zarr"), &dir.join("truth.rd.zarr"));
         // Uncorrected, the camera's jumps of 1 px leave 0.47 px per axis in the drift, and coverage at 69 %.
@@ -242,7 +245,8 @@ fn the_glow_of_dots_near_the_rim_is_no_movement_of_the_camera() {
     let (_folder, dir) =
         common::capture(&SimulateOptions { grid: [7, 5], window: [17, 13], seed: 3, ..common::bench() });
     let report = build(&dir);
-    let told = report.warnings.iter().any(|w| matches!(w, Warning::CameraMoved { .. }));
+    let told =
+        report.warnings.iter().any(|w| matches!(w, Warning::Registration(RegistrationWarning::CameraMoved { .. })));
     assert!(!told, "{:?}", report.warnings);
     let found = compare(&dir.with_extension("rd.zarr"), &dir.join("truth.rd.zarr"));
     // Glow that is followed leaves 0.075 px; without, it is 0.004 px.
@@ -259,7 +263,7 @@ fn a_frame_that_is_seen_elsewhere_at_the_end_is_told_with_the_figure() {
         let (_folder, dir) = common::capture(&options);
         let report = build(&dir);
         let moved = report.warnings.iter().find_map(|w| match w {
-            Warning::FrameMoved { moved_px, .. } => Some(*moved_px),
+            Warning::Registration(RegistrationWarning::FrameMoved { moved_px, .. }) => Some(*moved_px),
             _ => None,
         });
         let last = truth(&dir).shots.last().unwrap().camera_drift_px;

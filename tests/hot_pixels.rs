@@ -2,11 +2,11 @@
 
 mod common;
 
-use acquire::Warning;
 use acquire::capture::{Capture, Samples};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{ExposureTime, FileFormat, PhotographWriter, SimulateOptions, SlabMaterial};
+use acquire::{RadianceWarning, Warning};
 use common::compare;
 use std::path::Path;
 
@@ -51,7 +51,10 @@ fn stuck_and_hot_photosites_cost_neither_samples_nor_accuracy_and_are_told() {
     let out = dir.with_extension("rd.zarr");
     let build = || build_matrix(&dir, &BuildOptions::default(), &out, &Progress::silent()).unwrap().warnings;
     let warnings = build();
-    assert!(!warnings.iter().any(|w| matches!(w, Warning::HotPixels { .. })), "{warnings:?}");
+    assert!(
+        !warnings.iter().any(|w| matches!(w, Warning::Radiance(RadianceWarning::HotPixels { .. }))),
+        "{warnings:?}"
+    );
     let clean = compare(&out, &dir.join("truth.rd.zarr"));
     let [stuck_ones, hot_ones] = spoil(&dir);
     assert!(stuck_ones > 5 && hot_ones > 5);
@@ -59,7 +62,7 @@ fn stuck_and_hot_photosites_cost_neither_samples_nor_accuracy_and_are_told() {
     let found = compare(&out, &dir.join("truth.rd.zarr"));
     println!("{clean:?}\n{found:?}");
     let told = warnings.iter().find_map(|w| match w {
-        Warning::HotPixels { photosites, stuck, .. } => Some([*stuck, photosites - stuck]),
+        Warning::Radiance(RadianceWarning::HotPixels { photosites, stuck, .. }) => Some([*stuck, photosites - stuck]),
         _ => None,
     });
     assert_eq!(told, Some([stuck_ones, hot_ones]), "{warnings:?}");

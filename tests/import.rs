@@ -191,7 +191,7 @@ fn a_missing_photograph_is_named_by_the_one_that_follows() {
 fn a_doubled_photograph_is_named() {
     let bench = Bench::new();
     std::fs::copy(bench.photograph(4), bench.path("camera/IMG_0004b.JPG")).unwrap();
-    bench.refused(&[], &["IMG_0004b.JPG", "reference-black", "exposure 1 of 3", "one too many"]);
+    bench.refused(&[], &["IMG_0004b.JPG", "reference-black", "exposure 1 of 3", "an extra one"]);
 }
 
 #[test]

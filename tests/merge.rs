@@ -1,5 +1,8 @@
-//! Merged radiance against the Cramér–Rao bound of the sensor that took the photographs.
+//! Merged radiance against the Cramér–Rao bound of the sensor that took the photographs; the example that merges a bracket.
 
+#[path = "../examples/merge_bracket.rs"]
+#[allow(dead_code, unreachable_pub)]
+mod merge_bracket;
 #[path = "common/merge_levels.rs"]
 mod merge_levels;
 #[path = "common/photon_sensor.rs"]
@@ -7,6 +10,7 @@ mod photon_sensor;
 
 use merge_levels::{Bracketing, measure};
 use photon_sensor::PhotonSensor;
+use std::path::Path;
 
 /// The default bracket of the simulator, five decades and the neighbourhood of every saturation.
 #[test]
@@ -26,5 +30,34 @@ fn merged_radiance_reaches_the_bound_of_the_photons_over_five_decades() {
             assert!((0.93..1.05).contains(&found.of_bound), "{text}");
             assert!((0.95..1.05).contains(&found.stated), "{text}");
         }
+    }
+}
+
+/// A weighted mean of two exposures lies between them, and is known better than the worse of them.
+#[test]
+fn the_example_gives_a_mean_of_what_each_exposure_says() {
+    let capture = acquire::capture::Capture::open(Path::new("captures"), None).unwrap();
+    let shot = capture.manifest.shots.iter().position(|s| s.name == "reference-white").unwrap();
+    let pixel @ [x, y] = [80, 70];
+    let (radiance, sd, used) = merge_bracket::radiance_at(Path::new("captures"), "reference-white", pixel).unwrap();
+    for c in 0..3 {
+        // The definition of sRGB; the capture's black level is 0, and 250 saturates.
+        let says = |p: &acquire::capture::Photograph| {
+            let code = image::open(&p.path).unwrap().to_rgb8().get_pixel(x as u32, y as u32)[c];
+            let v = f64::from(code) / 255.0;
+            let linear = if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
+            (code < 250).then_some(255.0 * linear / p.effective_secs)
+        };
+        let each: Vec<f64> = capture.brackets[shot].iter().filter_map(says).collect();
+        let (low, high) = (each.iter().copied().fold(f64::MAX, f64::min), each.iter().copied().fold(0.0, f64::max));
+        assert_eq!(usize::from(used[c]), each.len());
+        // Tables and sums of the merge are f32.
+        assert!(radiance[c] > low * (1.0 - 1e-5) && radiance[c] < high * (1.0 + 1e-5), "{low} {} {high}", radiance[c]);
+        // 8 bits and JPEG: one code value of a hundred or more, which the sRGB curve makes about two per cent.
+        assert!(sd[c] > 1e-4 * radiance[c] && sd[c] < 0.03 * radiance[c], "{} ± {}", radiance[c], sd[c]);
+    }
+    for (shot, pixel) in [("reference-grey", pixel), ("reference-white", [159, 0])] {
+        let refused = merge_bracket::radiance_at(Path::new("captures"), shot, pixel);
+        assert!(matches!(refused, Err(acquire::Error::Field { .. })), "{refused:?}");
     }
 }

@@ -5,7 +5,7 @@ mod common;
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{FileFormat, SensorKind, SimulateOptions, SlabMaterial};
-use acquire::{Error, Warning};
+use acquire::{Error, RadianceWarning, Warning};
 use common::compare;
 use std::path::Path;
 
@@ -40,14 +40,14 @@ fn a_rig_without_noise_gets_it_from_the_photographs_and_the_variance_stays_right
 
 fn is_near(warnings: &[Warning], gain: f64, read: f64, black: f64) -> bool {
     warnings.iter().any(|w| match w {
-        Warning::NoiseEstimated {
+        Warning::Radiance(RadianceWarning::NoiseEstimated {
             gain_dn_per_electron,
             read_noise_electrons,
             black_dn,
             saturation_dn,
             saturation_seen,
             ..
-        } => {
+        }) => {
             (gain_dn_per_electron / gain - 1.0).abs() < 0.02
                 && (read_noise_electrons / read - 1.0).abs() < 0.1
                 && (black_dn - black).abs() < 0.5
@@ -73,7 +73,7 @@ fn contradicted(sensors: &[SensorKind]) {
     for &sensor in sensors {
         let (_folder, dir) =
             common::capture(&SimulateOptions { grid: [7, 5], window: [17, 13], sensor, ..common::bench() });
-        let doubts = |w: &Warning| matches!(w, Warning::NoiseDisagrees { .. });
+        let doubts = |w: &Warning| matches!(w, Warning::Radiance(RadianceWarning::NoiseDisagrees { .. }));
         let warnings = build(&dir).unwrap().1;
         assert!(!warnings.iter().any(doubts), "{sensor:?}: {warnings:?}");
         let rig = dir.join("calibration/rig.toml");
@@ -83,7 +83,7 @@ fn contradicted(sensors: &[SensorKind]) {
         std::fs::write(&rig, text.replace(&gain, &format!("gain_dn_per_electron = {}", 1.5 * value))).unwrap();
         let warnings = build(&dir).unwrap().1;
         let gain_doubted = |w: &Warning| {
-            matches!(w, Warning::NoiseDisagrees { field, found, .. }
+            matches!(w, Warning::Radiance(RadianceWarning::NoiseDisagrees { field, found, .. })
             if field == "gain_dn_per_electron" && (found / value - 1.0).abs() < 0.03)
         };
         assert!(warnings.iter().any(gain_doubted), "{sensor:?}: {warnings:?}");

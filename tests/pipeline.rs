@@ -2,12 +2,12 @@
 
 mod common;
 
-use acquire::Warning;
 use acquire::geometry::{CameraView, Homography};
 use acquire::pipeline::{BuildOptions, BuildReport, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{SimulateOptions, SlabMaterial};
 use acquire::transport::MatrixReader;
+use acquire::{CaptureWarning, RadianceWarning, ResponseWarning, Warning};
 use common::compare;
 use std::path::Path;
 
@@ -143,7 +143,11 @@ fn the_noise_of_a_single_exposure_is_not_taken_for_a_halo() {
     let found = compare(&matrix, &dir.join("truth.rd.zarr"));
     // 0.6 % is found; with the halo of a fifth of the light that the frame's noise pretended, it was 17 %.
     assert!(found.rel_rmse < 0.01, "{found:?}");
-    assert!(!report.warnings.iter().any(|w| matches!(w, Warning::StrayLight { .. })), "{:?}", report.warnings);
+    assert!(
+        !report.warnings.iter().any(|w| matches!(w, Warning::Radiance(RadianceWarning::StrayLight { .. }))),
+        "{:?}",
+        report.warnings
+    );
 }
 
 #[test]
@@ -184,7 +188,11 @@ fn dots_nearer_than_their_windows_are_told_apart_and_warned_of() {
     assert!(found.rel_rmse < 0.03, "{found:?}");
     let crosstalk = report.crosstalk.unwrap();
     assert!(crosstalk.removed_share > 0.3 && crosstalk.modelled_share > 0.1, "{crosstalk:?}");
-    assert!(report.warnings.iter().any(|w| matches!(w, acquire::Warning::CrossTalk { .. })), "{:?}", report.warnings);
+    assert!(
+        report.warnings.iter().any(|w| matches!(w, Warning::Response(ResponseWarning::CrossTalk { .. }))),
+        "{:?}",
+        report.warnings
+    );
     let keep = BuildOptions { keep_crosstalk: true, ..BuildOptions::default() };
     build_matrix(&dir, &keep, &matrix, &Progress::silent()).unwrap();
     // The neighbours' peaks are in the window's corners.
@@ -235,8 +243,8 @@ fn grid_points_that_no_shot_lights_are_invalid_and_reported() {
     manifest.write(&dir).unwrap();
     let (matrix, report) = build(&dir);
     let acquire::capture::Pattern::Lattice { dots } = &last.pattern else { panic!("the last shot is no lattice") };
-    let unlit = report.warnings.iter().find(|w| matches!(w, acquire::Warning::UnlitPoints { .. }));
-    assert_eq!(unlit, Some(&acquire::Warning::UnlitPoints { rows: dots.len() }));
+    let unlit = report.warnings.iter().find(|w| matches!(w, Warning::Response(ResponseWarning::UnlitPoints { .. })));
+    assert_eq!(unlit, Some(&ResponseWarning::UnlitPoints { rows: dots.len() }.into()));
     let reader = MatrixReader::open(&matrix).unwrap();
     let row = manifest.grid.row_index(dots[0]);
     assert!(reader.read(row..row + 1).unwrap().valid.iter().all(|&v| v == 0));
@@ -264,7 +272,7 @@ fn an_exposure_in_the_manifest_overrides_exif_and_the_difference_is_told() {
     }
     manifest.write(&dir).unwrap();
     let (after, report) = build(&dir);
-    assert!(report.warnings.iter().any(|w| matches!(w, acquire::Warning::ExposureDisagrees { .. })));
+    assert!(report.warnings.iter().any(|w| matches!(w, Warning::Capture(CaptureWarning::ExposureDisagrees { .. }))));
     let peak = |v: &[f32]| v.iter().copied().fold(0.0f32, f32::max);
     // The same photographs; only f32 rounding and the weights' noise floor differ.
     assert!((peak(&read(&after)) / peak(&response) - 0.5).abs() < 1e-3);

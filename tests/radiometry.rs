@@ -2,13 +2,13 @@
 
 mod common;
 
-use acquire::Warning;
 use acquire::capture::{ExposureFrom, ResponseCurve, Rig};
 use acquire::pipeline::{BuildOptions, BuildReport, build_matrix};
 use acquire::progress::Progress;
 use acquire::radiance::Curve;
 use acquire::simulate::{CameraCurve, FileFormat, RigCurve, SimulateOptions, SlabMaterial};
 use acquire::transport::MatrixReader;
+use acquire::{RadianceWarning, Warning};
 use common::compare;
 use std::path::Path;
 
@@ -75,17 +75,20 @@ fn times_that_exif_gives_wrong_by_an_eighth_of_a_stop_are_measured_to_half_a_per
     let (_folder, dir) = common::capture(&SimulateOptions { exif_stops_error: 0.125, link_exposures: true, ..bench() });
     let (matrix, report) = build(&dir, ExposureFrom::Exif);
     // The lie is told, and what it costs is seen.
-    assert!(report.warnings.iter().any(|w| matches!(w, Warning::ExposureRatios { .. })), "{:?}", report.warnings);
+    assert!(
+        report.warnings.iter().any(|w| matches!(w, Warning::Radiance(RadianceWarning::ExposureRatios { .. }))),
+        "{:?}",
+        report.warnings
+    );
     let lied = compare(&matrix, &dir.join("truth.rd.zarr"));
     assert!(lied.rel_rmse > 0.03, "{lied:?}");
 
     let (matrix, report) = build(&dir, ExposureFrom::Estimate);
-    assert!(
-        !report
-            .warnings
-            .iter()
-            .any(|w| matches!(w, Warning::ExposureRatios { .. } | Warning::ExposuresUnlinked { .. }))
-    );
+    assert!(!report.warnings.iter().any(|w| matches!(
+        w,
+        Warning::Radiance(RadianceWarning::ExposureRatios { .. })
+            | Warning::Radiance(RadianceWarning::ExposuresUnlinked { .. })
+    )));
     let errors = time_errors(&dir, &matrix);
     // The project promises half a per cent; photons leave 0.05 %.
     assert!(errors.iter().all(|e| e.abs() < 0.002), "{errors:?}");
@@ -98,7 +101,13 @@ fn times_that_exif_gives_wrong_by_an_eighth_of_a_stop_are_measured_to_half_a_per
 fn true_times_and_a_steady_lamp_raise_no_warning() {
     let (_folder, dir) = common::capture(&bench());
     let (_, report) = build(&dir, ExposureFrom::Exif);
-    let none = |w: &Warning| !matches!(w, Warning::ExposureRatios { .. } | Warning::Flicker { .. });
+    let none = |w: &Warning| {
+        !matches!(
+            w,
+            Warning::Radiance(RadianceWarning::ExposureRatios { .. })
+                | Warning::Radiance(RadianceWarning::Flicker { .. })
+        )
+    };
     assert!(report.warnings.iter().all(none), "{:?}", report.warnings);
 }
 
@@ -107,7 +116,9 @@ fn settings_that_no_stack_links_are_named() {
     let (_folder, dir) = common::capture(&SimulateOptions { exif_stops_error: 0.125, ..bench() });
     let (_, report) = build(&dir, ExposureFrom::Estimate);
     let groups = report.warnings.iter().find_map(|w| match w {
-        Warning::ExposuresUnlinked { groups } => Some(groups.iter().map(Vec::len).collect::<Vec<_>>()),
+        Warning::Radiance(RadianceWarning::ExposuresUnlinked { groups }) => {
+            Some(groups.iter().map(Vec::len).collect::<Vec<_>>())
+        }
         _ => None,
     });
     // Two exposures of the references, five of the lattice.
@@ -163,7 +174,11 @@ fn an_unknown_response_of_16_bit_files_is_found_to_a_fifth_of_a_percent() {
 fn a_response_that_the_rig_gives_wrong_is_noticed() {
     let (_folder, dir) = common::capture(&SimulateOptions { response_curve: Some(CameraCurve::Film), ..bench() });
     let (_, report) = build(&dir, ExposureFrom::Exif);
-    assert!(report.warnings.iter().any(|w| matches!(w, Warning::ExposureRatios { .. })), "{:?}", report.warnings);
+    assert!(
+        report.warnings.iter().any(|w| matches!(w, Warning::Radiance(RadianceWarning::ExposureRatios { .. }))),
+        "{:?}",
+        report.warnings
+    );
 }
 
 #[test]
@@ -175,7 +190,7 @@ fn flicker_is_measured_and_mostly_taken_out() {
     let (matrix, report) = build(&flickering, ExposureFrom::Exif);
     let found = compare(&matrix, &flickering.join("truth.rd.zarr"));
     let sd = report.warnings.iter().find_map(|w| match w {
-        Warning::Flicker { relative_sd, .. } => Some(*relative_sd),
+        Warning::Radiance(RadianceWarning::Flicker { relative_sd, .. }) => Some(*relative_sd),
         _ => None,
     });
     // Some 40 degrees of freedom: a standard deviation is known to 11 %, and drawn from a coarse list (15 %).

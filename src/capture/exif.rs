@@ -1,7 +1,7 @@
 //! What a photograph says about its own exposure.
 
 use super::manifest::{LEAST_SECS, MOST_SECS};
-use crate::Warning;
+use crate::CaptureWarning;
 use exif::{Exif, In, Tag, Value};
 use std::path::Path;
 
@@ -38,21 +38,21 @@ const ISO_OVERFLOW: f64 = 65_535.0;
 
 /// Reads the EXIF block of a photograph; a file without one gives all `None`.
 ///
-/// Damaged blocks are read as far as they go, with a [`Warning::DamagedExif`]. A field whose value cannot be (0/0, 2^32 − 1, a time
-/// beyond 1e-9 to 1e6 s) is left out with a [`Warning::UnusableExif`]; 0, which EXIF writes for "unknown", is left out without.
-pub(super) fn read(path: &Path, name: &str, warnings: &mut Vec<Warning>) -> std::io::Result<ExifExposure> {
+/// Damaged blocks are read as far as they go, with a [`CaptureWarning::DamagedExif`]. A field whose value cannot be (0/0, 2^32 − 1, a time
+/// beyond 1e-9 to 1e6 s) is left out with a [`CaptureWarning::UnusableExif`]; 0, which EXIF writes for "unknown", is left out without.
+pub(super) fn read(path: &Path, name: &str, warnings: &mut Vec<CaptureWarning>) -> std::io::Result<ExifExposure> {
     let mut file = std::io::BufReader::with_capacity(1 << 12, std::fs::File::open(path)?);
     let parsed = exif::Reader::new().continue_on_error(true).read_from_container(&mut file).or_else(|e| {
         e.distill_partial_result(|errors| {
             let reason = errors.first().map(ToString::to_string).unwrap_or_default();
-            warnings.push(Warning::DamagedExif { file: name.to_owned(), reason });
+            warnings.push(CaptureWarning::DamagedExif { file: name.to_owned(), reason });
         })
     });
     // No EXIF in this file, or a container that carries none (EXR).
     Ok(parsed.map_or_else(|_| ExifExposure::default(), |block| interpret(&block, name, warnings)))
 }
 
-fn interpret(block: &Exif, name: &str, warnings: &mut Vec<Warning>) -> ExifExposure {
+fn interpret(block: &Exif, name: &str, warnings: &mut Vec<CaptureWarning>) -> ExifExposure {
     let mut usable = |tag: Tag, to: fn(f64) -> f64, [low, high]: [f64; 2]| {
         let field = block.get_field(tag, In::PRIMARY)?;
         let value = first_number(&field.value).map(to);
@@ -61,7 +61,7 @@ fn interpret(block: &Exif, name: &str, warnings: &mut Vec<Warning>) -> ExifExpos
         let value = value.filter(|v| *v >= low && *v <= high);
         if value.is_none() && !unknown {
             let (file, tag, found) = (name.to_owned(), tag.to_string(), raw(&field.value));
-            warnings.push(Warning::UnusableExif { file, tag, found, photographs: 1 });
+            warnings.push(CaptureWarning::UnusableExif { file, tag, found, photographs: 1 });
         }
         value
     };
@@ -120,7 +120,7 @@ pub(super) mod tests {
         bytes.into_inner()
     }
 
-    fn read_fields(fields: Vec<(Tag, Value)>) -> (ExifExposure, Vec<Warning>) {
+    fn read_fields(fields: Vec<(Tag, Value)>) -> (ExifExposure, Vec<CaptureWarning>) {
         let block = exif::Reader::new().read_raw(block_of(fields)).unwrap();
         let mut warnings = Vec::new();
         (interpret(&block, "a.jpg", &mut warnings), warnings)
@@ -136,7 +136,7 @@ pub(super) mod tests {
             let (exif, warnings) = read_fields(vec![(Tag::ExposureTime, rational(num, denom))]);
             assert_eq!(exif.exposure_secs, None, "{num}/{denom}");
             assert!(
-                matches!(&warnings[..], [Warning::UnusableExif { tag, found, .. }]
+                matches!(&warnings[..], [CaptureWarning::UnusableExif { tag, found, .. }]
                     if tag == "ExposureTime" && *found == format!("{num}/{denom}")),
                 "{warnings:?}"
             );
@@ -213,7 +213,9 @@ pub(super) mod tests {
         ] {
             let (exif, warnings) = field(tag, num, denom);
             assert_eq!((exif.exposure_secs, exif.f_number), (None, None), "{tag} {num}/{denom}");
-            assert!(matches!(&warnings[..], [Warning::UnusableExif { file, photographs: 1, .. }] if file == "a.jpg"));
+            assert!(
+                matches!(&warnings[..], [CaptureWarning::UnusableExif { file, photographs: 1, .. }] if file == "a.jpg")
+            );
         }
         // All bits set stands for an overflow in every type.
         let iso = |value| read_fields(vec![(Tag::ISOSpeed, value)]);

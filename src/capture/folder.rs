@@ -3,7 +3,7 @@
 use super::exif::{self, ExifExposure, ExposureFrom};
 use super::manifest::{LEAST_SECS, MOST_SECS};
 use super::{Manifest, Pattern, Photograph, Rig};
-use crate::{Error, Result, Warning, geometry::Point};
+use crate::{CaptureWarning, Error, Result, geometry::Point};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
@@ -21,7 +21,7 @@ pub struct Capture {
     /// The photographs of each shot of the manifest, shortest exposure first.
     pub brackets: Vec<Vec<Photograph>>,
     /// Findings.
-    pub warnings: Vec<Warning>,
+    pub warnings: Vec<CaptureWarning>,
 }
 
 /// Two sources of one exposure time may differ by rounding to nominal values (1/30 for 1/32) before it is worth a word.
@@ -54,7 +54,7 @@ impl Capture {
         check_against_rig(&manifest, &rig, &manifest_path)?;
 
         let mut warnings = Vec::new();
-        let heads: Vec<(Vec<Head>, Vec<Warning>)> = {
+        let heads: Vec<(Vec<Head>, Vec<CaptureWarning>)> = {
             let shots = manifest.shots.par_iter();
             shots.map(|shot| read_heads(dir, shot, rig.camera.size_px, exposure_from)).collect::<Result<_>>()?
         };
@@ -67,9 +67,9 @@ impl Capture {
                 head.photograph.effective_secs = head.photograph.exposure_secs * factor;
                 let field = "exposure time · ISO / f-number²";
                 Error::unless_within(&head.photograph.path, field, head.photograph.effective_secs, 1e-12, 1e9)?;
-                let told = warnings.iter().any(|w| matches!(w, Warning::ApertureOrIsoChanges { .. }));
+                let told = warnings.iter().any(|w| matches!(w, CaptureWarning::ApertureOrIsoChanges { .. }));
                 if (factor - 1.0).abs() > 1e-6 && !told {
-                    warnings.push(Warning::ApertureOrIsoChanges { file: head.name.clone(), factor });
+                    warnings.push(CaptureWarning::ApertureOrIsoChanges { file: head.name.clone(), factor });
                 }
             }
             brackets.push(sorted_bracket(shot_heads, &manifest_path)?);
@@ -100,15 +100,19 @@ struct Head {
 }
 
 /// Adds findings; the same one of many photographs is said once, with their number.
-fn gather(warnings: &mut Vec<Warning>, found: &mut Vec<Warning>) {
+fn gather(warnings: &mut Vec<CaptureWarning>, found: &mut Vec<CaptureWarning>) {
     for new in found.drain(..) {
         let known = warnings.iter_mut().find_map(|old| match (old, &new) {
-            (Warning::UnusableExif { tag, photographs, .. }, Warning::UnusableExif { tag: new, .. }) if tag == new => {
+            (CaptureWarning::UnusableExif { tag, photographs, .. }, CaptureWarning::UnusableExif { tag: new, .. })
+                if tag == new =>
+            {
                 Some(photographs)
             }
             (
-                Warning::ExposureDisagrees { used_secs, other_secs, other, photographs, .. },
-                Warning::ExposureDisagrees { used_secs: new_used, other_secs: new_secs, other: new_other, .. },
+                CaptureWarning::ExposureDisagrees { used_secs, other_secs, other, photographs, .. },
+                CaptureWarning::ExposureDisagrees {
+                    used_secs: new_used, other_secs: new_secs, other: new_other, ..
+                },
             ) if (&*used_secs, &*other_secs, &*other) == (new_used, new_secs, new_other) => Some(photographs),
             _ => None,
         });
@@ -124,7 +128,7 @@ fn read_heads(
     shot: &super::Shot,
     size_px: [usize; 2],
     exposure_from: ExposureFrom,
-) -> Result<(Vec<Head>, Vec<Warning>)> {
+) -> Result<(Vec<Head>, Vec<CaptureWarning>)> {
     let mut warnings = Vec::new();
     let mut heads = Vec::new();
     for entry in &shot.photographs {
@@ -153,7 +157,7 @@ fn read_heads(
         for (other_secs, other) in known {
             if (other_secs / used_secs - 1.0).abs() > EXPOSURE_TOLERANCE {
                 let (file, other) = (entry.file.clone(), other.to_owned());
-                warnings.push(Warning::ExposureDisagrees { file, used_secs, other_secs, other, photographs: 1 });
+                warnings.push(CaptureWarning::ExposureDisagrees { file, used_secs, other_secs, other, photographs: 1 });
             }
         }
         photograph.exposure_secs = used_secs;
@@ -350,13 +354,13 @@ mod tests {
 
     #[test]
     fn the_same_finding_of_many_photographs_is_told_once_with_their_number() {
-        let tag = |file: &str, tag: &str| Warning::UnusableExif {
+        let tag = |file: &str, tag: &str| CaptureWarning::UnusableExif {
             file: file.into(),
             tag: tag.into(),
             found: "0/0".into(),
             photographs: 1,
         };
-        let secs = |file: &str, used_secs, other_secs, other: &str| Warning::ExposureDisagrees {
+        let secs = |file: &str, used_secs, other_secs, other: &str| CaptureWarning::ExposureDisagrees {
             file: file.into(),
             used_secs,
             other_secs,
@@ -380,9 +384,8 @@ mod tests {
         let numbers: Vec<usize> = warnings
             .iter()
             .map(|w| match w {
-                Warning::UnusableExif { photographs, .. } | Warning::ExposureDisagrees { photographs, .. } => {
-                    *photographs
-                }
+                CaptureWarning::UnusableExif { photographs, .. }
+                | CaptureWarning::ExposureDisagrees { photographs, .. } => *photographs,
                 other => panic!("{other}"),
             })
             .collect();
@@ -422,7 +425,7 @@ mod tests {
         let (found, warnings) = heads(None, ExposureFrom::Exif);
         assert_eq!(secs(&found), [1.0 / 30.0; 2]);
         assert!(
-            matches!(&warnings[..], [Warning::ExposureDisagrees { file, other_secs, other, .. }]
+            matches!(&warnings[..], [CaptureWarning::ExposureDisagrees { file, other_secs, other, .. }]
             if file == "b.png" && *other_secs == 1.0 / 16.0 && other == "EXIF ShutterSpeedValue"),
             "{warnings:?}"
         );

@@ -240,7 +240,7 @@ impl Manifest {
         for shot in &self.shots {
             let field = |name: &str| format!("shots \"{}\": {name}", shot.name);
             if !names.insert(&shot.name) {
-                return Err(Error::field(path, field("name"), "unique names", "it twice"));
+                return Err(Error::field(path, field("name"), "unique names", "another shot of this name"));
             }
             if shot.photographs.is_empty() {
                 return Err(Error::field(path, field("photographs"), "at least one", "none"));

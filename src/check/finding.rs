@@ -1,6 +1,7 @@
 //! What `check` can find: typed, with a severity and the part of the capture that it is about.
 
-use crate::Warning;
+use crate::words::count;
+use crate::{CaptureWarning, RadianceWarning, RegistrationWarning, ResponseWarning, Warning};
 use serde::Serialize;
 
 /// How much a finding matters.
@@ -271,29 +272,21 @@ impl Finding {
 }
 
 fn topic_of(warning: &Warning) -> Topic {
+    use {CaptureWarning as C, RadianceWarning as M, RegistrationWarning as R, ResponseWarning as E};
     match warning {
-        Warning::ExposureDisagrees { .. }
-        | Warning::UnusableExif { .. }
-        | Warning::ExposureRatios { .. }
-        | Warning::ExposuresUnlinked { .. } => Topic::Exposures,
-        Warning::ApertureOrIsoChanges { .. } | Warning::DamagedExif { .. } => Topic::Settings,
-        Warning::SaturatedSamples { .. }
-        | Warning::AlbedoAboveOne { .. }
-        | Warning::NoiseEstimated { .. }
-        | Warning::NoiseDisagrees { .. }
-        | Warning::HotPixels { .. }
-        | Warning::Flicker { .. } => Topic::Light,
-        Warning::DriftFromLatticeDots
-        | Warning::DriftUnmeasured { .. }
-        | Warning::DriftJumps { .. }
-        | Warning::CameraMoved { .. }
-        | Warning::FrameMoved { .. } => Topic::Drift,
-        Warning::StronglyBlurred { .. }
-        | Warning::PointSpreadUnmeasured
-        | Warning::PointSpreadVaries { .. }
-        | Warning::StrayLight { .. } => Topic::Focus,
-        Warning::BoardTooSmall { .. } | Warning::BoardElsewhere { .. } => Topic::Registration,
-        _ => Topic::Dots,
+        Warning::Capture(C::ExposureDisagrees { .. } | C::UnusableExif { .. }) => Topic::Exposures,
+        Warning::Capture(C::ApertureOrIsoChanges { .. } | C::DamagedExif { .. }) => Topic::Settings,
+        Warning::Radiance(M::ExposureRatios { .. } | M::ExposuresUnlinked { .. }) => Topic::Exposures,
+        Warning::Radiance(M::StrayLight { .. }) => Topic::Focus,
+        Warning::Radiance(_) => Topic::Light,
+        Warning::Registration(R::BoardTooSmall { .. } | R::BoardElsewhere { .. }) => Topic::Registration,
+        Warning::Registration(R::StronglyBlurred { .. } | R::PointSpreadUnmeasured | R::PointSpreadVaries { .. }) => {
+            Topic::Focus
+        }
+        Warning::Registration(_) => Topic::Drift,
+        Warning::Response(E::SaturatedSamples { .. } | E::AlbedoAboveOne { .. }) => Topic::Light,
+        // `check` neither factors nor simulates.
+        Warning::Response(_) | Warning::Factor(_) | Warning::Simulate(_) => Topic::Dots,
     }
 }
 
@@ -315,56 +308,70 @@ impl std::fmt::Display for Finding {
             Self::MissingPhotograph { file, shot } => write!(f, "{file} of shot \"{shot}\" is missing"),
             Self::BrokenPhotograph { file, shot, reason } => write!(f, "{file} of shot \"{shot}\": {reason}"),
             Self::WrongSize { file, expected_px: [w, h], found_px: [x, y] } => {
-                write!(f, "{file} has {x} × {y} px, camera.size_px of rig.toml is {w} × {h}")
+                write!(f, "{file} has {x} × {y} px, but camera.size_px of rig.toml is {w} × {h} px")
             }
             Self::NoExposure { file } => write!(f, "{file}: no exposure time in EXIF or capture.toml"),
             Self::NoExif { file, photographs } => {
-                write!(f, "{photographs} photographs ({file} first) have no EXIF: settings and order are not known")
+                write!(
+                    f,
+                    "no EXIF in {} (first: {file}): settings and order are unknown",
+                    count(*photographs, "photograph")
+                )
             }
             Self::AutomaticExposure { file, photographs, program } => write!(
                 f,
-                "{photographs} photographs ({file} first) were exposed by {program}; set the camera to manual and shoot again"
+                "the camera chose exposures by {program} in {} (first: {file}): set it to manual and shoot again",
+                count(*photographs, "photograph")
             ),
             Self::AutomaticWhiteBalance { file, photographs } => write!(
                 f,
-                "{photographs} photographs ({file} first) have automatic white balance: harmless in raw files, colours that change in all others"
+                "automatic white balance in {} (first: {file}): colours may change, except in raw files",
+                count(*photographs, "photograph")
             ),
             Self::SettingChanges { setting, file, photographs, expected, found } => {
-                write!(f, "{setting} changes: {found} in {photographs} photographs ({file} first), {expected} in most")
+                write!(
+                    f,
+                    "{setting} changes: {found} in {} (first: {file}), {expected} in most",
+                    count(*photographs, "photograph")
+                )
             }
             Self::BracketDiffers { shot, shots, expected_secs, found_secs } => write!(
                 f,
-                "{shots} lattice shots (\"{shot}\" first: {}) have other exposures than most ({})",
+                "exposures differ from those of most lattice shots in {} (first: \"{shot}\", {}; most: {})",
+                count(*shots, "shot"),
                 times(found_secs),
                 times(expected_secs)
             ),
             Self::OutOfOrder { file, after_file, shots, .. } => write!(
                 f,
-                "{shots} shots are out of order: {file} was taken before {after_file}, which precedes it in capture.toml"
+                "{} out of order: {file} was taken before {after_file}, which precedes it in capture.toml",
+                count(*shots, "shot")
             ),
             Self::Saturated { shot, share } => {
                 write!(f, "\"{shot}\": {} of its pixels are saturated in the shortest exposure", percent(*share))
             }
             Self::SaturatedDots { shot, dots, of } => write!(
                 f,
-                "{dots} of {of} dots that were looked at (\"{shot}\" first) are saturated in the shortest exposure: add a shorter one"
+                "the shortest exposure saturates in {dots} of the {} looked at (first: \"{shot}\"): add a shorter one",
+                count(*of, "dot")
             ),
             Self::Dark { shot, share } => {
                 write!(f, "\"{shot}\": {} of its pixels are black even in the longest exposure", percent(*share))
             }
             Self::Blurred { psf_px, sample_px } => write!(
                 f,
-                "the lens blurs by {psf_px:.2} px, an outgoing sample is {sample_px:.1} px: focus the camera, or stop it down"
+                "the lens blurs by {psf_px:.2} px, and an outgoing sample is {sample_px:.1} px wide: focus the camera, or stop it down"
             ),
             Self::LargeDrift { shot, drift_px, most_px } => write!(
                 f,
-                "\"{shot}\": the pattern has moved by {drift_px:.1} px since the registration, {most_px:.0} px can be followed"
+                "\"{shot}\": the pattern has moved by {drift_px:.1} px since the registration; at most {most_px:.0} px can be followed"
             ),
             Self::DeadDots { shot, dot, dots, of } => write!(
                 f,
-                "{dots} of {of} dots that were looked at are not to be seen ({dot:?} of \"{shot}\" first): were patterns and photographs exchanged?"
+                "{dots} of the {} looked at cannot be seen (first: {dot:?} of \"{shot}\"): were patterns or photographs exchanged?",
+                count(*of, "dot")
             ),
-            Self::UnlitPoints { points, of } => write!(f, "{points} of {of} grid points are lit by no shot"),
+            Self::UnlitPoints { points, of } => write!(f, "no shot lights {points} of {}", count(*of, "grid point")),
             Self::NotLookedAt => write!(f, "the photographs' pixels were not looked at"),
             Self::Warned { warning } => write!(f, "{warning}"),
         }

@@ -18,7 +18,7 @@ use crate::capture::{Capture, Manifest, Pattern, ResponseCurve, Rig};
 use crate::pipeline::{BuildOptions, BuildReport, BuildSecs, try_build};
 use crate::progress::Progress;
 use crate::radiance::Sensor;
-use crate::{Error, Result, Warning};
+use crate::{CaptureWarning, Error, ResponseWarning, Result, Warning};
 use pixels::Pictures;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -99,7 +99,7 @@ const BLUR_SHARE: f64 = 1.0 / 3.0;
 /// [`Error::Setting`] for no lattice shots to look at; [`Error::Internal`].
 pub fn check(dir: &Path, options: &CheckOptions, progress: &Progress) -> Result<CheckReport> {
     if options.lattice_shots == 0 {
-        let (expected, found) = ("1 or more".into(), "0".into());
+        let (expected, found) = ("at least 1".into(), "0".into());
         return Err(Error::Setting { setting: "lattice_shots", expected, found });
     }
     let mut report = CheckReport { name: None, figures: Figures::default(), findings: Vec::new(), stopped_by: None };
@@ -156,7 +156,7 @@ impl CheckReport {
         }
         let capture = Capture::open_with(dir, calibration, options.build.exposure_from)
             .inspect_err(|_| self.findings.push(Finding::NotLookedAt))?;
-        self.warned(&capture.warnings);
+        self.warned(capture.warnings.iter().cloned().map(Warning::from));
         let sample = sampled(&capture, options.lattice_shots);
         self.figures.lattice_shots_looked_at = sample.shots(is_lattice).len();
         let tried = try_build(&sample, &options.build, progress);
@@ -192,16 +192,16 @@ impl CheckReport {
     }
 
     /// Warnings of the pipeline that say more than what was found already.
-    fn warned(&mut self, warnings: &[Warning]) {
+    fn warned(&mut self, warnings: impl IntoIterator<Item = Warning>) {
         let changes = self.findings.iter().any(|f| matches!(f, Finding::SettingChanges { .. }));
         for warning in warnings {
             let known = match warning {
                 // Of a sample, every other point is unlit.
-                Warning::UnlitPoints { .. } => true,
-                Warning::ApertureOrIsoChanges { .. } => changes,
+                Warning::Response(ResponseWarning::UnlitPoints { .. }) => true,
+                Warning::Capture(CaptureWarning::ApertureOrIsoChanges { .. }) => changes,
                 _ => false,
             };
-            let finding = Finding::Warned { warning: warning.clone() };
+            let finding = Finding::Warned { warning };
             if !known && !self.findings.contains(&finding) {
                 self.findings.push(finding);
             }
@@ -225,7 +225,7 @@ impl CheckReport {
         self.findings.extend(pictures.stills(tried)?);
         stage.advance(1);
         let Some(tried) = tried else { return Ok(()) };
-        self.warned(&tried.warnings);
+        self.warned(tried.warnings.iter().cloned());
         let dots = pictures.lattice(tried)?;
         self.findings.extend(dots.findings());
         (self.figures.dots_looked_at, self.figures.dark_share) = (dots.looked_at, dots.dark_share());

@@ -2,6 +2,7 @@
 
 use super::finding::times;
 use super::{CheckReport, Finding, Severity, Topic};
+use crate::words::count;
 
 /// Findings of one topic that are listed; all are in the JSON.
 const LISTED: usize = 5;
@@ -49,8 +50,9 @@ fn figures(report: &CheckReport, topic: Topic) -> Option<String> {
             let time = f.build_secs.map_or(String::new(), |s| format!(", built in about {}", duration(s)));
             let (photographs, matrix) = (mb(f.photograph_bytes), mb(f.matrix_bytes_most));
             format!(
-                "{} photographs of {} shots, {photographs}; the matrix: {matrix} at most{time}",
-                f.photographs, f.shots
+                "{} of {}, {photographs}; the matrix: {matrix} at most{time}",
+                count(f.photographs, "photograph"),
+                count(f.shots, "shot")
             )
         }),
         Topic::Exposures => (!f.lattice_exposures_secs.is_empty())
@@ -59,23 +61,23 @@ fn figures(report: &CheckReport, topic: Topic) -> Option<String> {
         Topic::Order => known.then(|| "as in capture.toml, as far as EXIF tells".into()),
         Topic::Light => f.dark_share.map(|share| {
             format!(
-                "{} dots looked at; {:.0} % of their windows black in the longest exposure, at most",
-                f.dots_looked_at,
+                "{} looked at; {:.0} % of their windows black in the longest exposure, at most",
+                count(f.dots_looked_at, "dot"),
                 100.0 * share
             )
         }),
         Topic::Focus => f.psf_px.zip(f.sample_px).map(|(psf, sample)| {
-            format!("the lens blurs by {psf:.2} px (standard deviation), an outgoing sample is {sample:.1} px")
+            format!("the lens blurs by {psf:.2} px (standard deviation), an outgoing sample is {sample:.1} px wide")
         }),
         Topic::Registration => f.camera_rms_px.zip(f.projector_rms_px).map(|(camera, projector)| {
             format!("board RMS {camera:.3} px camera, Gray code RMS {projector:.3} px projector")
         }),
         Topic::Drift => f.drift_most_px.map(|px| {
-            format!("{px:.2} px at most in {} of {} lattice shots", f.lattice_shots_looked_at, f.lattice_shots)
+            format!("{px:.2} px at most in {} of {}", f.lattice_shots_looked_at, count(f.lattice_shots, "lattice shot"))
         }),
         Topic::Dots => known.then(|| {
             let [x, y] = f.points;
-            format!("{} of {x} × {y} points lit by {} lattice shots", f.points_lit, f.lattice_shots)
+            format!("{} of {x} × {y} points lit by {}", f.points_lit, count(f.lattice_shots, "lattice shot"))
         }),
     }
 }

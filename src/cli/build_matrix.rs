@@ -1,6 +1,7 @@
 use super::{Context, options};
 use crate::pipeline::{BuildReport, build_matrix};
 use crate::simulate::TRUTH_MATRIX;
+use crate::words::count;
 use crate::{Error, Result};
 use std::path::PathBuf;
 
@@ -32,7 +33,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
         return Err(Error::Setting { setting: "out", expected, found: args.out.display().to_string() });
     }
     let report = build_matrix(&args.capture, &args.build.into(), &args.out, &context.progress)?;
-    report.warnings.iter().for_each(|w| context.warn(w));
+    report.warnings.iter().cloned().for_each(|w| context.warn(w));
     context.done(summary(&report));
     let stages: Vec<_> = context.progress.timings().iter().map(|t| format!("{} {:.2} s", t.stage, t.secs)).collect();
     context.done(stages.join(", "));
@@ -53,12 +54,12 @@ pub(super) fn summary(report: &BuildReport) -> String {
         _ => String::new(),
     };
     format!(
-        "R_d of {}×{} points, {}×{} window from {} photographs; registration RMS {:.3} px camera, {:.3} px projector; drift RMS {drift_rms:.2} px{working}",
+        "R_d of {}×{} points, {}×{} window from {}; registration RMS {:.3} px camera, {:.3} px projector; drift RMS {drift_rms:.2} px{working}",
         report.points[0],
         report.points[1],
         report.window[0],
         report.window[1],
-        report.photographs,
+        count(report.photographs, "photograph"),
         r.camera_rms_px,
         r.projector_rms_px,
     )

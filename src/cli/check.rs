@@ -1,10 +1,11 @@
 use super::{Context, options};
 use crate::check::{Severity, check, table};
+use crate::words::count;
 use crate::{Error, Result};
 use std::io::IsTerminal;
 use std::path::PathBuf;
 
-/// Tell in seconds whether a capture would build, and what is odd about it.
+/// Check in seconds whether a capture would build, and list what is unusual.
 ///
 /// Reads every photograph's head, and takes a few of the lattice shots the whole way of build-matrix. Looks at missing and broken
 /// files, exposures, settings that changed or were automatic, the order of shooting, saturation, focus, registration, drift and dots.
@@ -15,7 +16,7 @@ Examples:
   acquire check captures/ --calibration lab/rig-3 --lattice-shots 32
   acquire check captures/ --json | jq -r '.findings[] | .severity + \": \" + .message'
 
-Each topic is good, look (it builds, but look at it) or bad. Exit status 1 when build-matrix would fail, 0 otherwise.")]
+Each topic is good, look (it builds, but needs a look) or bad. Exit status 1 when build-matrix would fail, 0 otherwise.")]
 pub(super) struct Args {
     /// Folder of capture.toml.
     capture: PathBuf,
@@ -37,15 +38,13 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     super::print(&text)?;
     let warnings = report.findings.iter().filter(|f| f.severity() == Severity::Warning).count();
     let figures = &report.figures;
-    let sample = format!("{} of {} lattice shots", figures.lattice_shots_looked_at, figures.lattice_shots);
+    let sample = format!("{} of {}", figures.lattice_shots_looked_at, count(figures.lattice_shots, "lattice shot"));
     match report.stopped_by {
         Some(reason) => Err(Error::WouldNotBuild { reason: Box::new(reason) }),
         None => {
             let secs = start.elapsed().as_secs_f64();
-            context.done(format_args!(
-                "would build; {warnings} warning{}; {sample} looked at in {secs:.1} s",
-                if warnings == 1 { "" } else { "s" }
-            ));
+            context
+                .done(format_args!("would build; {}; {sample} looked at in {secs:.1} s", count(warnings, "warning")));
             Ok(())
         }
     }

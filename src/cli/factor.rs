@@ -5,7 +5,7 @@ use crate::material::{Model, Precision};
 use crate::output::write_whole;
 use crate::transport::MatrixReader;
 use crate::{Error, Result};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Factor a matrix into a compact material.
 #[derive(Debug, clap::Args)]
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 Examples:
   acquire factor slab.rd.zarr                            as many terms as the noise supports
   acquire factor slab.rd.zarr --target-psnr 45           the fewest bytes that reach it
-  acquire factor slab.rd.zarr --max-bytes 250kB          the best in so many bytes
+  acquire factor slab.rd.zarr --max-bytes 250kB          the best of at most 250 kB
   acquire factor slab.rd.zarr --target-psnr 45 --out slab.acq    the same, coded: far fewer bytes
   acquire factor slab.rd.zarr --terms 15 --degree 7      the paper's model and setting
   acquire factor slab.rd.zarr --model peers2006 --terms 13
@@ -33,7 +33,7 @@ pub(super) struct Args {
     /// Choose the fewest bytes that reach this psnr_db against the matrix.
     #[arg(long, value_name = "DB", allow_negative_numbers = true, conflicts_with = "terms")]
     target_psnr: Option<f64>,
-    /// Choose the best material in so many bytes (bytes_f32, half of it for f16, the whole file when coded): 250kB, 1.5MiB, or plain bytes.
+    /// Choose the best material of at most this size (bytes_f32, half of it for f16, the whole file when coded): 250kB, 1.5MiB, or plain bytes.
     #[arg(long, value_name = "BYTES", value_parser = bytes, conflicts_with_all = ["terms", "target_psnr"])]
     max_bytes: Option<u64>,
     /// With --model peers2006: factor the intensity, and make colour a polynomial of it as tucker does.
@@ -48,10 +48,10 @@ pub(super) struct Args {
     /// How singular values are computed [default: the quickest for the size that reaches --accuracy].
     #[arg(long, value_enum)]
     backend: Option<Backend>,
-    /// What singular values may be off by, relative to the largest.
+    /// Largest error of singular values, relative to the largest of them.
     #[arg(long, value_name = "SHARE", allow_negative_numbers = true, default_value_t = FactorOptions::default().accuracy)]
     accuracy: f64,
-    /// Memory for the rows; more of them are read from the store at every pass: 2GiB, say [default: half of the machine's].
+    /// Memory for the rows, such as 2GiB; rows beyond it are read from the store at every pass [default: half of the machine's].
     #[arg(long, value_name = "BYTES", value_parser = bytes)]
     memory: Option<u64>,
     /// Entry and exit maps, so that every row has its albedo and the slab under even light its exitance: yes or no [default: for joint, where they
@@ -73,24 +73,15 @@ pub(super) struct Args {
 }
 
 /// Refuses options that contradict each other.
-fn check(args: &Args, out: &Path, precision: Precision) -> Result<()> {
+fn check(args: &Args, precision: Precision) -> Result<()> {
     let refuse =
         |setting, expected: &str, found: String| Err(Error::Setting { setting, expected: expected.into(), found });
-    let ends = |with: &str| out.extension().is_some_and(|e| e == with);
-    let coded = precision == Precision::Coded;
-    if args.added_error.is_some() && !coded {
+    if args.added_error.is_some() && precision != Precision::Coded {
         return refuse(
             "added_error",
             "--precision coded, or an --out that ends in .acq, beside it",
             precision.to_string(),
         );
-    }
-    // What the name says is what others will take the file for.
-    if coded && ends("safetensors") {
-        return refuse("out", "a name that ends in .acq for a coded material", out.display().to_string());
-    }
-    if !coded && ends("acq") {
-        return refuse("out", "a name that ends in .safetensors for a plain material", out.display().to_string());
     }
     if args.color_regression && args.model != Some(Model::Peers2006) {
         return refuse("color_regression", "--model peers2006 beside it", "another model".into());
@@ -101,7 +92,12 @@ fn check(args: &Args, out: &Path, precision: Precision) -> Result<()> {
 /// What storing adds and what is then off in all, in words.
 fn in_all(stored: &Stored) -> String {
     let psnr = stored.psnr_db().map(|db| format!(", psnr_db {db:.2}"));
-    format!("which adds {:.5} (about {:.5}{} in all)", stored.added_error, stored.rel_rmse(), psnr.unwrap_or_default())
+    format!(
+        "which adds an error of {:.5} (about {:.5}{} in all)",
+        stored.added_error,
+        stored.rel_rmse(),
+        psnr.unwrap_or_default()
+    )
 }
 
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
@@ -112,8 +108,14 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     });
     let coded = out.extension().is_some_and(|e| e == "acq");
     let precision = args.precision.unwrap_or(if coded { Precision::Coded } else { Precision::F32 });
-    check(&args, &out, precision)?;
-    super::check_output(&out, &[&args.matrix], &super::MATERIALS)?;
+    check(&args, precision)?;
+    // What the name says is what others will take the file for.
+    let endings = match args.precision {
+        None => &super::MATERIALS[..],
+        Some(Precision::Coded) => &["acq"],
+        Some(_) => &["safetensors"],
+    };
+    super::check_output(&out, &[&args.matrix], endings)?;
     let reader = MatrixReader::open(&args.matrix)?;
     let options = FactorOptions {
         model: args.model,
@@ -138,7 +140,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let stored = factor_and_store(&reader, &options, &storage, &context.progress)?;
     write_whole(&out, &stored.file)?;
     let factored = &stored.factored;
-    factored.warnings.iter().for_each(|w| context.warn(w));
+    factored.warnings.iter().cloned().for_each(|w| context.warn(w));
     let how = match precision {
         Precision::F32 => String::new(),
         Precision::F16 => format!(", stored as f16 in {} bytes, {}", stored.bytes, in_all(&stored)),
@@ -148,7 +150,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let bytes = factored.material.bytes_f32();
     match (args.target_psnr, precision) {
         (Some(db), Precision::Coded) => context.done(format_args!(
-            "{}; {ROOM_DB} dB of it are room for the coder, {db} dB are to be left",
+            "{}; {ROOM_DB} dB of it are reserved for coding, which leaves {db} dB",
             factored.choice
         )),
         _ => context.done(&factored.choice),

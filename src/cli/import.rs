@@ -1,12 +1,13 @@
 use super::{Context, options};
 use crate::Result;
 use crate::import::import;
+use crate::words::count;
 use std::path::PathBuf;
 
 /// Sort a camera's folder of photographs into the shots of a plan.
 ///
 /// Photographs are taken in the order of their EXIF times (and of the numbers in their names), and must repeat the exposures that the plan's
-/// shots ask for. What does not fit is refused by the name of the first such photograph, and nothing is written then.
+/// shots ask for. What does not fit is refused with the name of the first such photograph, and nothing is written then.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -31,11 +32,14 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let done = import(&args.folder, &args.plan, &args.out, &args.options.into(), &context.progress)?;
     let out = args.out.display();
     let left = if done.left > 0 { format!(", {} of other kinds left", done.left) } else { String::new() };
-    let ignored = if done.ignored > 0 { format!(", {} other files ignored", done.ignored) } else { String::new() };
+    let ignored =
+        if done.ignored > 0 { format!(", {} ignored", count(done.ignored, "other file")) } else { String::new() };
     let order = if done.by_number { "by the numbers in their names" } else { "by their times" };
     context.done(format_args!(
-        "{out}: {} photographs (.{}{left}{ignored}) in {} shots, {order}; next: acquire check {out}",
-        done.photographs, done.kind, done.shots,
+        "{out}: {} (.{}{left}{ignored}) in {}, {order}; next: acquire check {out}",
+        count(done.photographs, "photograph"),
+        done.kind,
+        count(done.shots, "shot"),
     ));
     Ok(())
 }

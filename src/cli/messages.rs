@@ -1,6 +1,6 @@
 //! What the terminal shows of errors and warnings: options as they are typed, and what to try.
 
-use crate::{Error, Warning};
+use crate::{Error, RadianceWarning, SimulateWarning, Warning};
 
 /// An error in one line.
 pub(super) fn text(error: &Error) -> String {
@@ -62,7 +62,7 @@ pub(super) fn hint(error: &Error) -> Option<String> {
         }
         Error::BrokenMaterial { .. } => "the file may have been cut short; make it again with `acquire factor`",
         Error::BrokenImage { .. } => "give an OpenEXR, PNG or JPEG image",
-        Error::Mismatch { .. } => "compare outputs of the same capture, grid and window",
+        Error::Mismatch { .. } => "compare outputs of one capture, with one grid and window",
         Error::NotOurs { .. } => "move it elsewhere, or name another --out (or DIR)",
         Error::NotEmpty { .. } => "name another --out (or DIR), or replace an earlier output with --force",
         Error::Setting { .. } => "see `acquire help` for the range of each option",
@@ -77,8 +77,12 @@ pub(super) fn hint(error: &Error) -> Option<String> {
 /// What might be done about a warning with the options of this program.
 pub(super) fn advice(warning: &Warning) -> Option<&'static str> {
     match warning {
-        Warning::ExposureRatios { .. } => Some("use --exposure-from estimate, or check camera.response in rig.toml"),
-        Warning::DiffusionTooClear { .. } | Warning::DiffusionTooDark { .. } => Some("use --transport mc"),
+        Warning::Radiance(RadianceWarning::ExposureRatios { .. }) => {
+            Some("use --exposure-from estimate, or check camera.response in rig.toml")
+        }
+        Warning::Simulate(SimulateWarning::DiffusionTooClear { .. } | SimulateWarning::DiffusionTooDark { .. }) => {
+            Some("use --transport mc")
+        }
         _ => None,
     }
 }

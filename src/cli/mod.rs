@@ -78,8 +78,9 @@ impl Context {
     }
 
     /// A finding that does not stop the work.
-    fn warn(&self, warning: &crate::Warning) {
-        let advice = messages::advice(warning).map(|advice| format!("; {advice}"));
+    fn warn(&self, warning: impl Into<crate::Warning>) {
+        let warning = warning.into();
+        let advice = messages::advice(&warning).map(|advice| format!("; {advice}"));
         self.progress.say(format_args!("warning: {warning}{}", advice.unwrap_or_default()));
     }
 }
@@ -159,10 +160,10 @@ fn run(cli: Cli) -> Result<()> {
         let refuse =
             |expected: &str| Error::Setting { setting: "threads", expected: expected.into(), found: n.to_string() };
         if !(1..=MOST_THREADS).contains(&n) {
-            return Err(refuse("1 to 1024"));
+            return Err(refuse("1 to 1024 threads"));
         }
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
-        pool.map_err(|e| refuse(&format!("fewer, the system starts no more ({e})")))?;
+        pool.map_err(|e| refuse(&format!("fewer threads (the system cannot start more: {e})")))?;
     }
     crate::output::remove_on_signals()?;
     let progress = if cli.quiet { Progress::silent() } else { Progress::terminal() };

@@ -43,7 +43,7 @@ typed!(Build => crate::pipeline::BuildOptions {
 });
 
 typed!(Check => crate::check::CheckOptions {
-    /// Those of the build that is to come.
+    /// Options of the build to be checked.
     #[command(flatten)]
     build: Build,
     /// Lattice shots to look at, spread over the sweep. 8: the first, the last and some between show drift and light.
@@ -64,7 +64,7 @@ typed!(Import => crate::import::ImportOptions {
     /// A name for people [default: the plan's].
     #[arg(long)]
     name: Option<String>,
-    /// Believe the plan where photographs without EXIF tell no exposure: only their number can be checked then.
+    /// Use the plan's exposures for photographs without EXIF; only their number can be checked then.
     #[arg(long)]
     exposures_from_plan: bool,
     /// Replace an earlier capture at --out.
@@ -124,7 +124,7 @@ typed!(Patterns => PatternsOptions {
     /// Shorter of the two exposures of board, white reference and Gray code, s [default: --shortest-secs; with --probe: the probe's].
     #[arg(long, value_name = "S", value_parser = secs)]
     white_secs: Option<f64>,
-    /// What the camera takes for a photograph besides its exposure, s, to tell the time.
+    /// Time that the camera takes per photograph besides its exposure, s, to estimate the time of shooting.
     #[arg(long, value_name = "S", default_value_t = 1.5)]
     overhead_secs: f64,
     /// Share of a row's light that other dots' tails may add to it before `build-matrix` takes that out, with --probe.
@@ -205,10 +205,10 @@ typed!(Simulate => SimulateOptions {
     /// What the rig file says of the response curve [default: linear, or srgb for srgb and film]
     #[arg(long = "rig-response", value_enum, value_name = "CURVE", help_heading = "Camera")]
     rig_curve: Option<RigCurve>,
-    /// EXIF gives each distinct exposure time wrong by a fixed random amount of this size, root mean square, stops.
+    /// Fixed random error of each distinct exposure time in EXIF, root mean square, stops.
     #[arg(long, value_name = "STOPS", default_value_t = SimulateOptions::default().exif_stops_error, help_heading = "Camera")]
     exif_stops_error: f64,
-    /// EXIF gives the usual name of the time: 1/250 for 1/256, thirds of stops.
+    /// EXIF holds nominal exposure times in thirds of stops: 1/250 for 1/256.
     #[arg(long, help_heading = "Camera")]
     nominal_times: bool,
     /// Camera pixels across an outgoing cell. 3: enough for sub-cell registration.
@@ -241,7 +241,7 @@ typed!(Simulate => SimulateOptions {
     /// Turn of the projector's picture against the slab, degrees. 3: set up by hand; 90: a projector on its side.
     #[arg(long, value_name = "DEG", allow_negative_numbers = true, default_value_t = SimulateOptions::default().projector_turn_deg, help_heading = "Projector")]
     projector_turn_deg: f64,
-    /// The projector's picture comes by a mirror: its columns run backwards.
+    /// The projector's picture is mirrored: its columns run backwards.
     #[arg(long, help_heading = "Projector")]
     projector_mirrored: bool,
     /// Side of a dot, projector pixels. 3: a dark pixel between neighbours.
@@ -256,7 +256,7 @@ typed!(Simulate => SimulateOptions {
     /// Photographs of the board in other poses, for the lens.
     #[arg(long, value_name = "N", default_value_t = SimulateOptions::default().calibration_boards, help_heading = "Capture")]
     calibration_boards: usize,
-    /// Print dark discs on the frame, photograph them before and after the lattice shots, and tell the rig file.
+    /// Print dark discs on the frame, photograph them before and after the lattice shots, and list them in the rig file.
     #[arg(long, help_heading = "Capture")]
     frame_marks: bool,
     /// A lab without a board: the frame's marks alone tell where the slab is.
@@ -269,7 +269,7 @@ typed!(Simulate => SimulateOptions {
     /// five exposures all over the sample.
     #[arg(long, value_name = "RATIO", default_value_t = SimulateOptions::default().projector_black, help_heading = "Projector")]
     projector_black: f64,
-    /// By how much the white reference's reflectance differs across it from what the rig file says, at most, of itself.
+    /// Largest relative deviation of the white reference's reflectance from what the rig file says.
     /// 0.002: a good reference.
     #[arg(long, value_name = "SHARE", default_value_t = SimulateOptions::default().white_unevenness, help_heading = "Capture")]
     white_unevenness: f64,

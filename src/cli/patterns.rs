@@ -3,6 +3,7 @@ use crate::Result;
 use crate::capture::Rig;
 use crate::patterns::{Patterns, PatternsOptions, Plan, Probe, hours, patterns};
 use crate::pipeline::BuildOptions;
+use crate::words::count;
 use std::path::PathBuf;
 
 /// Write the projector's pictures for a capture, and the plan by which its photographs are sorted.
@@ -55,16 +56,20 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     }
     let plan = &written.plan;
     let cost = |plan: &Plan| {
-        format!("{} photographs, about {}", plan.photographs(), hours(plan.shooting_secs(options.overhead_secs)))
+        format!(
+            "{}, about {}",
+            count(plan.photographs(), "photograph"),
+            hours(plan.shooting_secs(options.overhead_secs))
+        )
     };
     let instead =
         written.without_probe.as_ref().map_or(String::new(), |p| format!(" (without the probe: {})", cost(p)));
     context.done(format_args!(
-        "{}: {} × {} points, {} pictures, {}{instead}; next: {}",
+        "{}: {} × {} points, {}, {}{instead}; next: {}",
         args.out.display(),
         plan.grid.points[0],
         plan.grid.points[1],
-        plan.shots.len(),
+        count(plan.shots.len(), "picture"),
         cost(plan),
         args.out.join("how-to-shoot.txt").display(),
     ));

@@ -1,6 +1,7 @@
 //! `acquire simulate`: a capture without a rig, and its truth.
 
 use super::{Context, options};
+use crate::words::count;
 use crate::{
     Result,
     simulate::{self, Cause, SimulateOptions, SlabMaterial},
@@ -62,19 +63,22 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     options.switch(args.only.as_deref(), &args.with, &args.without)?;
     let start = std::time::Instant::now();
     let summary = simulate::simulate(&options, &args.dir, &context.progress)?;
-    for warning in &summary.warnings {
+    for warning in summary.warnings.iter().cloned() {
         context.warn(warning);
     }
     let (dir, secs) = (args.dir.display(), start.elapsed().as_secs_f64());
     let noise = summary.photon_noise.map_or(String::new(), |noise| format!(" (photon noise {:.2} %)", 100.0 * noise));
     if options.truth_only {
-        context.done(format_args!("{dir}: the truth of {} shots{noise} in {secs:.1} s, no photographs", summary.shots));
+        context.done(format_args!(
+            "{dir}: the truth of {}{noise} in {secs:.1} s, no photographs",
+            count(summary.shots, "shot")
+        ));
         return Ok(());
     }
     context.done(format_args!(
-        "{dir}: {} photographs of {} shots, {} × {} px, {:.0} MB, and their truth{noise} in {secs:.1} s; next: acquire build-matrix {dir} --out {}.rd.zarr",
-        summary.photographs,
-        summary.shots,
+        "{dir}: {} of {}, {} × {} px, {:.0} MB, and their truth{noise} in {secs:.1} s; next: acquire build-matrix {dir} --out {}.rd.zarr",
+        count(summary.photographs, "photograph"),
+        count(summary.shots, "shot"),
         summary.size_px[0],
         summary.size_px[1],
         summary.photograph_bytes as f64 / 1e6,

@@ -2,6 +2,7 @@ use super::Context;
 use crate::output::NewFolder;
 use crate::tradeoff::{self, Tradeoff, TradeoffOptions, tradeoff};
 use crate::transport::MatrixReader;
+use crate::words::count;
 use crate::{Error, Result};
 use std::path::PathBuf;
 
@@ -13,8 +14,8 @@ Examples:
   acquire tradeoff slab.rd.zarr --quick                a block of 24 × 24 lit points, under a minute
   acquire tradeoff slab.rd.zarr --quick --json | jq '.measured[] | select(.pareto)'
 
-Writes tradeoff.html (opens offline), tradeoff.csv and tradeoff.json into a folder; prints the front: what nothing else beats in both
-bytes and psnr_db.")]
+Writes tradeoff.html (opens offline), tradeoff.csv and tradeoff.json into a folder; prints the front: the settings that no other
+beats in both bytes and psnr_db.")]
 pub(super) struct Args {
     /// The matrix, a folder *.rd.zarr.
     matrix: PathBuf,
@@ -24,7 +25,7 @@ pub(super) struct Args {
     /// Only a block of 24 × 24 lit points in the middle, and fewer settings.
     #[arg(long)]
     quick: bool,
-    /// Memory for the rows, 2GiB say [default: half of the machine's].
+    /// Memory for the rows, such as 2GiB [default: half of the machine's].
     #[arg(long, value_name = "BYTES", value_parser = super::factor::bytes)]
     memory: Option<u64>,
     /// Replace an earlier result at DIR.
@@ -61,7 +62,11 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
             "condition of the colour fits at degree 7: {median:.1e} at the median, {largest:.1e} at most"
         ));
     }
-    context.done(format_args!("{} materials measured: {}", found.measured.len(), out.join("tradeoff.html").display()));
+    context.done(format_args!(
+        "{} measured: {}",
+        count(found.measured.len(), "material"),
+        out.join("tradeoff.html").display()
+    ));
     Ok(())
 }
 

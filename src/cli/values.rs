@@ -81,8 +81,8 @@ impl ValueEnum for Cause {
             Self::Distortion => "Lens distortion",
             Self::Vignetting => "Vignetting",
             Self::HotPixels => "Hot pixels",
-            Self::Film => "A film-like response curve that the rig file does not tell",
-            Self::Exif => "Exposure times that EXIF gives wrong",
+            Self::Film => "A film-like response curve that the rig file does not state",
+            Self::Exif => "Wrong exposure times in EXIF",
             Self::Flicker => "A lamp that flickers",
             Self::Ambient => "Ambient light",
             Self::Falloff => "Uneven projector light",
@@ -124,7 +124,7 @@ values!(crate::simulate::CameraCurve {
 values!(crate::simulate::RigCurve {
     Linear = "linear", "Code values in proportion to light";
     Srgb = "srgb", "The sRGB curve";
-    Estimate = "estimate", "Not known: to be estimated";
+    Estimate = "estimate", "Unknown, to be estimated";
 });
 
 /// `auto`, `full`, or camera pixels across a sample.

@@ -8,7 +8,7 @@ use super::{FactorOptions, Factored};
 use crate::material::{Material, MaterialHeader, Responses};
 use crate::transport::rows::{RowView, gradient};
 use crate::transport::{MatrixReader, RowBlock};
-use crate::{Result, Warning};
+use crate::{FactorWarning, Result};
 use std::ops::Range;
 
 /// Rows looked at to choose the degree; its mean z² is then known to 1 in 50.
@@ -59,12 +59,12 @@ pub enum Goal {
 
 impl Goal {
     /// The finding that a material misses the goal; a hundredth of a decibel is not worth a word.
-    pub(super) fn missed(self, material: &Material, psnr_db: Option<f64>) -> Option<Warning> {
+    pub(super) fn missed(self, material: &Material, psnr_db: Option<f64>) -> Option<FactorWarning> {
         match (self, psnr_db) {
             (Self::Psnr(asked), Some(db)) if db < asked - 0.01 => {
-                Some(Warning::GoalMissed { asked: format!("{asked} dB"), found: format!("{db:.2} dB") })
+                Some(FactorWarning::GoalMissed { asked: format!("{asked} dB"), found: format!("{db:.2} dB") })
             }
-            (Self::Bytes(asked), _) if material.bytes_f32() > asked => Some(Warning::GoalMissed {
+            (Self::Bytes(asked), _) if material.bytes_f32() > asked => Some(FactorWarning::GoalMissed {
                 asked: format!("{asked} bytes"),
                 found: format!("{} bytes", material.bytes_f32()),
             }),
@@ -125,10 +125,10 @@ pub(super) fn degree_by_noise(reader: &MatrixReader, material: &Material, most: 
     }
     let (degree, mean) = (choice.degree(), choice.mean());
     let reason = match mean.get(degree + 1) {
-        Some(z2) => format!("degree {} explains no more than noise (mean z² {z2:.2}, 2 needed)", degree + 1),
+        Some(z2) => format!("degree {} explains no more than noise (mean z² {z2:.2}, 2 required)", degree + 1),
         // The sum that chose it ends above the one before.
         None => {
-            format!("the highest allowed, it still explains more than noise (mean z² {:.2}, 2 needed)", mean[degree])
+            format!("the highest allowed; it still explains more than noise (mean z² {:.2}, 2 required)", mean[degree])
         }
     };
     Ok((degree, reason))
@@ -221,7 +221,10 @@ pub(super) fn terms_and_degree(
                 let top = all().max_by(best)?;
                 Some((
                     top,
-                    format!("{db} dB are not reached: colour by a polynomial ends near {:.1} dB", psnr(top.0, top.1)),
+                    format!(
+                        "{db} dB not reached: colour by a polynomial is limited to about {:.1} dB",
+                        psnr(top.0, top.1)
+                    ),
                     true,
                 ))
             })

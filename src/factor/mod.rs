@@ -29,7 +29,8 @@ use crate::material::legendre::MOST_DEGREE;
 use crate::material::{Material, Model};
 use crate::progress::Progress;
 use crate::transport::{MatrixReader, RowBlock};
-use crate::{Error, Result, Warning};
+use crate::words::count;
+use crate::{Error, FactorWarning, Result};
 use content::Content;
 use entry_exit::Sums;
 use prepared_rows::PreparedRows;
@@ -102,7 +103,7 @@ pub struct Factored {
     /// The material; its header has the warnings of the matrix, then those below.
     pub material: Material,
     /// Findings of the factorization.
-    pub warnings: Vec<Warning>,
+    pub warnings: Vec<FactorWarning>,
     /// ‖R̂−R‖ / ‖R‖ over the valid entries of the matrix it was made from.
     pub rel_rmse: f64,
     /// `psnr_db` of `docs/metrics.md` on the same entries; `None` when nothing is left or nothing was there.
@@ -209,7 +210,7 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progr
         .material
         .header
         .shared_maps
-        .map(|k| format!("; channels share {k} offset map{}", if k == 1 { "" } else { "s" }))
+        .map(|k| format!("; channels share {}", count(k, "offset map")))
         .unwrap_or_default();
     let choice = format!("{model}, terms {terms}: {}{maps}{why_degree}{grey}; {}", fit.why, fit.how);
     let (rel_rmse, psnr_db) = (fit.misfit.rel_rmse(), fit.misfit.psnr_db());
@@ -219,8 +220,9 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progr
     if options.terms.is_none() {
         warnings.extend(options.goal.missed(&material, psnr_db));
     }
-    let all = reader.header().warnings.iter().chain(&warnings);
-    material.header.warnings = all.map(serde_json::to_value).collect::<Result<_, _>>().map_err(Error::internal)?;
+    let of_matrix = reader.header().warnings.iter().map(serde_json::to_value);
+    let all = of_matrix.chain(warnings.iter().map(serde_json::to_value));
+    material.header.warnings = all.collect::<Result<_, _>>().map_err(Error::internal)?;
     material.header.provenance = serde_json::json!({
         "version": env!("CARGO_PKG_VERSION"),
         "options": options,

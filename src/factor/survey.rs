@@ -9,7 +9,7 @@ use crate::progress::Progress;
 use crate::transport::normalize::{Placement, layout, place};
 use crate::transport::rows::RowView;
 use crate::transport::{MatrixReader, RowBlock};
-use crate::{Result, Warning};
+use crate::{FactorWarning, Result};
 use rayon::prelude::*;
 
 /// Rows whose sums are taken together, whatever the number of threads: sums are then the same for any.
@@ -37,7 +37,7 @@ pub(super) struct Survey {
     /// Whether the channels differ by no more than noise.
     pub grey: bool,
     /// Findings.
-    pub warnings: Vec<Warning>,
+    pub warnings: Vec<FactorWarning>,
 }
 
 impl Survey {
@@ -197,15 +197,15 @@ pub(super) fn survey(
     Ok(Survey { placements, layout, mean, noise, complete, peak, entries, energy, grey, warnings })
 }
 
-fn findings(placements: &[Placement], limit: [usize; 2]) -> Vec<Warning> {
+fn findings(placements: &[Placement], limit: [usize; 2]) -> Vec<FactorWarning> {
     let empty = placements.iter().filter(|p| p.scale <= 0.0).count();
     let limited = placements.iter().filter(|p| p.limited).count();
     let mut warnings = Vec::new();
     if empty > 0 {
-        warnings.push(Warning::EmptyRows { rows: empty });
+        warnings.push(FactorWarning::EmptyRows { rows: empty });
     }
     if limited > 0 {
-        warnings.push(Warning::ShiftLimited { rows: limited, limit: limit[0].max(limit[1]) });
+        warnings.push(FactorWarning::ShiftLimited { rows: limited, limit: limit[0].max(limit[1]) });
     }
     warnings
 }

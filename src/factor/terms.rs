@@ -13,6 +13,7 @@ use super::shared_basis::Sharing;
 use super::{FactorOptions, Misfit};
 use crate::material::{Material, MaterialHeader, Model, OffsetFactors, Responses};
 use crate::transport::MatrixReader;
+use crate::words::count;
 use crate::{Error, Result};
 use rayon::prelude::*;
 
@@ -159,8 +160,8 @@ pub(super) fn fit(
         fit.misfit = rows.survey.misfit(residual_of(rows, reader, &fit.material)?);
     }
     fit.how = format!(
-        "{chosen}, {passes} {}{}{}",
-        if passes == 1 { "pass" } else { "passes" },
+        "{chosen}, {}{}{}",
+        count(passes, "pass"),
         if residual > 0.0 { format!(", singular values to {residual:.0e}") } else { String::new() },
         if rows.in_memory() { "" } else { ", streamed from the store" },
     );
@@ -251,7 +252,7 @@ impl Asked<'_, '_> {
         let plan = |kept, why| Plan { kept, maps: None, degree: None, why, short: false };
         if let Some(asked) = options.terms {
             let why = match asked > self.rank {
-                true => format!("as asked, {asked}: the rows have no more"),
+                true => format!("{asked} asked, all that the rows have"),
                 false => "as asked".to_owned(),
             };
             return Ok(plan(Kept::First(asked.min(self.rank)), why));
@@ -328,7 +329,7 @@ impl Asked<'_, '_> {
                 Some(found) => (found, format!("the fewest bytes that reach {db} dB")),
                 None => {
                     let best = candidates.iter().max_by(|a, b| a.3.total_cmp(&b.3));
-                    (best.unwrap_or(&candidates[0]), format!("{db} dB are not reached with the most that there are"))
+                    (best.unwrap_or(&candidates[0]), format!("the most possible, {db} dB not reached"))
                 }
             },
             Goal::Bytes(bytes) => match candidates.iter().filter(|c| c.2 <= bytes).max_by(|a, b| a.3.total_cmp(&b.3)) {

@@ -1,6 +1,7 @@
 //! The photographs of a camera's folder, in the order of shooting.
 
 use crate::capture::{CameraSettings, Photograph};
+use crate::words::count;
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -87,7 +88,7 @@ pub fn list(folder: &Path, take: Option<&str>) -> Result<Listing> {
         return Err(Error::Setting {
             setting: "FOLDER",
             expected: "a folder of photographs".into(),
-            found: format!("none in {} ({ignored} other files)", folder.display()),
+            found: format!("none in {} ({})", folder.display(), count(ignored, "other file")),
         });
     };
     let left = kinds.iter().filter(|(kind, _)| **kind != chosen).map(|(_, paths)| paths.len()).sum();

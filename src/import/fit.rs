@@ -2,6 +2,7 @@
 
 use super::files::Found;
 use crate::patterns::Plan;
+use crate::words::count;
 use crate::{Error, Result};
 
 /// Half a third of a stop: nominal times (1/30 for 1/32) are nearer, the next step of a camera is further.
@@ -37,8 +38,8 @@ pub fn fit(photographs: &[Found], plan: &Plan) -> Result<()> {
         return Err(Error::DoesNotFit {
             path: extra.path.clone(),
             shot: plan.shots[last].name.clone(),
-            expected: format!("no more than the plan's {} photographs", expected.len()),
-            found: format!("{} photographs", photographs.len()),
+            expected: format!("no more than the plan's {}", count(expected.len(), "photograph")),
+            found: count(photographs.len(), "photograph"),
         });
     };
     let shot = plan.shots[at.0].name.clone();
@@ -56,7 +57,7 @@ pub fn fit(photographs: &[Found], plan: &Plan) -> Result<()> {
         () if missing > 0 && (missing > doubled || missing == doubled && fewer) => {
             ": a photograph is missing before it"
         }
-        () if doubled > 0 => ": it is one too many",
+        () if doubled > 0 => ": it is an extra one",
         () => "",
     };
     let secs = found.settings.exposure_secs.map_or("no exposure time in EXIF".to_owned(), time);

@@ -8,7 +8,7 @@ use crate::pipeline::{BuildOptions, BuildReport, build_matrix};
 use crate::progress::Progress;
 use crate::registration::Registration;
 use crate::transport::MatrixReader;
-use crate::{Error, Result, Warning};
+use crate::{Error, ResponseWarning, Result, Warning};
 use std::path::Path;
 
 /// A probe capture, measured.
@@ -70,7 +70,9 @@ impl Probe {
         let refuse = |field: &str, expected: &str, found: String| {
             Err(Error::field(capture.manifest_path(), field, expected, found))
         };
-        if let Some(near) = report.warnings.iter().find(|w| matches!(w, Warning::CrossTalk { .. })) {
+        if let Some(near) =
+            report.warnings.iter().find(|w| matches!(w, Warning::Response(ResponseWarning::CrossTalk { .. })))
+        {
             return refuse("shots: dots", "a probe whose dots do not light each other's windows", near.to_string());
         }
         let matrix = MatrixReader::open(&store)?;
@@ -122,15 +124,17 @@ impl Probe {
     /// # Errors
     /// [`Error::Setting`] when the response reaches further than any spacing could keep apart.
     pub fn choose(&self, options: &PatternsOptions, rig: &Rig) -> Result<ProbeChoice> {
-        let too_far = |found: &str| Error::Setting {
+        let too_far = |found: &str| {
+            Error::Setting {
             setting: "probe",
             expected:
-                "a response that falls within its window; give window and spacing_mm, or a probe with a wider window"
+                "a response that falls off within its window; give window and spacing_mm, or a probe with a wider window"
                     .into(),
             found: found.into(),
+        }
         };
         let pitch_mm = options.pitch_mm.unwrap_or(self.manifest.window.pitch_mm);
-        let (reach, seen) = self.tails.reach_mm(WINDOW_SHARE).ok_or_else(|| too_far("one that does not fall"))?;
+        let (reach, seen) = self.tails.reach_mm(WINDOW_SHARE).ok_or_else(|| too_far("one that does not fall off"))?;
         let window = options.window.unwrap_or(2 * (reach / pitch_mm).ceil() as usize + 1);
         let scale = self.projector_from_slab()?.area_scale(self.registration.center_mm).sqrt();
         let lit_pitch_mm = options.lit_pitch_mm.unwrap_or(pitch_mm);

@@ -6,7 +6,7 @@ use super::sink::RowSink;
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::response::{LitRow, Separation, TailModel, fit_tails, reach_mm};
-use crate::{Result, Warning};
+use crate::{ResponseWarning, Result};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -31,10 +31,15 @@ pub struct CrossTalk {
 
 impl CrossTalk {
     /// A finding when the spacing is smaller than it should be.
-    pub(super) fn warning(&self) -> Option<Warning> {
+    pub(super) fn warning(&self) -> Option<ResponseWarning> {
         let Self { spacing_samples, needed_samples, removed_share, modelled_share } = *self;
         let enough = needed_samples.is_some_and(|needed| spacing_samples >= needed as f64);
-        (!enough).then_some(Warning::CrossTalk { spacing_samples, needed_samples, removed_share, modelled_share })
+        (!enough).then_some(ResponseWarning::CrossTalk {
+            spacing_samples,
+            needed_samples,
+            removed_share,
+            modelled_share,
+        })
     }
 }
 

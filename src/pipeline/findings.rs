@@ -10,8 +10,7 @@ use crate::capture::{Manifest, Pattern};
 use crate::geometry::Point;
 use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps};
 use crate::transport::{MatrixHeader, ShotRecord};
-use crate::warning::DriftJump;
-use crate::{Error, Result, Warning};
+use crate::{DriftJump, Error, RadianceWarning, RegistrationWarning, ResponseWarning, Result, Warning};
 use std::path::Path;
 
 /// A point spread that differs by this much over the board, px, leaves a few per cent of the peaks where it is not the mean's.
@@ -43,14 +42,15 @@ pub(super) fn summarize(
     let mut header = unmeasured(&capture.manifest);
     // Pixels of the photographs in one of the working resolution.
     let full = found.working.factor as f64;
-    let mut warnings = capture.warnings.clone();
-    warnings.extend(found.registered.warnings.iter().cloned());
-    warnings.extend(found.noise.warnings.clone());
-    warnings.extend(found.radiometry.warnings.clone());
+    let mut warnings: Vec<Warning> = capture.warnings.iter().cloned().map(Warning::from).collect();
+    warnings.extend(found.registered.warnings.iter().cloned().map(Warning::from));
+    warnings.extend(found.noise.warnings.iter().cloned().map(Warning::from));
+    warnings.extend(found.radiometry.warnings.iter().cloned().map(Warning::from));
     if !hot.is_empty() {
         let stuck = hot.iter().filter(|h| h.excess.is_none()).count();
         let strongest = hot.iter().filter_map(|h| h.excess).map(f64::from).fold(0.0, f64::max);
-        warnings.push(Warning::HotPixels { photosites: hot.len(), stuck, strongest_dn_per_sec: strongest });
+        warnings
+            .push(RadianceWarning::HotPixels { photosites: hot.len(), stuck, strongest_dn_per_sec: strongest }.into());
     }
     let mut clipped = (0, 0);
     let mut bright: Vec<f64> = Vec::new();
@@ -86,23 +86,25 @@ pub(super) fn summarize(
             drift_sd_px: result.drift.map(|d| full * d.sd_px.hypot(camera_sd)),
         });
     }
-    warnings.extend(saturated.map(|(first, shots, samples)| Warning::SaturatedSamples { first, shots, samples }));
-    warnings.extend(unmeasured.map(|(first, shots)| Warning::DriftUnmeasured { first, shots }));
-    warnings.extend(jumps(results, &header, full));
-    warnings.extend(camera_moved(results, &header, full));
+    warnings.extend(
+        saturated.map(|(first, shots, samples)| ResponseWarning::SaturatedSamples { first, shots, samples }.into()),
+    );
+    warnings.extend(unmeasured.map(|(first, shots)| RegistrationWarning::DriftUnmeasured { first, shots }.into()));
+    warnings.extend(jumps(results, &header, full).map(Warning::from));
+    warnings.extend(camera_moved(results, &header, full).map(Warning::from));
     if clipped.0 > 0 {
-        warnings.push(Warning::ClippedWindow { rows: clipped.0, samples: clipped.1 });
+        warnings.push(ResponseWarning::ClippedWindow { rows: clipped.0, samples: clipped.1 }.into());
     }
     if let Some(largest) = bright.iter().copied().reduce(f64::max) {
-        warnings.push(Warning::AlbedoAboveOne { rows: bright.len(), largest });
+        warnings.push(ResponseWarning::AlbedoAboveOne { rows: bright.len(), largest }.into());
     }
     if capture.manifest.reference_dots.is_none() {
-        warnings.push(Warning::DriftFromLatticeDots);
+        warnings.push(RegistrationWarning::DriftFromLatticeDots.into());
     }
     let remaining = results.iter().map(|r| r.flicker_variance).sum::<f64>() / results.len().max(1) as f64;
-    warnings.extend(found.light.flicker.as_ref().map(|f| f.warning(remaining)));
+    warnings.extend(found.light.flicker.as_ref().map(|f| f.warning(remaining).into()));
     complete(scene, found.light, &mut header, &mut warnings);
-    warnings.extend(crosstalk.as_ref().and_then(CrossTalk::warning));
+    warnings.extend(crosstalk.as_ref().and_then(CrossTalk::warning).map(Warning::from));
     header.camera_px_per_mm = Some(full * scene.px_per_mm);
     header.provenance = provenance(scene, found, crosstalk.as_ref(), remaining)?;
     header.warnings = warnings.clone();
@@ -132,7 +134,7 @@ fn complete(scene: &Scene<'_>, light: &LightCorrections, header: &mut MatrixHead
         header.lit_mm[row] = scene.nominal_mm([row % nx, row / nx]);
     }
     if !unlit.is_empty() {
-        warnings.push(Warning::UnlitPoints { rows: unlit.len() });
+        warnings.push(ResponseWarning::UnlitPoints { rows: unlit.len() }.into());
     }
     let ends = |dot: [usize; 2]| scene.nominal_mm(dot);
     let far = [ends([nx - 1, 0]), ends([0, ny - 1])];
@@ -144,20 +146,20 @@ fn complete(scene: &Scene<'_>, light: &LightCorrections, header: &mut MatrixHead
         }
     }
     if light.stray.share > STRAY_TOLD {
-        warnings.push(Warning::StrayLight { share: light.stray.share });
+        warnings.push(RadianceWarning::StrayLight { share: light.stray.share }.into());
     }
     if let Some(PointSpread { psf_px, .. }) = scene.registration.point_spread.filter(|p| p.psf_px > STRONG_BLUR_PX) {
-        warnings.push(Warning::StronglyBlurred { psf_px });
+        warnings.push(RegistrationWarning::StronglyBlurred { psf_px }.into());
     }
     match scene.registration.point_spread {
-        None => warnings.push(Warning::PointSpreadUnmeasured),
+        None => warnings.push(RegistrationWarning::PointSpreadUnmeasured.into()),
         Some(PointSpread { psf_px, range_px, .. }) if range_px[1] - range_px[0] > SPREAD_VARIES_PX => {
-            warnings.push(Warning::PointSpreadVaries { psf_px, range_px });
+            warnings.push(RegistrationWarning::PointSpreadVaries { psf_px, range_px }.into());
         }
         Some(_) => {}
     }
     if let Some(outside_mm) = outside_board(scene) {
-        warnings.push(Warning::BoardTooSmall { outside_mm });
+        warnings.push(RegistrationWarning::BoardTooSmall { outside_mm }.into());
     }
 }
 
@@ -253,20 +255,20 @@ pub(super) fn unmeasured(m: &Manifest) -> MatrixHeader {
 }
 
 /// Shots before which the pattern has jumped.
-fn jumps(results: &[ShotResult], header: &MatrixHeader, full: f64) -> Option<Warning> {
+fn jumps(results: &[ShotResult], header: &MatrixHeader, full: f64) -> Option<RegistrationWarning> {
     let path: Vec<_> = results.iter().map(|r| r.drift.map(|d| (d.camera_px, d.sd_px))).collect();
     let found = find_jumps(&path);
     let named =
         |j: &Jump| header.shots.get(j.at).map(|s| DriftJump { shot: s.name.clone(), length_px: full * j.length_px });
-    (!found.is_empty()).then(|| Warning::DriftJumps { jumps: found.iter().filter_map(named).collect() })
+    (!found.is_empty()).then(|| RegistrationWarning::DriftJumps { jumps: found.iter().filter_map(named).collect() })
 }
 
 /// Shots in which the camera's picture has moved; all were corrected.
-fn camera_moved(results: &[ShotResult], header: &MatrixHeader, full: f64) -> Option<Warning> {
+fn camera_moved(results: &[ShotResult], header: &MatrixHeader, full: f64) -> Option<RegistrationWarning> {
     let length = |r: &ShotResult| r.camera.filter(CameraMotion::is_sure).map(|m| m.camera_px[0].hypot(m.camera_px[1]));
     let moved: Vec<(usize, f64)> = results.iter().enumerate().filter_map(|(k, r)| Some((k, length(r)?))).collect();
     let first = header.shots.get(moved.first()?.0)?.name.clone();
     let largest_px = full * moved.iter().map(|m| m.1).fold(0.0, f64::max);
     let measured = results.iter().filter(|r| r.camera.is_some()).count();
-    Some(Warning::CameraMoved { first, shots: moved.len(), measured, largest_px })
+    Some(RegistrationWarning::CameraMoved { first, shots: moved.len(), measured, largest_px })
 }

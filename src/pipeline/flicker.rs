@@ -12,7 +12,7 @@ use crate::cholesky::solve;
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance, Sensor, evenly, stack_scales};
 use crate::registration::measure_drift;
-use crate::{Result, Warning};
+use crate::{RadianceWarning, Result};
 use rayon::prelude::*;
 
 /// Flicker of a capture.
@@ -106,8 +106,8 @@ impl Flicker {
     }
 
     /// What to tell people, given the mean relative variance that remains.
-    pub(super) fn warning(&self, remaining: f64) -> Warning {
-        Warning::Flicker { relative_sd: self.sd, remaining_sd: remaining.sqrt() }
+    pub(super) fn warning(&self, remaining: f64) -> RadianceWarning {
+        RadianceWarning::Flicker { relative_sd: self.sd, remaining_sd: remaining.sqrt() }
     }
 
     /// For the provenance.

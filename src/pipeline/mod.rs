@@ -128,7 +128,7 @@ pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &P
     let (mut header, mut report) = measure(&capture, options, &rows, progress)?;
     let stage = progress.stage("write", 1);
     // Here, so that neither a check nor a capture that cannot be built replaces an earlier curve.
-    let not_saved = radiometry::save_curve(&capture, &report.sensor);
+    let not_saved = radiometry::save_curve(&capture, &report.sensor).map(Warning::from);
     header.warnings.extend(not_saved.clone());
     report.warnings.extend(not_saved);
     *rows.header_mut() = header;

@@ -2,7 +2,7 @@
 
 use crate::capture::{Capture, Noise, Pattern, Photograph, Pixels, ResponseCurve, Samples};
 use crate::radiance::{DarkLevels, NoiseEstimate, black_level, blocks, fit, saturation};
-use crate::{Error, Result, Warning};
+use crate::{Error, RadianceWarning, Result};
 use rayon::prelude::*;
 
 /// The noise that the merge uses, and where it comes from.
@@ -12,7 +12,7 @@ pub(super) struct FoundNoise {
     /// What the photographs say; `None` when the rig says it and they cannot be asked.
     pub(super) estimate: Option<NoiseEstimate>,
     pub(super) from_rig: bool,
-    pub(super) warnings: Vec<Warning>,
+    pub(super) warnings: Vec<RadianceWarning>,
 }
 
 /// Gray-code shots whose stripes are widest that are taken, of the patterns and of the inverses: two pairs of each.
@@ -50,7 +50,7 @@ pub(super) fn find(capture: &Capture) -> Result<FoundNoise> {
                 return Err(missing("no [noise], and camera.response is not linear".into()));
             }
             let estimate = estimate(capture, None)?.map_err(|reason| missing(format!("no [noise], and {reason}")))?;
-            let warnings = vec![Warning::NoiseEstimated {
+            let warnings = vec![RadianceWarning::NoiseEstimated {
                 gain_dn_per_electron: estimate.noise.gain_dn_per_electron,
                 gain_sd: estimate.gain_sd,
                 read_noise_electrons: estimate.noise.read_noise_electrons,
@@ -224,7 +224,7 @@ fn sums(samples: &Samples, saturation_dn: f64) -> (f64, f64, f64) {
 }
 
 /// Where a rig's figures and the photographs' cannot both be right.
-fn disagreements(given: &Noise, found: &NoiseEstimate) -> Vec<Warning> {
+fn disagreements(given: &Noise, found: &NoiseEstimate) -> Vec<RadianceWarning> {
     let measured = &found.noise;
     let range = given.saturation_dn - given.black_dn;
     // Of floating point a code value may be all there is.
@@ -250,7 +250,12 @@ fn disagreements(given: &Noise, found: &NoiseEstimate) -> Vec<Warning> {
     let doubted =
         figures.into_iter().filter(|(_, given, found, sd, least)| (given - found).abs() > (DOUBT_SD * sd).max(*least));
     doubted
-        .map(|(field, given, found, sd, _)| Warning::NoiseDisagrees { field: field.to_owned(), given, found, sd })
+        .map(|(field, given, found, sd, _)| RadianceWarning::NoiseDisagrees {
+            field: field.to_owned(),
+            given,
+            found,
+            sd,
+        })
         .collect()
 }
 
@@ -284,8 +289,8 @@ mod tests {
     }
 
     fn doubted(given: &Noise, found: &NoiseEstimate) -> Vec<String> {
-        let name = |w: &Warning| match w {
-            Warning::NoiseDisagrees { field, given, found, sd } => format!("{field} {given} {found} {sd}"),
+        let name = |w: &RadianceWarning| match w {
+            RadianceWarning::NoiseDisagrees { field, given, found, sd } => format!("{field} {given} {found} {sd}"),
             other => format!("{other:?}"),
         };
         disagreements(given, found).iter().map(name).collect()

@@ -9,7 +9,7 @@ use crate::radiance::{
     Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, Sensor, Stack, decode_whole, estimate_curve,
     evenly, fit_exposures, pick_pixels, stack_scales, take,
 };
-use crate::{Error, Result, Warning};
+use crate::{Error, RadianceWarning, Result};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -25,7 +25,7 @@ pub(super) struct Radiometry {
     pub brackets: Vec<Vec<Photograph>>,
     /// Standard deviation of a photograph's light about its setting's, when there is any beyond noise.
     pub flicker_sd: Option<f64>,
-    pub warnings: Vec<Warning>,
+    pub warnings: Vec<RadianceWarning>,
     /// For the provenance.
     pub record: serde_json::Value,
 }
@@ -261,21 +261,21 @@ fn sum_pixels(samples: [&Samples; 3], sensor: &Sensor) -> Vec<usize> {
 }
 
 /// Saves an estimated curve beside `rig.toml`; a warning when that cannot be written.
-pub(super) fn save_curve(capture: &Capture, sensor: &Sensor) -> Option<Warning> {
+pub(super) fn save_curve(capture: &Capture, sensor: &Sensor) -> Option<RadianceWarning> {
     let curve = sensor.curve().filter(|_| capture.rig.camera.response_curve == ResponseCurve::Estimate)?;
     let path = capture.rig_path.with_file_name(CURVE_FILE);
     let refused = curve.write(&path).err()?;
-    Some(Warning::CurveNotSaved { file: path.display().to_string(), reason: refused.to_string() })
+    Some(RadianceWarning::CurveNotSaved { file: path.display().to_string(), reason: refused.to_string() })
 }
 
-fn judge(fit: &ExposureFit, settings: &Settings, options: &BuildOptions, file: FileNoise) -> Vec<Warning> {
+fn judge(fit: &ExposureFit, settings: &Settings, options: &BuildOptions, file: FileNoise) -> Vec<RadianceWarning> {
     let mut warnings = Vec::new();
     if options.exposure_from == ExposureFrom::Estimate {
         let names: BTreeSet<usize> = fit.group.iter().copied().collect();
         if names.len() > 1 {
             let of = |g: usize| (0..settings.secs.len()).filter(move |&s| fit.group[s] == g).map(|s| settings.secs[s]);
             let groups = names.into_iter().map(|g| of(g).collect()).collect();
-            warnings.push(Warning::ExposuresUnlinked { groups });
+            warnings.push(RadianceWarning::ExposuresUnlinked { groups });
         }
         return warnings;
     }
@@ -287,7 +287,7 @@ fn judge(fit: &ExposureFit, settings: &Settings, options: &BuildOptions, file: F
     let worst = (0..settings.secs.len())
         .filter(significant)
         .max_by(|&a, &b| fit.log_scale[a].abs().total_cmp(&fit.log_scale[b].abs()));
-    warnings.extend(worst.map(|s| Warning::ExposureRatios {
+    warnings.extend(worst.map(|s| RadianceWarning::ExposureRatios {
         nominal_secs: settings.secs[s],
         measured_secs: settings.secs[s] * fit.log_scale[s].exp(),
         relative_sd: fit.variance[s].sqrt(),
@@ -380,7 +380,7 @@ mod tests {
         assert!(of([0.0, -0.014, 0.014], 1e-5, 0.3).is_empty(), "of compressed files");
         for compression in [0.0, 0.3] {
             let warnings = of([0.02, -0.05, 0.03], 0.001, compression);
-            let [Warning::ExposureRatios { nominal_secs, measured_secs, relative_sd }] = warnings[..] else {
+            let [RadianceWarning::ExposureRatios { nominal_secs, measured_secs, relative_sd }] = warnings[..] else {
                 panic!("{warnings:?}")
             };
             // 0.04 e^−0.05; the standard deviation is the root of the variance (f64).
@@ -391,7 +391,7 @@ mod tests {
             ExposureFit { log_scale: vec![0.9; 3], variance: vec![0.0; 3], group: vec![0, 1, 0], flicker_sd: None };
         let options = BuildOptions { exposure_from: ExposureFrom::Estimate, ..BuildOptions::default() };
         let warnings = judge(&fit, &settings, &options, FileNoise::default());
-        let [Warning::ExposuresUnlinked { groups }] = &warnings[..] else { panic!("{warnings:?}") };
+        let [RadianceWarning::ExposuresUnlinked { groups }] = &warnings[..] else { panic!("{warnings:?}") };
         assert_eq!(*groups, [vec![0.01, 0.16], vec![0.04]]);
     }
 

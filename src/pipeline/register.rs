@@ -9,7 +9,7 @@ use crate::registration::{
     BitPair, FrameFit, LensChoice, Pairs, PointSpread, Registration, StripeSurface, ViewFit, find_board,
     fit_lens_of_views, marks_moved, measure_point_spread, register_frame, register_projector,
 };
-use crate::{Error, Result, Warning};
+use crate::{Error, RegistrationWarning, Result};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -20,7 +20,7 @@ pub(super) struct Registered {
     pub registration: Registration,
     /// Light of each Gray-code pattern and its inverse together, every [`SUM_STEP`]th pixel: white, but for the lamp.
     pub sums: Vec<Vec<f32>>,
-    pub warnings: Vec<Warning>,
+    pub warnings: Vec<RegistrationWarning>,
 }
 
 /// A few thousand pixels tell the lamp's change to a hundredth of a per cent.
@@ -60,7 +60,9 @@ pub(super) fn register(photographs: &Photographs<'_>, progress: &Progress) -> Re
 
 /// The board gives a plane, the frame's marks the plane as the sample really lies; the lens is fitted to all of them together, and to
 /// boards in other poses where there are any.
-fn camera_view(photographs: &Photographs<'_>) -> Result<(ViewFit, LensChoice, Option<PointSpread>, Vec<Warning>)> {
+fn camera_view(
+    photographs: &Photographs<'_>,
+) -> Result<(ViewFit, LensChoice, Option<PointSpread>, Vec<RegistrationWarning>)> {
     let rig = &photographs.capture.rig;
     let camera = &rig.camera;
     let mut warnings = Vec::new();
@@ -94,7 +96,7 @@ fn camera_view(photographs: &Photographs<'_>) -> Result<(ViewFit, LensChoice, Op
             Some(before) => {
                 let moved = marks_moved(before, &found);
                 let beyond = |(m, sd): &(Point, f64)| m[0].hypot(m[1]) > (5.0 * sd).max(0.05);
-                let told = |(moved_px, sd_px)| Warning::FrameMoved { shot: name, moved_px, sd_px };
+                let told = |(moved_px, sd_px)| RegistrationWarning::FrameMoved { shot: name, moved_px, sd_px };
                 warnings.extend(moved.filter(beyond).map(told));
             }
         }
@@ -117,14 +119,14 @@ fn camera_view(photographs: &Photographs<'_>) -> Result<(ViewFit, LensChoice, Op
 }
 
 /// Whether board and frame disagree about where the slab's corners are seen.
-fn board_elsewhere(capture: &Capture, board: &CameraView, frame: &ViewFit) -> Option<Warning> {
+fn board_elsewhere(capture: &Capture, board: &CameraView, frame: &ViewFit) -> Option<RegistrationWarning> {
     let [w, h] = capture.manifest.slab.size_mm;
     let off = |p: Point| {
         let (a, b) = (board.camera_from_slab(p), frame.view.camera_from_slab(p));
         (a[0] - b[0]).hypot(a[1] - b[1])
     };
     let largest_px = [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(off).into_iter().fold(0.0, f64::max);
-    (largest_px > (5.0 * frame.sd_px).max(0.2)).then_some(Warning::BoardElsewhere { largest_px })
+    (largest_px > (5.0 * frame.sd_px).max(0.2)).then_some(RegistrationWarning::BoardElsewhere { largest_px })
 }
 
 /// What the Gray code was projected on: all of it on the same.

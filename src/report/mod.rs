@@ -18,7 +18,7 @@ pub use row_survey::{ComparedRow, RowSurvey};
 use crate::material::MaterialHeader;
 use crate::pipeline::Overview;
 use crate::transport::MatrixHeader;
-use crate::{Error, Result, Warning, progress::StageTime};
+use crate::{Error, FactorWarning, Result, progress::StageTime};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -40,7 +40,7 @@ pub struct ReportInput<'a> {
     /// Stages in the order they ended.
     pub timings: &'a [StageTime],
     /// Findings after the matrix was written (its own are in `matrix`).
-    pub warnings: &'a [Warning],
+    pub warnings: &'a [FactorWarning],
 }
 
 /// The material in a few words and numbers.

@@ -3,6 +3,7 @@
 use super::text::{bytes, escape, seconds, significant};
 use super::{Comparison, Files, ReportInput, figures, maps, row_pictures};
 use crate::Result;
+use crate::words::count;
 use std::fmt::Write;
 
 /// Name, what it is, how its number is written.
@@ -82,26 +83,26 @@ fn head(out: &mut String, input: &ReportInput) {
         }
     }
     let degree = material.degree.map(|d| format!(", degree {d}")).unwrap_or_default();
-    let noun = if material.terms == 1 { "term" } else { "terms" };
-    tile("model", material.model.clone(), format!("{} {noun}{degree}", material.terms));
+    tile("model", material.model.clone(), format!("{}{degree}", count(material.terms, "term")));
     let window_mm = [0, 1].map(|a| m.window[a] as f64 * m.pitch_mm);
     tile("window", extent_mm(window_mm, 3), format!("cells of {} mm", significant(m.pitch_mm, 3)));
     tile("lit points", extent_mm(m.lit_pitch_mm, 2), "apart".to_owned());
     let largest = m.shots.iter().map(|s| s.drift_px[0].hypot(s.drift_px[1])).fold(0.0, f64::max);
-    tile("largest drift", format!("{largest:.2} px"), format!("over {} lattice shots", m.shots.len()));
+    tile("largest drift", format!("{largest:.2} px"), format!("over {}", count(m.shots.len(), "lattice shot")));
     tile("time", seconds(input.timings.iter().map(|t| t.secs).sum()), "all stages".to_owned());
     out.push_str("</dl>");
 }
 
 fn warnings(out: &mut String, input: &ReportInput) {
-    let all: Vec<_> = input.matrix.warnings.iter().chain(input.warnings).collect();
+    let of_matrix = input.matrix.warnings.iter().map(ToString::to_string);
+    let all: Vec<_> = of_matrix.chain(input.warnings.iter().map(ToString::to_string)).collect();
     if all.is_empty() {
         return;
     }
-    let noun = if all.len() == 1 { "finding" } else { "findings" };
-    let _ = write!(out, "<section class=\"warnings\"><b>{} {noun} about this measurement</b><ul>", all.len());
+    let findings = count(all.len(), "finding");
+    let _ = write!(out, "<section class=\"warnings\"><b>{findings} about this measurement</b><ul>");
     for warning in all {
-        let _ = write!(out, "<li>{}</li>", escape(&warning.to_string()));
+        let _ = write!(out, "<li>{}</li>", escape(&warning));
     }
     out.push_str("</ul></section>");
 }

@@ -1,6 +1,7 @@
 //! The page on synthetic data: an isotropic exponential response over a slab of two materials.
 
 use super::*;
+use crate::RegistrationWarning::DriftUnmeasured;
 use crate::capture::Rect;
 use crate::geometry::Point;
 use crate::radiance::Radiance;
@@ -25,7 +26,7 @@ pub(super) fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
             })
             .collect(),
         camera_px_per_mm: None,
-        warnings: vec![Warning::DriftUnmeasured { first: "lattice <2>".into(), shots: 1 }],
+        warnings: vec![DriftUnmeasured { first: "lattice <2>".into(), shots: 1 }.into()],
         provenance: serde_json::json!({"version": "0.1.0", "options": {"note": "</pre><script>"}}),
     }
 }

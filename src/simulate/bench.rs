@@ -8,7 +8,7 @@ use super::{
     slab::SlabRecord,
     slab::layout::{self, Built, SlabPlace},
 };
-use crate::{Result, Warning, geometry::Point, progress::Progress, transport::Row};
+use crate::{Result, SimulateWarning, geometry::Point, progress::Progress, transport::Row};
 use std::sync::Mutex;
 
 /// The scene, its slab, and what solves for the slab's light.
@@ -19,7 +19,7 @@ pub(super) struct Bench {
     /// The slab, readable.
     pub record: SlabRecord,
     /// Findings about the slab.
-    pub warnings: Vec<Warning>,
+    pub warnings: Vec<SimulateWarning>,
     /// Row, photon noise and light of every dot so far.
     noise: Mutex<Vec<(usize, f64, f64)>>,
 }

@@ -36,7 +36,7 @@ pub use options::{CameraCurve, FileFormat, RigCurve, SensorKind, SimulateOptions
 pub use slab::{Beyond, Optics, SlabMaterial, SlabRecord, Volume};
 
 use crate::{
-    Error, Result, Warning,
+    Error, Result, SimulateWarning,
     geometry::{CameraView, Homography, Lens, Point},
     output::NewFolder,
     progress::Progress,
@@ -69,7 +69,7 @@ pub struct Summary {
     /// Photon noise of the truth: standard error of all rows over the rows, both Euclidean. `None` for diffusion.
     pub photon_noise: Option<f64>,
     /// Findings about the slab and how its light was solved for.
-    pub warnings: Vec<Warning>,
+    pub warnings: Vec<SimulateWarning>,
 }
 
 /// `truth.toml`: what a lab cannot know.

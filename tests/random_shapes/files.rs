@@ -33,7 +33,7 @@ fn a_matrix_comes_back_from_the_store_to_the_last_bit() {
                 drift_sd_px: draw.chance(0.5).then(|| draw.unit()),
             })
             .collect();
-        h.warnings = vec![Warning::UnlitPoints { rows: draw.below(9) }];
+        h.warnings = vec![ResponseWarning::UnlitPoints { rows: draw.below(9) }.into()];
         h.provenance = serde_json::json!({"seed": case.seed, "list": [draw.signed(), null, "text"]});
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.rd.zarr");

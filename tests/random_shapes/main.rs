@@ -3,7 +3,7 @@
 //!
 //! The shapes are the same at every run. `PROPTEST_RNG_SEED=2 PROPTEST_CASES=500` tries others.
 
-use acquire::Warning;
+use acquire::ResponseWarning;
 use acquire::evaluate::{Measures, evaluate};
 use acquire::factor::{Backend, FactorOptions, Factored, Goal, factor};
 use acquire::material::coded::{self, Quality};

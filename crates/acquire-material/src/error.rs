@@ -50,7 +50,7 @@ pub enum Error {
         reason: String,
     },
     /// Our own fault.
-    #[error("internal: {reason}")]
+    #[error("internal error: {reason}")]
     Internal {
         /// What was found to be impossible.
         reason: String,

@@ -86,10 +86,10 @@ fn a_goal_is_missed_by_more_than_a_hundredth_of_a_decibel_or_by_a_byte() {
     assert_eq!(material.bytes_f32(), bytes);
     assert_eq!(Goal::Bytes(bytes).missed(&material, None), None);
     let missed = Goal::Bytes(bytes - 1).missed(&material, Some(99.0));
-    assert_eq!(missed, Some(Warning::GoalMissed { asked: "407 bytes".into(), found: "408 bytes".into() }));
+    assert_eq!(missed, Some(FactorWarning::GoalMissed { asked: "407 bytes".into(), found: "408 bytes".into() }));
     assert_eq!(Goal::Psnr(40.0).missed(&material, Some(39.991)), None);
     let missed = Goal::Psnr(40.0).missed(&material, Some(39.98));
-    assert_eq!(missed, Some(Warning::GoalMissed { asked: "40 dB".into(), found: "39.98 dB".into() }));
+    assert_eq!(missed, Some(FactorWarning::GoalMissed { asked: "40 dB".into(), found: "39.98 dB".into() }));
     assert_eq!(Goal::Psnr(40.0).missed(&material, None), None, "nothing is left to miss");
     assert_eq!(Goal::Noise.missed(&material, Some(1.0)), None);
 }

@@ -148,7 +148,7 @@ fn the_first_pass_finds_what_a_loop_over_all_entries_does() {
         let energy: f64 = entries().map(|(i, k, c)| response(i, k, c).powi(2)).sum();
         assert!(near(found.energy, energy) && near(found.peak, peak), "{} {energy}", found.energy);
         assert!(!found.complete);
-        assert_eq!(found.warnings, [Warning::EmptyRows { rows: 1 }]);
+        assert_eq!(found.warnings, [FactorWarning::EmptyRows { rows: 1 }]);
         let misfit = found.misfit(2.5);
         assert_eq!((misfit.error, misfit.energy, misfit.peak), (2.5, found.energy, found.peak));
         assert_eq!(misfit.entries, found.entries);
@@ -222,7 +222,7 @@ fn rows_whose_brightest_sample_is_out_of_reach_are_reported_with_the_limit() {
     };
     let matrix = stored([3, 1], WINDOW, |_| 0.0, row);
     let found = survey(&matrix.reader, Content::Intensity, [2, 1], None, |_| {}, &Progress::silent()).unwrap();
-    assert_eq!(found.warnings, [Warning::ShiftLimited { rows: 2, limit: 2 }]);
+    assert_eq!(found.warnings, [FactorWarning::ShiftLimited { rows: 2, limit: 2 }]);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 use super::super::test_matrices::{StoredMatrix, stored};
 use super::super::{Factored, factor};
 use super::*;
-use crate::Warning;
+use crate::FactorWarning;
 use crate::progress::Progress;
 use crate::transport::Row;
 
@@ -267,7 +267,7 @@ fn shifts_and_findings_are_kept_and_shifts_count_in_bytes() {
     let found = made(&matrix, &with(Goal::Noise, Some(12)));
     let m = &found.material;
     assert_eq!((m.shift.as_slice(), m.header.extended), (SHIFTS.as_slice(), [7, 5]));
-    assert!(found.warnings == [Warning::EmptyRows { rows: 1 }], "{:?}", found.warnings);
+    assert!(found.warnings == [FactorWarning::EmptyRows { rows: 1 }], "{:?}", found.warnings);
     let [error, energy] = misfit(m, shifted, |_, _| true);
     assert!((error / energy).sqrt() < 1e-5, "all terms, in f32: {error} {energy}");
     let smallest = made(&matrix, &with(Goal::Bytes(1), None)).material.bytes_f32();

@@ -1,12 +1,12 @@
 //! Where diffusion does not describe a slab.
 
 use super::diffusion::CHANNEL_NAMES;
-use crate::Warning;
+use crate::SimulateWarning;
 use crate::simulate::slab::{Optics, SlabRecord, Volume};
 
 /// Findings per medium and channel: a mean free path longer than the slab is thick or the window wide, or more absorption than
 /// scattering. Of a voxel file's voxels, the worst of each channel stands for all.
-pub(crate) fn warnings(volume: &Volume, record: &SlabRecord, window_mm: f64) -> Vec<Warning> {
+pub(crate) fn warnings(volume: &Volume, record: &SlabRecord, window_mm: f64) -> Vec<SimulateWarning> {
     let lengths = [("slab's thickness", volume.thickness_mm()), ("window", window_mm)];
     let shortest = if lengths[0].1 <= lengths[1].1 { lengths[0] } else { lengths[1] };
     let mut found = Vec::new();
@@ -22,9 +22,14 @@ pub(crate) fn warnings(volume: &Volume, record: &SlabRecord, window_mm: f64) -> 
     found
 }
 
-fn too_clear(name: &str, optics: &Optics, channel: usize, (exceeds, length_mm): (&str, f64)) -> Option<Warning> {
+fn too_clear(
+    name: &str,
+    optics: &Optics,
+    channel: usize,
+    (exceeds, length_mm): (&str, f64),
+) -> Option<SimulateWarning> {
     let extinction = optics.extinction_per_mm(channel);
-    (extinction * length_mm < 1.0).then(|| Warning::DiffusionTooClear {
+    (extinction * length_mm < 1.0).then(|| SimulateWarning::DiffusionTooClear {
         medium: name.into(),
         channel: CHANNEL_NAMES[channel],
         mean_free_path_mm: (extinction > 0.0).then(|| 1.0 / extinction),
@@ -33,9 +38,9 @@ fn too_clear(name: &str, optics: &Optics, channel: usize, (exceeds, length_mm): 
     })
 }
 
-fn too_dark(name: &str, optics: &Optics, channel: usize) -> Option<Warning> {
+fn too_dark(name: &str, optics: &Optics, channel: usize) -> Option<SimulateWarning> {
     let (scattering, absorption) = (optics.reduced_scattering_per_mm[channel], optics.absorption_per_mm[channel]);
-    (absorption > scattering).then(|| Warning::DiffusionTooDark {
+    (absorption > scattering).then(|| SimulateWarning::DiffusionTooDark {
         medium: name.into(),
         channel: CHANNEL_NAMES[channel],
         reduced_scattering_per_mm: scattering,
@@ -47,7 +52,7 @@ fn too_dark(name: &str, optics: &Optics, channel: usize) -> Option<Warning> {
 const NOTED_SHARE: f64 = 0.1;
 
 /// The clearest and the darkest of the voxels that fall short, with their number.
-fn of_voxels(volume: &Volume, channel: usize, shortest: (&str, f64)) -> Vec<Warning> {
+fn of_voxels(volume: &Volume, channel: usize, shortest: (&str, f64)) -> Vec<SimulateWarning> {
     let all = volume.optics.len();
     let worst = |falls_short: &dyn Fn(&Optics) -> Option<f64>| {
         let badness = volume.optics.iter().filter_map(|o| falls_short(o).map(|badness| (o, badness)));
@@ -72,7 +77,7 @@ mod tests {
     use crate::simulate::SimulateOptions;
     use crate::simulate::slab::layout::{SlabPlace, build};
 
-    fn found(material: &str) -> Vec<Warning> {
+    fn found(material: &str) -> Vec<SimulateWarning> {
         let place = SlabPlace { lit_origin_mm: [0.0; 2], lit_size_mm: [8.0; 2], size_mm: [16.0; 2] };
         let built =
             build(&SimulateOptions { material: material.parse().unwrap(), ..SimulateOptions::default() }, &place)
@@ -92,7 +97,7 @@ mod tests {
         assert!(kinds[1].contains("ketchup, G") && kinds[1].contains("0.97"), "{kinds:?}");
         assert_eq!(found("nearly-clear").len(), 3);
         let black = found("one-channel-black");
-        assert!(matches!(&black[..], [Warning::DiffusionTooDark { channel: 'B', .. }]), "{black:?}");
+        assert!(matches!(&black[..], [SimulateWarning::DiffusionTooDark { channel: 'B', .. }]), "{black:?}");
     }
 
     #[test]
@@ -109,7 +114,7 @@ mod tests {
         record.media.clear();
         let found = warnings(&volume, &record, 7.5);
         assert_eq!(found.len(), 6);
-        assert!(found[0].to_string().contains("2 of 4 voxels") && found[0].to_string().contains("without end"));
+        assert!(found[0].to_string().contains("2 of 4 voxels") && found[0].to_string().contains("infinite"));
         assert!(found[1].to_string().contains("1 of 4 voxels"), "{}", found[1]);
     }
 }

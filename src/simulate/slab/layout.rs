@@ -3,7 +3,7 @@
 use super::table::NamedMedium;
 use super::{Beyond, Optics, SlabMaterial, Volume, voxels};
 use crate::simulate::{SimulateOptions, mix_seed};
-use crate::{Error, Result, Warning, geometry::Point};
+use crate::{Error, Result, SimulateWarning, geometry::Point};
 use serde::{Deserialize, Serialize};
 
 /// Voxels of veins across an outgoing cell, and the most of them along an axis: the narrowest veins are a hundredth of
@@ -30,7 +30,7 @@ pub(crate) struct SlabPlace {
 pub(crate) struct Built {
     pub volume: Volume,
     pub record: SlabRecord,
-    pub warnings: Vec<Warning>,
+    pub warnings: Vec<SimulateWarning>,
 }
 
 /// The slab as `truth.toml` has it.
@@ -103,7 +103,7 @@ pub(crate) fn build(options: &SimulateOptions, place: &SlabPlace) -> Result<Buil
     let warnings = media
         .iter()
         .find(|m| m.refractive_index != volume.refractive_index)
-        .map(|other| Warning::RefractiveIndexDiffers {
+        .map(|other| SimulateWarning::RefractiveIndexDiffers {
             used: media[0].name.into(),
             used_index: volume.refractive_index,
             other: other.name.into(),
@@ -280,6 +280,8 @@ mod tests {
         assert!(built("chessboard-4x4", None).unwrap().warnings.is_empty());
         let slab = built("chessboard-4x4:marble,cream", None).unwrap();
         assert_eq!(slab.volume.refractive_index, 1.5);
-        assert!(matches!(&slab.warnings[..], [Warning::RefractiveIndexDiffers { other, .. }] if other == "cream"));
+        assert!(
+            matches!(&slab.warnings[..], [SimulateWarning::RefractiveIndexDiffers { other, .. }] if other == "cream")
+        );
     }
 }

@@ -12,7 +12,7 @@ fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
         shot_of: (0..rows).map(|r| (r > 0).then_some(0)).collect(),
         shots: vec![ShotRecord { name: "a".into(), drift_px: [0.1, 0.2], drift_sd_px: None }],
         camera_px_per_mm: None,
-        warnings: vec![Warning::UnlitPoints { rows: 1 }],
+        warnings: vec![crate::ResponseWarning::UnlitPoints { rows: 1 }.into()],
         provenance: serde_json::json!({"seed": 1}),
     }
 }

@@ -1,0 +1,72 @@
+//! What reading a capture finds: exposure times, EXIF, settings.
+
+use crate::words::count;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// What reading a capture finds: exposure times, EXIF, settings.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "warning", rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum CaptureWarning {
+    /// Two sources of an exposure time disagree by more than a twentieth.
+    ExposureDisagrees {
+        /// The photograph.
+        file: String,
+        /// The time that was used.
+        used_secs: f64,
+        /// The time that was not.
+        other_secs: f64,
+        /// Where the other came from.
+        other: String,
+        /// How many photographs disagree alike.
+        #[serde(default)]
+        photographs: usize,
+    },
+    /// Aperture or ISO change inside the capture; the radiance scale is corrected by them.
+    ApertureOrIsoChanges {
+        /// The first photograph that differs.
+        file: String,
+        /// The relative sensitivity against the first photograph.
+        factor: f64,
+    },
+    /// An odd EXIF block that could only be read in part.
+    DamagedExif {
+        /// The photograph.
+        file: String,
+        /// The reader's message.
+        reason: String,
+    },
+    /// An EXIF field whose value cannot be (0/0, an overflow, an absurd time); it is not used.
+    UnusableExif {
+        /// The first such photograph.
+        file: String,
+        /// The field.
+        tag: String,
+        /// Its raw value.
+        found: String,
+        /// How many photographs.
+        photographs: usize,
+    },
+}
+
+impl fmt::Display for CaptureWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::ExposureDisagrees { file, used_secs, other_secs, other, photographs } => {
+                write!(f, "{file}: the exposure of {used_secs} s is used, but {other} says {other_secs} s")?;
+                if *photographs > 1 { write!(f, " (the same in {photographs} photographs)") } else { Ok(()) }
+            }
+            Self::ApertureOrIsoChanges { file, factor } => write!(
+                f,
+                "{file}: aperture or ISO differs from the first photograph's; its radiance is scaled by {factor:.4}"
+            ),
+            Self::DamagedExif { file, reason } => write!(f, "{file}: EXIF is damaged and was read in part: {reason}"),
+            Self::UnusableExif { file, tag, found, photographs } => write!(
+                f,
+                "{file}: EXIF {tag} is {found}, an impossible value; it is ignored (in {})",
+                count(*photographs, "photograph")
+            ),
+        }
+    }
+}

@@ -1,0 +1,129 @@
+//! What registration finds: board, frame, point spread, drift.
+
+use crate::words::count;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// What registration finds: board, frame, point spread, drift.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "warning", rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum RegistrationWarning {
+    /// The board does not cover the slab: its registration there is an extrapolation.
+    BoardTooSmall {
+        /// The largest distance of a window's sample from the board, mm.
+        outside_mm: f64,
+    },
+    /// The board lay elsewhere than the frame's marks: the marks' plane is used.
+    BoardElsewhere {
+        /// The largest distance between the two at the slab's corners, camera px.
+        largest_px: f64,
+    },
+    /// A later photograph of the frame shows it elsewhere: camera or frame have moved during the capture.
+    FrameMoved {
+        /// The later shot.
+        shot: String,
+        /// Median movement of its marks since the first frame shot, camera px.
+        moved_px: [f64; 2],
+        /// Its standard deviation per axis, px.
+        sd_px: f64,
+    },
+    /// The camera (or the sample) has moved since registration, seen at the sample's rim; windows were moved with it.
+    CameraMoved {
+        /// The first such shot.
+        first: String,
+        /// How many lattice shots.
+        shots: usize,
+        /// In how many lattice shots the rim was seen well enough to tell.
+        measured: usize,
+        /// The largest movement, camera px.
+        largest_px: f64,
+    },
+    /// The pattern has moved suddenly between shots, by more than its slow walk explains.
+    DriftJumps {
+        /// The shots before which it happened.
+        jumps: Vec<DriftJump>,
+    },
+    /// No reference dots: drift is the median of the lattice dots' own shifts, which edges of materials bias.
+    DriftFromLatticeDots,
+    /// Without reference dots, shots have too few dots to measure their drift; it is taken for none.
+    DriftUnmeasured {
+        /// The first such shot.
+        first: String,
+        /// How many shots.
+        shots: usize,
+    },
+    /// The board does not tell how much the lens blurs; it is taken for not at all.
+    PointSpreadUnmeasured,
+    /// The lens blurs more in one part of the picture than in another; its mean is taken out everywhere.
+    PointSpreadVaries {
+        /// Standard deviation that is taken out, camera px.
+        psf_px: f64,
+        /// The least and the largest of the picture's parts, camera px.
+        range_px: [f64; 2],
+    },
+    /// The lens blurs so much that taking it out costs accuracy and amplifies noise.
+    StronglyBlurred {
+        /// Standard deviation of the blur, camera px.
+        psf_px: f64,
+    },
+}
+
+/// One jump of the projected pattern.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DriftJump {
+    /// The first shot after it.
+    pub shot: String,
+    /// Its length, camera px.
+    pub length_px: f64,
+}
+
+impl fmt::Display for RegistrationWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::BoardTooSmall { outside_mm } => {
+                write!(f, "windows reach {outside_mm:.2} mm outside the board: registration is extrapolated there")
+            }
+            Self::BoardElsewhere { largest_px } => write!(
+                f,
+                "board and frame marks disagree about the slab's corners by up to {largest_px:.2} px; the marks are used"
+            ),
+            Self::FrameMoved { shot, moved_px: [x, y], sd_px } => write!(
+                f,
+                "in \"{shot}\" the frame is ({x:.3}, {y:.3}) px from its first place (standard deviation {sd_px:.3} px): camera or frame moved during the capture"
+            ),
+            Self::CameraMoved { first, shots, measured, largest_px } => write!(
+                f,
+                "camera and sample moved relative to each other by up to {largest_px:.2} px, in {shots} of the {} that show the sample's rim well enough (first: \"{first}\"); windows were moved with the rim",
+                count(*measured, "lattice shot")
+            ),
+            Self::DriftJumps { jumps } => {
+                let named = jumps.iter().take(5).map(|j| format!("\"{}\" by {:.2} px", j.shot, j.length_px));
+                let more = if jumps.len() > 5 { format!(" and {} more", jumps.len() - 5) } else { String::new() };
+                let list = named.collect::<Vec<_>>().join(", ");
+                write!(f, "the pattern jumped before {list}{more}; the jumps are corrected, but something was touched")
+            }
+            Self::DriftFromLatticeDots => write!(
+                f,
+                "the patterns have no reference dots: drift is measured on the lattice dots, which is biased near edges of materials"
+            ),
+            Self::DriftUnmeasured { first, shots } => write!(
+                f,
+                "too few dots to measure the drift of {} (first: \"{first}\"); no drift is assumed",
+                count(*shots, "shot")
+            ),
+            Self::PointSpreadUnmeasured => {
+                write!(f, "the lens blur cannot be measured at the board's edges; it remains in the rows")
+            }
+            Self::PointSpreadVaries { psf_px, range_px } => write!(
+                f,
+                "the lens blur varies from {:.2} px to {:.2} px over the picture; {psf_px:.2} px is removed everywhere: check focus and tilt",
+                range_px[0], range_px[1]
+            ),
+            Self::StronglyBlurred { psf_px } => write!(
+                f,
+                "the lens blurs by {psf_px:.2} px, so that peaks are accurate to a few per cent only: focus it, or stop it down"
+            ),
+        }
+    }
+}
