@@ -2,7 +2,7 @@
 
 use super::radiometry::Radiometry;
 use crate::capture::{Capture, Pattern, Photograph, Rect};
-use crate::radiance::{Bracket, Radiance, Sensor, decode_shot};
+use crate::radiance::{Bracket, Radiance, Sensor, decode_shot, merge_shot};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -23,26 +23,27 @@ impl<'a> Photographs<'a> {
         Self { capture, brackets: &radiometry.brackets, sensor: radiometry.sensor(), hashes: Mutex::default() }
     }
 
-    /// The whole picture.
-    pub(super) fn whole(&self) -> Rect {
-        let [width, height] = self.capture.rig.camera.size_px;
-        Rect { x: 0, y: 0, width, height }
-    }
-
     /// Decodes a shot and keeps the pixels of `rects`.
     pub(super) fn decode(&self, shot: usize, rects: &[Rect]) -> Result<Vec<Bracket>> {
-        let remember = |p: &Photograph, hash| {
-            if let Ok(mut hashes) = self.hashes.lock() {
-                hashes.insert(p.path.clone(), hash);
-            }
-        };
-        decode_shot(&self.brackets[shot], rects, self.capture.rig.camera.size_px, &remember)
+        self.remember(shot)?;
+        decode_shot(&self.brackets[shot], rects, self.capture.rig.camera.size_px)
     }
 
     pub(super) fn merge_whole(&self, shot: usize) -> Result<Radiance> {
-        let brackets = self.decode(shot, &[self.whole()])?;
-        let bracket = brackets.first().ok_or_else(|| Error::internal("a shot decoded to nothing"))?;
-        Ok(bracket.merge(self.whole(), &self.sensor))
+        self.remember(shot)?;
+        merge_shot(&self.brackets[shot], self.capture.rig.camera.size_px, &self.sensor)
+    }
+
+    /// Hashes the files of a shot that were not read before.
+    fn remember(&self, shot: usize) -> Result<()> {
+        for photograph in &self.brackets[shot] {
+            let known = self.hashes.lock().map_err(Error::internal)?.contains_key(&photograph.path);
+            if !known {
+                let hash = photograph.hash()?;
+                self.hashes.lock().map_err(Error::internal)?.insert(photograph.path.clone(), hash);
+            }
+        }
+        Ok(())
     }
 
     /// The first shot of a pattern that a checked capture has.
