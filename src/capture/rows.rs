@@ -356,3 +356,116 @@ fn of_tiff(decoded: DecodingResult, channels: usize) -> Result<Samples, String> 
         _ => return Err("samples must be 8 or 16 bit integers or 32 bit floats".into()),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tiff::encoder::{Compression, DeflateLevel, TiffEncoder, colortype};
+
+    const SIZE_PX: [usize; 2] = [31, 23];
+
+    /// Different at every pixel and channel, and no bytes alike.
+    fn code(x: usize, y: usize, c: usize) -> u16 {
+        (1234 + 701 * x + 83 * y + 17_001 * c) as u16
+    }
+
+    fn rows(range: std::ops::Range<usize>) -> Samples {
+        let at = |y: usize| (0..3 * SIZE_PX[0]).map(move |k| code(k / 3, y, k % 3));
+        Samples::U16(range.flat_map(at).collect())
+    }
+
+    /// Reads some rows, leaves some out, reads the others.
+    fn read_as_written(path: &Path, of: impl Fn(Samples) -> Samples) {
+        let mut reader = RowReader::open(path).unwrap().unwrap();
+        assert_eq!(reader.size_px, SIZE_PX, "{path:?}");
+        let mut out = Samples::F32(vec![]);
+        for (from, to) in [(0, 3), (10, 11), (16, 23)] {
+            let before = [0, 3, 11][[0, 10, 16].iter().position(|&f| f == from).unwrap()];
+            reader.skip(from - before).unwrap();
+            reader.read(to - from, &mut out).unwrap();
+            assert_eq!(out, of(rows(from..to)), "{path:?}, rows {from} to {to}");
+        }
+        reader.finish().unwrap();
+        assert!(reader.read(1, &mut out).is_err(), "{path:?} ends");
+    }
+
+    fn save_tiff(path: &Path, compression: Compression, rows_per_strip: u32) {
+        let mut encoder = TiffEncoder::new(File::create(path).unwrap()).unwrap().with_compression(compression);
+        let [w, h] = SIZE_PX.map(|s| s as u32);
+        let mut image = encoder.new_image::<colortype::RGB16>(w, h).unwrap();
+        image.rows_per_strip(rows_per_strip).unwrap();
+        let Samples::U16(codes) = rows(0..SIZE_PX[1]) else { unreachable!() };
+        image.write_data(&codes).unwrap();
+    }
+
+    #[test]
+    fn rows_of_every_format_are_those_that_were_written() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        let [w, h] = SIZE_PX.map(|s| s as u32);
+        let png =
+            image::ImageBuffer::from_fn(w, h, |x, y| image::Rgb([0, 1, 2].map(|c| code(x as usize, y as usize, c))));
+        png.save(at("a.png")).unwrap();
+        let alpha = image::ImageBuffer::from_fn(w, h, |x, y| {
+            let [r, g, b] = [0, 1, 2].map(|c| code(x as usize, y as usize, c));
+            image::Rgba([r, g, b, 9])
+        });
+        alpha.save(at("alpha.png")).unwrap();
+        for (name, compression, strip) in [
+            ("strips.tif", Compression::Uncompressed, 4),
+            ("one.tif", Compression::Uncompressed, 23),
+            ("deflate.tif", Compression::Deflate(DeflateLevel::Fast), 5),
+            ("lzw.tif", Compression::Lzw, 23),
+        ] {
+            save_tiff(&at(name), compression, strip);
+        }
+        for name in ["a.png", "alpha.png", "strips.tif", "one.tif", "deflate.tif", "lzw.tif"] {
+            read_as_written(&at(name), |rows| rows);
+        }
+        // Grey of 8 bits: that of red, in all channels.
+        let grey = image::ImageBuffer::from_fn(w, h, |x, y| image::Luma([code(x as usize, y as usize, 0) as u8]));
+        grey.save(at("grey.png")).unwrap();
+        read_as_written(&at("grey.png"), |rows| {
+            let Samples::U16(rows) = rows else { unreachable!() };
+            Samples::U8(rows.chunks_exact(3).flat_map(|p| [p[0] as u8; 3]).collect())
+        });
+    }
+
+    #[test]
+    fn strips_that_are_not_compressed_are_read_by_rows_whatever_their_height() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.tif");
+        for strip in [23, 7] {
+            save_tiff(&path, Compression::Uncompressed, strip);
+            let mut bands = TiffBands::new(BufReader::new(File::open(&path).unwrap())).unwrap();
+            // As if they were large.
+            bands.plain = Plain::of(&mut bands.decoder).unwrap();
+            let mut band = Samples::U8(vec![]);
+            for y in 0..5 {
+                bands.read(&mut band).unwrap();
+                assert_eq!(band, rows(y..y + 1));
+            }
+            assert_eq!(bands.skip(13), 13);
+            bands.read(&mut band).unwrap();
+            assert_eq!(band, rows(18..19));
+        }
+        save_tiff(&path, Compression::Lzw, 23);
+        let mut bands = TiffBands::new(BufReader::new(File::open(&path).unwrap())).unwrap();
+        assert!(Plain::of(&mut bands.decoder).unwrap().is_none(), "compressed");
+    }
+
+    #[test]
+    fn a_file_cut_short_is_an_error_in_words_at_whichever_row() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.png");
+        let [w, h] = SIZE_PX.map(|s| s as u32);
+        image::RgbImage::from_fn(w, h, |x, y| image::Rgb([x as u8, y as u8, 9])).save(&path).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        for len in [0, 20, bytes.len() / 2, bytes.len() - 20] {
+            std::fs::write(&path, &bytes[..len]).unwrap();
+            let mut out = Samples::U8(vec![]);
+            let read = RowReader::open(&path).unwrap().and_then(|mut r| r.read(23, &mut out).and_then(|()| r.finish()));
+            assert!(read.is_err(), "{len} of {} bytes", bytes.len());
+        }
+    }
+}

@@ -58,7 +58,12 @@ const CURVE_FILE: &str = "response.toml";
 impl Radiometry {
     /// What turns code values to light.
     pub fn sensor(&self) -> Sensor {
-        Sensor::with_curve(&self.noise, self.curve.clone(), self.file).averaged(block_px(&self.brackets))
+        self.sensor_of(block_px(&self.brackets))
+    }
+
+    /// The same for photographs that are averaged over blocks of `factor` pixels a side.
+    pub fn sensor_of(&self, factor: usize) -> Sensor {
+        Sensor::with_curve(&self.noise, self.curve.clone(), self.file).averaged(factor)
     }
 }
 

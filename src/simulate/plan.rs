@@ -98,6 +98,7 @@ fn lattice_drift(options: &Options, names: Vec<String>, drift_mm: impl Fn(Point)
 fn shot(options: &Options, photographs: usize, name: String, pattern: Pattern) -> Shot {
     let extension = match options.format {
         FileFormat::Png => "png",
+        FileFormat::Tiff | FileFormat::TiffDeflate => "tif",
         FileFormat::Jpeg => "jpg",
     };
     let photographs = (0..photographs)
