@@ -5,14 +5,35 @@
 use super::rows::RowReader;
 use super::{Camera, Capture, Photograph, Samples, Sampling};
 use crate::{Error, Result};
+use std::sync::Arc;
 
 /// Blocks of so many pixels along each axis become one.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Reduction {
     /// Pixels of a block along each axis.
     pub factor: usize,
     /// Code values from here on are saturated.
     pub saturation_dn: f64,
+    /// Photosites that are left out of the means of all photographs alike: they measure something else than light.
+    #[serde(default, with = "shared")]
+    pub left_out: Arc<[Photosite]>,
+}
+
+/// Row, column and channel of a photosite; in this order.
+pub type Photosite = [u32; 3];
+
+/// As a list of its own.
+mod shared {
+    use super::{Arc, Photosite};
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub fn serialize<S: Serializer>(sites: &Arc<[Photosite]>, to: S) -> Result<S::Ok, S::Error> {
+        sites.as_ref().serialize(to)
+    }
+
+    pub fn deserialize<'d, D: Deserializer<'d>>(from: D) -> Result<Arc<[Photosite]>, D::Error> {
+        Vec::deserialize(from).map(Arc::from)
+    }
 }
 
 /// The rows of a photograph, reduced as it says, from the first to the last.
@@ -27,7 +48,8 @@ pub struct Rows<'a> {
 
 impl<'a> Rows<'a> {
     pub(super) fn new(photograph: &'a Photograph, mut reader: RowReader) -> Result<Self> {
-        let blocks = photograph.reduction.filter(|by| by.factor > 1).map(|by| Blocks::new(by, reader.size_px[0]));
+        let blocks =
+            photograph.reduction.as_ref().filter(|by| by.factor > 1).map(|by| Blocks::new(by, reader.size_px[0]));
         let size_px = reader.size_px.map(|s| s / blocks.as_ref().map_or(1, |b| b.factor));
         // What is in memory as a whole is reduced at once: other exposures are read beside it.
         let mut reduced = Samples::F32(vec![]);
@@ -87,6 +109,9 @@ impl<'a> Rows<'a> {
     pub fn skip(&mut self, rows: usize) -> Result<()> {
         self.taken += rows;
         let factor = self.blocks.as_ref().map_or(1, |b| b.factor);
+        if let Some(blocks) = &mut self.blocks {
+            blocks.taken += factor * rows;
+        }
         self.reader.skip(factor * rows).map_err(|reason| self.broken(reason))
     }
 
@@ -121,15 +146,21 @@ struct Blocks {
     whole: Vec<u32>,
     float: Vec<f32>,
     full: Vec<u32>,
+    /// Of each block and channel, pixels of the line that are left out.
+    missing: Vec<u32>,
+    left_out: Arc<[Photosite]>,
+    /// Rows that were read.
+    taken: usize,
 }
 
 impl Blocks {
-    fn new(by: Reduction, width: usize) -> Self {
+    fn new(by: &Reduction, width: usize) -> Self {
         let across = width / by.factor;
         let n = 3 * across * by.factor;
         let (whole, float, full) = (vec![0; n], vec![0.0; n], vec![0; n]);
         let saturation_dn = by.saturation_dn as f32;
-        Self { factor: by.factor, saturation_dn, across, row: Samples::U8(vec![]), whole, float, full }
+        let (row, missing, left_out) = (Samples::U8(vec![]), vec![0; 3 * across], by.left_out.clone());
+        Self { factor: by.factor, saturation_dn, across, row, whole, float, full, missing, left_out, taken: 0 }
     }
 
     fn sampling(&self, of_pixels: Sampling) -> Sampling {
@@ -147,11 +178,14 @@ impl Blocks {
         self.whole.fill(0);
         self.float.fill(0.0);
         self.full.fill(0);
+        self.missing.fill(0);
         // Whole code values are compared as such: the least that is not below saturation.
         let least = self.saturation_dn.ceil() as u32;
-        let (whole, full) = (&mut self.whole, &mut self.full);
         for _ in 0..self.factor {
             reader.read(1, &mut self.row)?;
+            self.leave_out();
+            self.taken += 1;
+            let (whole, full) = (&mut self.whole, &mut self.full);
             match &self.row {
                 Samples::U8(v) => add_whole(v, whole, full, least),
                 Samples::U16(v) => add_whole(v, whole, full, least),
@@ -169,11 +203,30 @@ impl Blocks {
         Ok(())
     }
 
+    /// Makes the row's photosites that are left out zero, which adds to no sum and saturates nothing, and counts them.
+    fn leave_out(&mut self) {
+        let row = self.taken as u32;
+        let first = self.left_out.partition_point(|site| site[0] < row);
+        for &[_, x, c] in self.left_out[first..].iter().take_while(|site| site[0] == row) {
+            let (k, block) = (3 * x as usize + c as usize, x as usize / self.factor);
+            if block >= self.across {
+                continue;
+            }
+            match &mut self.row {
+                Samples::U8(v) => v[k] = 0,
+                Samples::U16(v) => v[k] = 0,
+                Samples::F32(v) => v[k] = 0.0,
+            }
+            self.missing[3 * block + c as usize] += 1;
+        }
+    }
+
     fn mean(&self, block: usize, channel: usize) -> f32 {
         let columns = || (0..self.factor).map(|i| 3 * (block * self.factor + i) + channel);
         let full: u32 = columns().map(|k| self.full[k]).sum();
-        let all = (self.factor * self.factor) as u32;
+        let all = (self.factor * self.factor) as u32 - self.missing[3 * block + channel];
         match full {
+            _ if all == 0 => f32::NAN,
             0 => {
                 let sum = |k| f64::from(self.whole[k]) + f64::from(self.float[k]);
                 (columns().map(sum).sum::<f64>() / f64::from(all)) as f32
@@ -208,11 +261,11 @@ impl Camera {
 
 impl Capture {
     /// The same capture as a camera of fewer pixels would have taken it.
-    pub fn reduced(&self, by: Reduction) -> Self {
+    pub fn reduced(&self, by: &Reduction) -> Self {
         let mut reduced = self.clone();
         if by.factor > 1 {
             reduced.rig.camera = self.rig.camera.reduced(by.factor);
-            reduced.brackets.iter_mut().flatten().for_each(|p| p.reduction = Some(by));
+            reduced.brackets.iter_mut().flatten().for_each(|p| p.reduction = Some(by.clone()));
         }
         reduced
     }
@@ -258,7 +311,11 @@ mod tests {
         for (x, y) in [(4, 2), (5, 2), (4, 3), (5, 3)] {
             values[3 * (y * 7 + x) + 2] = 4000 + x as u16;
         }
-        let found = reduced([7, 5], Samples::U16(values), Reduction { factor: 2, saturation_dn: 4000.0 });
+        let found = reduced(
+            [7, 5],
+            Samples::U16(values),
+            Reduction { factor: 2, saturation_dn: 4000.0, left_out: Arc::default() },
+        );
         assert_eq!((found.width, found.height, found.sampling), (3, 2, Sampling::WHOLE));
         let Samples::F32(found) = found.samples else { panic!("means are not whole") };
         for k in 0..18 {
@@ -269,6 +326,38 @@ mod tests {
                 // Five and one and a half are half a step along each axis.
                 _ => assert_eq!(found[k], f32::from(code(2 * x, 2 * y, c)) + 5.0 + 1.5),
             }
+        }
+    }
+
+    #[test]
+    fn photosites_that_are_left_out_leave_the_mean_of_the_others() {
+        // 7 × 5 pixels in blocks of two; one block saturates in a photosite that is known to be stuck, and in one that is not.
+        let code = |x: usize, y: usize, c: usize| (10 * x + 3 * y + 100 * c) as u16;
+        let mut values: Vec<u16> = (0..105).map(|k| code(k / 3 % 7, k / 21, k % 3)).collect();
+        for (x, y, c) in [(1, 2, 1), (4, 1, 0), (5, 1, 0)] {
+            values[3 * (y * 7 + x) + c] = 4000;
+        }
+        let left_out: Arc<[Photosite]> = Arc::from([[1, 4, 0], [2, 1, 1], [3, 0, 2], [3, 6, 2], [4, 0, 0]]);
+        let found = reduced([7, 5], Samples::U16(values), Reduction { factor: 2, saturation_dn: 4000.0, left_out });
+        let Samples::F32(found) = found.samples else { panic!("means are not whole") };
+        for k in 0..18 {
+            let (x, y, c) = (k / 3 % 3, k / 9, k % 3);
+            let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| (2 * x + i, 2 * y + j));
+            let mean = |without: (usize, usize)| {
+                let rest = four.iter().filter(|&&at| at != without);
+                rest.clone().map(|&(x, y)| f64::from(code(x, y, c))).sum::<f64>() / rest.count() as f64
+            };
+            let expected = match (x, y, c) {
+                (2, 0, 0) => {
+                    assert!(found[k].is_nan(), "another of it is saturated");
+                    continue;
+                }
+                (0, 1, 1) => mean((1, 2)),
+                (0, 1, 2) => mean((0, 3)),
+                _ => mean((99, 99)),
+            };
+            // f32.
+            assert!((f64::from(found[k]) - expected).abs() < 1e-4, "{x} {y} {c}: {} {expected}", found[k]);
         }
     }
 

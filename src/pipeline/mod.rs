@@ -1,6 +1,7 @@
 //! From a capture folder to the matrix: the way of the photographs, stage by stage.
 
 mod crosstalk;
+mod defects;
 mod drift;
 mod findings;
 mod flicker;
@@ -175,8 +176,10 @@ fn measure_at(
 ) -> Result<(MatrixHeader, BuildReport)> {
     let full = capture;
     // From here on the camera is one of that resolution.
-    let by = Reduction { factor: working.factor, saturation_dn: noise.noise.saturation_dn };
-    let capture = &capture.reduced(by);
+    let defects = defects::find(capture, &noise.noise, working)?;
+    let left_out = defects.iter().map(|h| [h.at[1], h.at[0], h.at[2]].map(|v| v as u32)).collect();
+    let by = Reduction { factor: working.factor, saturation_dn: noise.noise.saturation_dn, left_out };
+    let capture = &capture.reduced(&by);
     let radiometry = radiometry::calibrate(capture, &noise.noise, options, progress)?;
     let photographs = Photographs::new(full, capture, &radiometry, working.factor);
     let registered = register::register(&photographs, progress)?;
@@ -192,7 +195,14 @@ fn measure_at(
         true => None,
         false => crosstalk::separate(&scene, &mut shots, rows, progress)?,
     };
-    let stages = Stages { noise: &noise, working, radiometry: &radiometry, registered: &registered, light: &light };
+    let stages = Stages {
+        noise: &noise,
+        working,
+        defects: &defects,
+        radiometry: &radiometry,
+        registered: &registered,
+        light: &light,
+    };
     let secs = BuildSecs { once: (prepared - start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
     findings::summarize(&scene, &stages, &shots, crosstalk, secs)
 }

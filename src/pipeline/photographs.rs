@@ -75,7 +75,7 @@ impl<'a> Photographs<'a> {
     pub(super) fn merge_fine(&self, shot: usize) -> Result<Radiance> {
         self.remember(shot)?;
         let fine = |p: &Photograph| {
-            let reduction = p.reduction.map(|by| Reduction { factor: self.fine.factor, ..by });
+            let reduction = p.reduction.clone().map(|by| Reduction { factor: self.fine.factor, ..by });
             Photograph { reduction, ..p.clone() }
         };
         let bracket: Vec<Photograph> = self.brackets[shot].iter().map(fine).collect();

@@ -131,7 +131,7 @@ fn decode(capture: &Capture, shot: usize) -> Result<Bracket> {
 
 /// Pixels along each side of the blocks that photographs are averaged over, the same for all.
 fn block_px(brackets: &[Vec<Photograph>]) -> usize {
-    brackets.iter().flatten().find_map(|p| p.reduction).map_or(1, |by| by.factor)
+    brackets.iter().flatten().find_map(|p| p.reduction.as_ref()).map_or(1, |by| by.factor)
 }
 
 /// The distinct nominal exposures of a capture, shortest first.

@@ -98,7 +98,8 @@ fn px_per_mm(capture: &Capture, noise: &Noise) -> Result<Option<f64>> {
     let mut factor = width.max(height).div_ceil(LOOK_PX).max(1);
     let center_mm = capture.manifest.slab.size_mm.map(|s| 0.5 * s);
     loop {
-        let small = capture.reduced(Reduction { factor, saturation_dn: noise.saturation_dn });
+        let by = Reduction { factor, saturation_dn: noise.saturation_dn, left_out: Default::default() };
+        let small = capture.reduced(&by);
         if let Some(pairs) = plane(&small, noise, factor)? {
             let camera = &small.rig.camera;
             let fit = fit_lens_of_views(&[pairs], camera.principal_px, camera.focal_px);
