@@ -93,7 +93,7 @@ fn encode_again(dir: &Path, to: &Path, format: FileFormat, size_px: [usize; 2]) 
         let decode = |path: &PathBuf| {
             let picture = image::open(path).map_err(|e| acquire::Error::Internal { what: e.to_string() })?;
             let codes = match format {
-                FileFormat::Png => picture.into_rgb16().into_raw(),
+                FileFormat::Png | FileFormat::Tiff | FileFormat::TiffDeflate => picture.into_rgb16().into_raw(),
                 FileFormat::Jpeg => picture.into_rgb8().into_raw().into_iter().map(u16::from).collect(),
             };
             Ok((to.join(path.file_name().unwrap_or_default()), codes))

@@ -9,6 +9,7 @@ mod photograph;
 mod raw;
 mod reduction;
 mod rig;
+mod rows;
 mod samples;
 mod settings;
 
@@ -20,7 +21,7 @@ pub use manifest::{
 };
 pub use photograph::Photograph;
 pub(crate) use photograph::{check_exr_size, check_jpeg_end};
-pub use reduction::Reduction;
+pub use reduction::{Photosite, Reduction, Rows};
 pub use rig::{Board, Camera, FrameMarks, Noise, Projector, ResponseCurve, Rig, WhiteReference};
 pub use samples::{Pixels, Rect, Samples, Sampling};
 pub use settings::CameraSettings;

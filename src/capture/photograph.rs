@@ -1,8 +1,9 @@
 //! One photograph: its file, exposure, size, and its pixels when asked.
 
 #[cfg(feature = "raw")]
-use super::raw;
-use super::reduction::Reduction;
+pub(super) use super::raw;
+use super::reduction::{Reduction, Rows};
+use super::rows::RowReader;
 use super::samples::{Pixels, Rect, Samples, Sampling};
 use crate::{Error, Result};
 use std::io::Cursor;
@@ -24,32 +25,73 @@ pub struct Photograph {
 }
 
 impl Photograph {
-    /// Reads, hashes and decodes the file. Grey is repeated in three channels, alpha is dropped.
+    /// Reads the head; rows follow as they are asked for.
     ///
     /// # Errors
-    /// [`Error::MissingPhotograph`], [`Error::BrokenPhotograph`] (cut short, an unknown format or layout).
+    /// [`Error::MissingPhotograph`], [`Error::BrokenPhotograph`] (an unknown format or layout).
+    pub fn open(&self) -> Result<Rows<'_>> {
+        let reader = RowReader::open(&self.path).map_err(|e| self.unreadable(e))?;
+        Rows::new(self, reader.map_err(|reason| self.broken(reason))?)
+    }
+
+    /// All of it. Grey is repeated in three channels, alpha is dropped.
+    ///
+    /// # Errors
+    /// Those of [`Self::open`]; [`Error::BrokenPhotograph`] when the file is cut short.
     pub fn decode(&self) -> Result<Pixels> {
-        let bytes = std::fs::read(&self.path).map_err(|e| self.unreadable(e))?;
-        let hash = blake3::hash(&bytes);
-        let broken =
-            |reason: String| Error::BrokenPhotograph { path: self.path.clone(), shot: self.shot.clone(), reason };
-        let mut sampling = Sampling::WHOLE;
-        let (width, height, samples) = match Format::of(&self.path) {
-            Some(Format::Tiff) => decode_tiff(&bytes).map_err(broken)?,
-            Some(Format::Exr) => decode_exr(&bytes).map_err(broken)?,
-            Some(Format::Common) => decode_common(&bytes).map_err(broken)?,
-            Some(Format::Raw) => {
-                let (width, height, samples, of_mosaic) = raw::decode(&bytes).map_err(broken)?;
-                sampling = of_mosaic;
-                (width, height, samples)
+        let mut rows = self.open()?;
+        let [width, height] = rows.size_px();
+        let mut samples = Samples::U8(vec![]);
+        rows.read(height, &mut samples)?;
+        rows.finish()?;
+        Ok(Pixels { width, height, samples, sampling: rows.sampling() })
+    }
+
+    /// The code values in each of `rects`, which must lie in the picture of `size_px`, and where in its pixel each channel was measured.
+    ///
+    /// With `to_the_end` the file is read to its end, and damage behind the last of them found.
+    ///
+    /// # Errors
+    /// Those of [`Self::decode`]; [`Error::BrokenPhotograph`] when the file holds another size than its head said.
+    pub fn decode_parts(
+        &self,
+        rects: &[Rect],
+        size_px: [usize; 2],
+        to_the_end: bool,
+    ) -> Result<(Vec<Samples>, Sampling)> {
+        let mut rows = self.open()?;
+        rows.check_size(size_px)?;
+        let first = rects.iter().map(|r| r.y).min().unwrap_or(0);
+        let end = rects.iter().map(|r| r.y + r.height).max().unwrap_or(0);
+        let mut parts: Vec<Samples> = rects.iter().map(|_| Samples::U8(vec![])).collect();
+        let mut row = Samples::U8(vec![]);
+        rows.skip(first)?;
+        for y in first..end {
+            let here = |r: &Rect| (r.y..r.y + r.height).contains(&y);
+            if !rects.iter().any(here) {
+                rows.skip(1)?;
+                continue;
             }
-            None => return Err(broken(UNKNOWN_ENDING.into())),
-        };
-        let pixels = Pixels { width, height, samples, sampling, hash };
-        Ok(match self.reduction {
-            Some(by) => pixels.reduced(by),
-            None => pixels,
-        })
+            rows.read(1, &mut row)?;
+            for (rect, part) in rects.iter().zip(&mut parts).filter(|(r, _)| here(r)) {
+                part.extend(&row, 3 * rect.x..3 * (rect.x + rect.width));
+            }
+        }
+        if to_the_end {
+            rows.finish()?;
+        }
+        Ok((parts, rows.sampling()))
+    }
+
+    /// BLAKE3 of the file, read piece by piece.
+    ///
+    /// # Errors
+    /// Those of reading it.
+    pub fn hash(&self) -> Result<blake3::Hash> {
+        let mut hasher = blake3::Hasher::new();
+        let file = std::fs::File::open(&self.path).map_err(|e| self.unreadable(e))?;
+        hasher.update_reader(file).map_err(|e| self.unreadable(e))?;
+        Ok(hasher.finalize())
     }
 
     /// Width and height from the file's head, without decoding or reducing it.
@@ -86,6 +128,10 @@ impl Photograph {
         }
     }
 
+    pub(super) fn broken(&self, reason: String) -> Error {
+        Error::BrokenPhotograph { path: self.path.clone(), shot: self.shot.clone(), reason }
+    }
+
     fn unreadable(&self, e: std::io::Error) -> Error {
         match e.kind() {
             std::io::ErrorKind::NotFound => {
@@ -96,16 +142,17 @@ impl Photograph {
     }
 }
 
-const UNKNOWN_ENDING: &str = "the file name ends in none of .png .jpg .jpeg .tif .tiff .exr .dng .cr2 .nef .arw";
+pub(super) const UNKNOWN_ENDING: &str =
+    "the file name ends in none of .png .jpg .jpeg .tif .tiff .exr .dng .cr2 .nef .arw";
 
 /// What stands in for the raw reader in a program that was built without it.
 #[cfg(not(feature = "raw"))]
-mod raw {
+pub(super) mod raw {
     use super::super::samples::{Samples, Sampling};
 
     const REFUSAL: &str = "raw files need a program that was built with `cargo build --release --features raw`";
 
-    pub(super) fn decode(_: &[u8]) -> Result<(usize, usize, Samples, Sampling), String> {
+    pub(in crate::capture) fn decode(_: &[u8]) -> Result<(usize, usize, Samples, Sampling), String> {
         Err(REFUSAL.into())
     }
 
@@ -114,7 +161,7 @@ mod raw {
     }
 }
 
-enum Format {
+pub(super) enum Format {
     Raw,
     Tiff,
     Exr,
@@ -122,7 +169,7 @@ enum Format {
 }
 
 impl Format {
-    fn of(path: &Path) -> Option<Self> {
+    pub(super) fn of(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
             "tif" | "tiff" => Some(Self::Tiff),
             "exr" => Some(Self::Exr),
@@ -133,30 +180,29 @@ impl Format {
     }
 }
 
-type Decoded = Result<(usize, usize, Samples), String>;
+pub(super) type Decoded = Result<(usize, usize, Samples), String>;
 
 /// The most bytes that a decoder may ask for: 134 million pixels of four 16-bit channels, twice.
-const MOST_BYTES: usize = 2 << 30;
+pub(super) const MOST_BYTES: usize = 2 << 30;
 /// The largest picture that is decoded, px.
 const MOST_PIXELS: usize = 1 << 27;
 
-fn decode_common(bytes: &[u8]) -> Decoded {
-    use image::DynamicImage as D;
-    check_jpeg_end(bytes)?;
-    let mut reader = image::ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| e.to_string())?;
-    let mut limits = image::Limits::default();
-    limits.max_alloc = Some(MOST_BYTES as u64);
-    reader.limits(limits);
-    let image = reader.decode().map_err(|e| e.to_string())?;
-    let (width, height) = (image.width() as usize, image.height() as usize);
-    let samples = match image {
-        D::ImageRgb16(i) => Samples::U16(i.into_raw()),
-        D::ImageRgb8(i) => Samples::U8(i.into_raw()),
-        i @ (D::ImageLuma16(_) | D::ImageLumaA16(_) | D::ImageRgba16(_)) => Samples::U16(i.into_rgb16().into_raw()),
-        i @ (D::ImageLuma8(_) | D::ImageLumaA8(_) | D::ImageRgba8(_)) => Samples::U8(i.into_rgb8().into_raw()),
-        other => return Err(format!("pixels of type {:?} are not read", other.color())),
+/// JPEG, and whatever else the file's first bytes say that it is.
+pub(super) fn decode_jpeg(path: &Path) -> std::io::Result<Decoded> {
+    if let Err(reason) = check_jpeg_end(&std::fs::read(path)?) {
+        return Ok(Err(reason));
+    }
+    let file = std::io::BufReader::new(std::fs::File::open(path)?);
+    let decode = || {
+        let mut reader = image::ImageReader::new(file).with_guessed_format().map_err(|e| e.to_string())?;
+        let mut limits = image::Limits::default();
+        limits.max_alloc = Some(MOST_BYTES as u64);
+        reader.limits(limits);
+        let image = reader.decode().map_err(|e| e.to_string())?;
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        Ok((width, height, Samples::U8(image.into_rgb8().into_raw())))
     };
-    Ok((width, height, samples))
+    Ok(decode())
 }
 
 /// Refuses a JPEG file that does not reach its end-of-image marker: the decoder fills what is missing with grey and
@@ -185,7 +231,10 @@ pub(crate) fn check_jpeg_end(bytes: &[u8]) -> Result<(), String> {
 
 /// Refuses an OpenEXR file whose head announces more pixels than are decoded: they are allocated before any is read.
 pub(crate) fn check_exr_size(bytes: &[u8]) -> Result<(), String> {
-    let head = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(|e| e.to_string())?;
+    check_exr_head(&exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(|e| e.to_string())?)
+}
+
+fn check_exr_head(head: &exr::meta::MetaData) -> Result<(), String> {
     for layer in &head.headers {
         let size = [layer.layer_size.width(), layer.layer_size.height()];
         if size[0].checked_mul(size[1]).is_none_or(|pixels| pixels > MOST_PIXELS) {
@@ -195,30 +244,11 @@ pub(crate) fn check_exr_size(bytes: &[u8]) -> Result<(), String> {
     Ok(())
 }
 
-fn decode_tiff(bytes: &[u8]) -> Decoded {
-    use tiff::{ColorType, decoder::DecodingResult as R};
-    let mut limits = tiff::decoder::Limits::default();
-    (limits.decoding_buffer_size, limits.intermediate_buffer_size) = (MOST_BYTES, MOST_BYTES);
-    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(|e| e.to_string())?.with_limits(limits);
-    let (width, height) = decoder.dimensions().map_err(|e| e.to_string())?;
-    let channels = match decoder.colortype().map_err(|e| e.to_string())? {
-        ColorType::RGB(_) => 3,
-        ColorType::RGBA(_) => 4,
-        ColorType::Gray(_) => 1,
-        other => return Err(format!("pixels of type {other:?} are not read")),
-    };
-    let samples = match decoder.read_image().map_err(|e| e.to_string())? {
-        R::U8(v) => Samples::U8(to_rgb(v, channels)),
-        R::U16(v) => Samples::U16(to_rgb(v, channels)),
-        R::F32(v) => Samples::F32(to_rgb(v, channels)),
-        _ => return Err("samples must be 8 or 16 bit integers or 32 bit floats".into()),
-    };
-    Ok((width as usize, height as usize, samples))
-}
-
-fn decode_exr(bytes: &[u8]) -> Decoded {
+pub(super) fn decode_exr(mut file: impl std::io::BufRead + std::io::Seek + Send) -> Decoded {
     use exr::prelude::*;
-    check_exr_size(bytes)?;
+    let head = exr::meta::MetaData::read_from_buffered(&mut file, false).map_err(|e| e.to_string())?;
+    check_exr_head(&head)?;
+    file.rewind().map_err(|e| e.to_string())?;
     let image = read()
         .no_deep_data()
         .largest_resolution_level()
@@ -231,24 +261,17 @@ fn decode_exr(bytes: &[u8]) -> Decoded {
         )
         .first_valid_layer()
         .all_attributes()
-        .from_buffered(Cursor::new(bytes))
+        .from_buffered(file)
         .map_err(|e| e.to_string())?;
     let size = image.layer_data.size;
     Ok((size.width(), size.height(), Samples::F32(image.layer_data.channel_data.pixels.1)))
 }
 
-fn to_rgb<T: Copy>(values: Vec<T>, channels: usize) -> Vec<T> {
+pub(super) fn to_rgb<T: Copy>(values: Vec<T>, channels: usize) -> Vec<T> {
     match channels {
         3 => values,
         1 => values.into_iter().flat_map(|v| [v; 3]).collect(),
         _ => values.chunks_exact(channels).flat_map(|p| [p[0], p[1], p[2]]).collect(),
-    }
-}
-
-impl Pixels {
-    /// The whole picture.
-    pub fn rect(&self) -> Rect {
-        Rect { x: 0, y: 0, width: self.width, height: self.height }
     }
 }
 
@@ -276,10 +299,10 @@ mod tests {
         let mut file = Cursor::new(Vec::new());
         Image::from_channels((2, 2), channels).write().to_buffered(&mut file).unwrap();
         let mut bytes = file.into_inner();
-        assert_eq!(decode_exr(&bytes).unwrap().0, 2);
+        assert_eq!(decode_exr(Cursor::new(&bytes)).unwrap().0, 2);
         // The data window ends with its largest column and row.
         let at = bytes.windows(12).position(|w| w == b"dataWindow\0b").unwrap() + b"dataWindow\0box2i\0".len() + 4 + 8;
         bytes[at..at + 8].copy_from_slice(&[0xff, 0xff, 0, 0, 0xff, 0xff, 0, 0]);
-        assert!(check_exr_size(&bytes).is_err() && decode_exr(&bytes).is_err());
+        assert!(check_exr_size(&bytes).is_err() && decode_exr(Cursor::new(&bytes)).is_err());
     }
 }

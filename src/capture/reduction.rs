@@ -2,81 +2,247 @@
 //!
 //! Code values must be in proportion to light: means of a curve's code values are not those of light.
 
-use super::{Camera, Capture, Pixels, Samples, Sampling};
+use super::rows::RowReader;
+use super::{Camera, Capture, Photograph, Samples, Sampling};
+use crate::{Error, Result};
+use std::sync::Arc;
 
 /// Blocks of so many pixels along each axis become one.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Reduction {
     /// Pixels of a block along each axis.
     pub factor: usize,
     /// Code values from here on are saturated.
     pub saturation_dn: f64,
+    /// Photosites that are left out of the means of all photographs alike: they measure something else than light.
+    #[serde(default, with = "shared")]
+    pub left_out: Arc<[Photosite]>,
 }
 
-impl Pixels {
-    /// Means of whole blocks; what is left at the right and below is dropped. A block that is saturated in part measured nothing (NaN), one that
-    /// is saturated as a whole stays saturated.
-    pub fn reduced(self, by: Reduction) -> Self {
-        let Reduction { factor, saturation_dn } = by;
-        if factor <= 1 {
-            return self;
-        }
-        let size = [self.width, self.height];
-        let samples = match &self.samples {
-            Samples::U8(v) => means(v, f32::from, size, factor, saturation_dn as f32),
-            Samples::U16(v) => means(v, f32::from, size, factor, saturation_dn as f32),
-            Samples::F32(v) => means(v, |c| c, size, factor, saturation_dn as f32),
-        };
-        let n = factor as f64;
-        let sampling = Sampling {
-            offset_px: self.sampling.offset_px.map(|o| o.map(|o| o / n)),
-            aperture_px: self.sampling.aperture_px.map(|a| (n - 1.0 + a) / n),
-            variance_share: self.sampling.variance_share,
-        };
-        let [width, height] = size.map(|s| s / factor);
-        Self { width, height, samples: Samples::F32(samples), sampling, hash: self.hash }
+/// Row, column and channel of a photosite; in this order.
+pub type Photosite = [u32; 3];
+
+/// As a list of its own.
+mod shared {
+    use super::{Arc, Photosite};
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub(super) fn serialize<S: Serializer>(sites: &Arc<[Photosite]>, to: S) -> Result<S::Ok, S::Error> {
+        sites.as_ref().serialize(to)
+    }
+
+    pub(super) fn deserialize<'d, D: Deserializer<'d>>(from: D) -> Result<Arc<[Photosite]>, D::Error> {
+        Vec::deserialize(from).map(Arc::from)
     }
 }
 
-fn means<T: Copy>(
-    values: &[T],
-    code: impl Fn(T) -> f32,
-    [width, height]: [usize; 2],
-    n: usize,
-    saturation: f32,
-) -> Vec<f32> {
-    let (across, down) = (width / n, height / n);
-    let mut out = Vec::with_capacity(3 * across * down);
-    // Of a line of blocks: sums, and how many of each are saturated.
-    let (mut sums, mut full) = (vec![0.0_f64; 3 * across], vec![0_u32; 3 * across]);
-    for line in 0..down {
-        sums.fill(0.0);
-        full.fill(0);
-        for y in line * n..(line + 1) * n {
-            let row = &values[3 * y * width..][..3 * across * n];
-            for (block, pixels) in row.chunks_exact(3 * n).enumerate() {
-                let (mut sum, mut saturated) = ([0.0_f32; 3], [0_u32; 3]);
-                for pixel in pixels.chunks_exact(3) {
-                    for c in 0..3 {
-                        let v = code(pixel[c]);
-                        sum[c] += v;
-                        saturated[c] += u32::from(v >= saturation);
+/// The rows of a photograph, reduced as it says, from the first to the last.
+pub struct Rows<'a> {
+    photograph: &'a Photograph,
+    reader: RowReader,
+    blocks: Option<Blocks>,
+    size_px: [usize; 2],
+    /// Rows that were taken.
+    taken: usize,
+}
+
+impl<'a> Rows<'a> {
+    pub(super) fn new(photograph: &'a Photograph, mut reader: RowReader) -> Result<Self> {
+        let blocks =
+            photograph.reduction.as_ref().filter(|by| by.factor > 1).map(|by| Blocks::new(by, reader.size_px[0]));
+        let size_px = reader.size_px.map(|s| s / blocks.as_ref().map_or(1, |b| b.factor));
+        // What is in memory as a whole is reduced at once: other exposures are read beside it.
+        let mut reduced = Samples::F32(vec![]);
+        if let (true, Some(mut blocks)) = (reader.is_whole(), blocks.clone()) {
+            for _ in 0..size_px[1] {
+                blocks.line(&mut reader, &mut reduced).map_err(|reason| photograph.broken(reason))?;
+            }
+            let sampling = blocks.sampling(reader.sampling);
+            let reader = RowReader::whole(size_px, reduced, sampling);
+            return Ok(Self { photograph, reader, blocks: None, size_px, taken: 0 });
+        }
+        Ok(Self { photograph, reader, blocks, size_px, taken: 0 })
+    }
+
+    /// Columns and rows.
+    pub fn size_px(&self) -> [usize; 2] {
+        self.size_px
+    }
+
+    /// Where in its pixel each channel was measured.
+    pub fn sampling(&self) -> Sampling {
+        self.blocks.as_ref().map_or(self.reader.sampling, |b| b.sampling(self.reader.sampling))
+    }
+
+    /// Refuses a photograph that is not of this size.
+    ///
+    /// # Errors
+    /// [`Error::BrokenPhotograph`].
+    pub fn check_size(&self, size_px: [usize; 2]) -> Result<()> {
+        let [width, height] = self.size_px;
+        match [width, height] == size_px {
+            true => Ok(()),
+            false => Err(self.broken(format!("{width} × {height} px were decoded, its head says {size_px:?}"))),
+        }
+    }
+
+    /// Puts the next `rows` rows, which must be there, into `out` in the place of what it holds.
+    ///
+    /// # Errors
+    /// [`Error::BrokenPhotograph`].
+    pub fn read(&mut self, rows: usize, out: &mut Samples) -> Result<()> {
+        self.taken += rows;
+        let done = match &mut self.blocks {
+            None => self.reader.read(rows, out),
+            Some(blocks) => {
+                out.refill_f32(|_| ());
+                (0..rows).try_for_each(|_| blocks.line(&mut self.reader, out))
+            }
+        };
+        done.map_err(|reason| self.broken(reason))
+    }
+
+    /// Leaves out the next `rows` rows, which must be there.
+    ///
+    /// # Errors
+    /// [`Error::BrokenPhotograph`].
+    pub fn skip(&mut self, rows: usize) -> Result<()> {
+        self.taken += rows;
+        let factor = self.blocks.as_ref().map_or(1, |b| b.factor);
+        if let Some(blocks) = &mut self.blocks {
+            blocks.taken += factor * rows;
+        }
+        self.reader.skip(factor * rows).map_err(|reason| self.broken(reason))
+    }
+
+    /// Reads what is left of the file: damage shows in its decoding.
+    ///
+    /// # Errors
+    /// [`Error::BrokenPhotograph`].
+    pub fn finish(&mut self) -> Result<()> {
+        let factor = self.blocks.as_ref().map_or(1, |b| b.factor);
+        let left = self.reader.size_px[1] - factor * self.taken;
+        let mut row = Samples::U8(vec![]);
+        let mut end = || {
+            (0..left).try_for_each(|_| self.reader.read(1, &mut row))?;
+            self.reader.finish()
+        };
+        end().map_err(|reason| self.broken(reason))
+    }
+
+    fn broken(&self, reason: String) -> Error {
+        self.photograph.broken(reason)
+    }
+}
+
+/// A line of blocks.
+#[derive(Debug, Clone)]
+struct Blocks {
+    factor: usize,
+    saturation_dn: f32,
+    across: usize,
+    row: Samples,
+    /// Of each column and channel, over the rows of the line: sum of whole code values, of others, and how many are saturated.
+    whole: Vec<u32>,
+    float: Vec<f32>,
+    full: Vec<u32>,
+    /// Of each block and channel, pixels of the line that are left out.
+    missing: Vec<u32>,
+    left_out: Arc<[Photosite]>,
+    /// Rows that were read.
+    taken: usize,
+}
+
+impl Blocks {
+    fn new(by: &Reduction, width: usize) -> Self {
+        let across = width / by.factor;
+        let n = 3 * across * by.factor;
+        let (whole, float, full) = (vec![0; n], vec![0.0; n], vec![0; n]);
+        let saturation_dn = by.saturation_dn as f32;
+        let (row, missing, left_out) = (Samples::U8(vec![]), vec![0; 3 * across], by.left_out.clone());
+        Self { factor: by.factor, saturation_dn, across, row, whole, float, full, missing, left_out, taken: 0 }
+    }
+
+    fn sampling(&self, of_pixels: Sampling) -> Sampling {
+        let n = self.factor as f64;
+        Sampling {
+            offset_px: of_pixels.offset_px.map(|o| o.map(|o| o / n)),
+            aperture_px: of_pixels.aperture_px.map(|a| (n - 1.0 + a) / n),
+            variance_share: of_pixels.variance_share,
+        }
+    }
+
+    /// Appends the next line's means to `out`, which must be floating point. A block that is saturated in part measured nothing (NaN), one that is
+    /// saturated as a whole stays saturated.
+    fn line(&mut self, reader: &mut RowReader, out: &mut Samples) -> std::result::Result<(), String> {
+        self.whole.fill(0);
+        self.float.fill(0.0);
+        self.full.fill(0);
+        self.missing.fill(0);
+        // Whole code values are compared as such: the least that is not below saturation.
+        let least = self.saturation_dn.ceil() as u32;
+        for _ in 0..self.factor {
+            reader.read(1, &mut self.row)?;
+            self.leave_out();
+            self.taken += 1;
+            let (whole, full) = (&mut self.whole, &mut self.full);
+            match &self.row {
+                Samples::U8(v) => add_whole(v, whole, full, least),
+                Samples::U16(v) => add_whole(v, whole, full, least),
+                Samples::F32(v) => {
+                    for ((sum, full), &code) in self.float.iter_mut().zip(full.iter_mut()).zip(v) {
+                        *sum += code;
+                        *full += u32::from(code >= self.saturation_dn);
                     }
-                }
-                for c in 0..3 {
-                    sums[3 * block + c] += f64::from(sum[c]);
-                    full[3 * block + c] += saturated[c];
                 }
             }
         }
-        let all = (n * n) as u32;
-        out.extend(sums.iter().zip(&full).map(|(&sum, &full)| match full {
-            0 => (sum / f64::from(all)) as f32,
-            full if full == all => saturation,
-            _ => f32::NAN,
-        }));
+        let means = (0..3 * self.across).map(|k| self.mean(k / 3, k % 3)).collect();
+        let n = 3 * self.across;
+        out.extend(&Samples::F32(means), 0..n);
+        Ok(())
     }
-    out
+
+    /// Makes the row's photosites that are left out zero, which adds to no sum and saturates nothing, and counts them.
+    fn leave_out(&mut self) {
+        let row = self.taken as u32;
+        let first = self.left_out.partition_point(|site| site[0] < row);
+        for &[_, x, c] in self.left_out[first..].iter().take_while(|site| site[0] == row) {
+            let (k, block) = (3 * x as usize + c as usize, x as usize / self.factor);
+            if block >= self.across {
+                continue;
+            }
+            match &mut self.row {
+                Samples::U8(v) => v[k] = 0,
+                Samples::U16(v) => v[k] = 0,
+                Samples::F32(v) => v[k] = 0.0,
+            }
+            self.missing[3 * block + c as usize] += 1;
+        }
+    }
+
+    fn mean(&self, block: usize, channel: usize) -> f32 {
+        let columns = || (0..self.factor).map(|i| 3 * (block * self.factor + i) + channel);
+        let full: u32 = columns().map(|k| self.full[k]).sum();
+        let all = (self.factor * self.factor) as u32 - self.missing[3 * block + channel];
+        match full {
+            _ if all == 0 => f32::NAN,
+            0 => {
+                let sum = |k| f64::from(self.whole[k]) + f64::from(self.float[k]);
+                (columns().map(sum).sum::<f64>() / f64::from(all)) as f32
+            }
+            full if full == all => self.saturation_dn,
+            _ => f32::NAN,
+        }
+    }
+}
+
+/// Sums of at most 65,536 rows of 16 bits: no sum runs over.
+fn add_whole<T: Copy + Into<u32>>(row: &[T], sums: &mut [u32], full: &mut [u32], least: u32) {
+    for ((sum, full), &code) in sums.iter_mut().zip(full).zip(row) {
+        *sum += code.into();
+        *full += u32::from(code.into() >= least);
+    }
 }
 
 impl Camera {
@@ -95,11 +261,11 @@ impl Camera {
 
 impl Capture {
     /// The same capture as a camera of fewer pixels would have taken it.
-    pub fn reduced(&self, by: Reduction) -> Self {
+    pub fn reduced(&self, by: &Reduction) -> Self {
         let mut reduced = self.clone();
         if by.factor > 1 {
             reduced.rig.camera = self.rig.camera.reduced(by.factor);
-            reduced.brackets.iter_mut().flatten().for_each(|p| p.reduction = Some(by));
+            reduced.brackets.iter_mut().flatten().for_each(|p| p.reduction = Some(by.clone()));
         }
         reduced
     }
@@ -108,6 +274,33 @@ impl Capture {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::Pixels;
+
+    /// By rows and as a whole, which must be the same.
+    fn reduced(size_px: [usize; 2], samples: Samples, by: Reduction) -> Pixels {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.png");
+        let Samples::U16(codes) = &samples else { panic!("16 bits") };
+        let [width, height] = size_px.map(|s| s as u32);
+        image::ImageBuffer::<image::Rgb<u16>, _>::from_raw(width, height, codes.clone()).unwrap().save(&path).unwrap();
+        let photograph =
+            Photograph { path, shot: "s".into(), exposure_secs: 1.0, effective_secs: 1.0, reduction: Some(by) };
+        let found = photograph.decode().unwrap();
+        let whole = RowReader::whole(size_px, samples, Sampling::WHOLE);
+        let mut rows = Rows::new(&photograph, whole).unwrap();
+        let mut again = Samples::U8(vec![]);
+        rows.read(found.height, &mut again).unwrap();
+        rows.finish().unwrap();
+        let bits = |s: &Samples| {
+            let Samples::F32(v) = s else { panic!("means are not whole") };
+            v.iter().map(|v| v.to_bits()).collect::<Vec<_>>()
+        };
+        assert_eq!(
+            (bits(&again), rows.size_px(), rows.sampling()),
+            (bits(&found.samples), [found.width, found.height], found.sampling)
+        );
+        found
+    }
 
     #[test]
     fn blocks_are_means_and_those_that_saturate_in_part_measured_nothing() {
@@ -118,14 +311,11 @@ mod tests {
         for (x, y) in [(4, 2), (5, 2), (4, 3), (5, 3)] {
             values[3 * (y * 7 + x) + 2] = 4000 + x as u16;
         }
-        let pixels = Pixels {
-            width: 7,
-            height: 5,
-            samples: Samples::U16(values),
-            sampling: Sampling::WHOLE,
-            hash: blake3::hash(b""),
-        };
-        let found = pixels.reduced(Reduction { factor: 2, saturation_dn: 4000.0 });
+        let found = reduced(
+            [7, 5],
+            Samples::U16(values),
+            Reduction { factor: 2, saturation_dn: 4000.0, left_out: Arc::default() },
+        );
         assert_eq!((found.width, found.height, found.sampling), (3, 2, Sampling::WHOLE));
         let Samples::F32(found) = found.samples else { panic!("means are not whole") };
         for k in 0..18 {
@@ -136,6 +326,38 @@ mod tests {
                 // Five and one and a half are half a step along each axis.
                 _ => assert_eq!(found[k], f32::from(code(2 * x, 2 * y, c)) + 5.0 + 1.5),
             }
+        }
+    }
+
+    #[test]
+    fn photosites_that_are_left_out_leave_the_mean_of_the_others() {
+        // 7 × 5 pixels in blocks of two; one block saturates in a photosite that is known to be stuck, and in one that is not.
+        let code = |x: usize, y: usize, c: usize| (10 * x + 3 * y + 100 * c) as u16;
+        let mut values: Vec<u16> = (0..105).map(|k| code(k / 3 % 7, k / 21, k % 3)).collect();
+        for (x, y, c) in [(1, 2, 1), (4, 1, 0), (5, 1, 0)] {
+            values[3 * (y * 7 + x) + c] = 4000;
+        }
+        let left_out: Arc<[Photosite]> = Arc::from([[1, 4, 0], [2, 1, 1], [3, 0, 2], [3, 6, 2], [4, 0, 0]]);
+        let found = reduced([7, 5], Samples::U16(values), Reduction { factor: 2, saturation_dn: 4000.0, left_out });
+        let Samples::F32(found) = found.samples else { panic!("means are not whole") };
+        for k in 0..18 {
+            let (x, y, c) = (k / 3 % 3, k / 9, k % 3);
+            let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| (2 * x + i, 2 * y + j));
+            let mean = |without: (usize, usize)| {
+                let rest = four.iter().filter(|&&at| at != without);
+                rest.clone().map(|&(x, y)| f64::from(code(x, y, c))).sum::<f64>() / rest.count() as f64
+            };
+            let expected = match (x, y, c) {
+                (2, 0, 0) => {
+                    assert!(found[k].is_nan(), "another of it is saturated");
+                    continue;
+                }
+                (0, 1, 1) => mean((1, 2)),
+                (0, 1, 2) => mean((0, 3)),
+                _ => mean((99, 99)),
+            };
+            // f32.
+            assert!((f64::from(found[k]) - expected).abs() < 1e-4, "{x} {y} {c}: {} {expected}", found[k]);
         }
     }
 

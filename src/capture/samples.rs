@@ -11,8 +11,6 @@ pub struct Pixels {
     pub samples: Samples,
     /// Where in its pixel each channel was measured.
     pub sampling: Sampling,
-    /// BLAKE3 of the file.
-    pub hash: blake3::Hash,
 }
 
 /// Where in its pixel, and over how much of it, each channel (R, G, B) was measured.
@@ -72,6 +70,72 @@ impl Samples {
             Self::U8(v) => v.len(),
             Self::U16(v) => v.len(),
             Self::F32(v) => v.len(),
+        }
+    }
+
+    /// Makes these 8-bit code values, which `fill` puts into an empty vector.
+    pub(super) fn refill_u8(&mut self, fill: impl FnOnce(&mut Vec<u8>)) {
+        match self {
+            Self::U8(v) => {
+                v.clear();
+                fill(v);
+            }
+            other => {
+                let mut v = vec![];
+                fill(&mut v);
+                *other = Self::U8(v);
+            }
+        }
+    }
+
+    /// Makes these 16-bit code values, which `fill` puts into an empty vector.
+    pub(super) fn refill_u16(&mut self, fill: impl FnOnce(&mut Vec<u16>)) {
+        match self {
+            Self::U16(v) => {
+                v.clear();
+                fill(v);
+            }
+            other => {
+                let mut v = vec![];
+                fill(&mut v);
+                *other = Self::U16(v);
+            }
+        }
+    }
+
+    /// Makes these floating point code values, which `fill` puts into an empty vector.
+    pub(super) fn refill_f32(&mut self, fill: impl FnOnce(&mut Vec<f32>)) {
+        match self {
+            Self::F32(v) => {
+                v.clear();
+                fill(v);
+            }
+            other => {
+                let mut v = vec![];
+                fill(&mut v);
+                *other = Self::F32(v);
+            }
+        }
+    }
+
+    /// No code values, in the memory that they had.
+    pub(crate) fn clear(&mut self) {
+        match self {
+            Self::U8(v) => v.clear(),
+            Self::U16(v) => v.clear(),
+            Self::F32(v) => v.clear(),
+        }
+    }
+
+    /// Appends some code values of `from`, whose type this becomes when it is empty; of another type than before nothing is kept.
+    pub(crate) fn extend(&mut self, from: &Self, range: std::ops::Range<usize>) {
+        match (&mut *self, from) {
+            (Self::U8(to), Self::U8(from)) => to.extend_from_slice(&from[range]),
+            (Self::U16(to), Self::U16(from)) => to.extend_from_slice(&from[range]),
+            (Self::F32(to), Self::F32(from)) => to.extend_from_slice(&from[range]),
+            (_, Self::U8(from)) => *self = Self::U8(from[range].to_vec()),
+            (_, Self::U16(from)) => *self = Self::U16(from[range].to_vec()),
+            (_, Self::F32(from)) => *self = Self::F32(from[range].to_vec()),
         }
     }
 

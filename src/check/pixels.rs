@@ -5,7 +5,7 @@ use crate::Result;
 use crate::capture::{Capture, Pattern, Photograph, Rect};
 use crate::geometry::Point;
 use crate::pipeline::BuildReport;
-use crate::radiance::{Radiance, Sensor, decode_whole};
+use crate::radiance::{Radiance, Sensor, merge_shot};
 use rayon::prelude::*;
 
 /// More saturated pixels than this in the shortest exposure are more than hot ones.
@@ -44,8 +44,7 @@ impl<'a> Pictures<'a> {
 
     /// The merged picture of some exposures of one shot.
     pub(super) fn merged(&self, photographs: &[Photograph]) -> Result<Radiance> {
-        let bracket = decode_whole(photographs, self.capture.rig.camera.size_px)?;
-        Ok(bracket.merge(self.whole, &self.sensor))
+        merge_shot(photographs, self.capture.rig.camera.size_px, &self.sensor)
     }
 
     /// Saturation of the shots without dots, over the slab when it is known where that is, else over the whole picture.

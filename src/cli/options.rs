@@ -1,5 +1,6 @@
 //! The options of the library's stages as they are typed.
 
+use super::factor::bytes;
 use super::values::{pair_of, resolution, secs, whole};
 use crate::capture::ExposureFrom;
 use crate::geometry::Point;
@@ -36,6 +37,9 @@ typed!(Build => crate::pipeline::BuildOptions {
     /// `full`, not at all; or the least number of pixels across a sample.
     #[arg(long, value_name = "PX", default_value = "auto", value_parser = resolution)]
     resolution: Resolution,
+    /// Memory for the photographs at work, 2GiB say: as many threads as fit into it [default: all threads].
+    #[arg(long = "memory", value_name = "BYTES", value_parser = bytes)]
+    memory_bytes: Option<u64>,
     /// Where exposure times come from. capture.toml comes before all; `estimate` measures the actual times behind EXIF's from the
     /// photographs.
     #[arg(long, value_enum, default_value = "exif", value_name = "SOURCE")]
@@ -211,9 +215,13 @@ typed!(Simulate => SimulateOptions {
     /// EXIF holds nominal exposure times in thirds of stops: 1/250 for 1/256.
     #[arg(long, help_heading = "Camera")]
     nominal_times: bool,
-    /// Camera pixels across an outgoing cell. 3: enough for sub-cell registration.
+    /// Camera pixels across an outgoing cell, 1 to 200. 3: enough for sub-cell registration.
     #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().camera_px_per_sample, help_heading = "Camera")]
     camera_px_per_sample: f64,
+    /// The camera's pixels: 6000x4000. Slab and frame fill them as far as their shape allows, which decides the pixels across a cell
+    /// [default: as many as slab and frame need]
+    #[arg(long, value_name = "WxH", value_parser = pair_of::<usize>, conflicts_with = "camera_px_per_sample", help_heading = "Camera")]
+    camera_size: Option<[usize; 2]>,
     /// Lens distortion, Brown's k1. −0.05: a good lens, 3 px at the corner of a picture of 1000; k2 is −k1/5.
     #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = SimulateOptions::default().distortion, help_heading = "Camera")]
     distortion: f64,

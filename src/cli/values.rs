@@ -100,6 +100,8 @@ impl ValueEnum for Cause {
 
 values!(crate::simulate::FileFormat {
     Png = "png", "16-bit PNG. With a linear response curve it holds the sensor's code values unscaled";
+    Tiff = "tiff", "16-bit TIFF, not compressed: the same code values, larger files, decoded at once";
+    TiffDeflate = "tiff-deflate", "16-bit TIFF, compressed by Deflate after a difference from the pixel before";
     Jpeg = "jpeg", "8-bit JPEG (quality 95, no chroma subsampling)";
 });
 

@@ -8,6 +8,7 @@ use super::scene::Scene;
 use super::{BuildReport, BuildSecs, CrossTalk, Overview, Working};
 use crate::capture::{Manifest, Pattern};
 use crate::geometry::Point;
+use crate::radiance::HotPixel;
 use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps};
 use crate::transport::{MatrixHeader, ShotRecord};
 use crate::{DriftJump, Error, RadianceWarning, RegistrationWarning, ResponseWarning, Result, Warning};
@@ -25,6 +26,8 @@ const STRAY_TOLD: f64 = 0.005;
 pub(super) struct Stages<'a> {
     pub noise: &'a FoundNoise,
     pub working: Working,
+    /// Hot photosites that were left out of the blocks' means.
+    pub defects: &'a [HotPixel],
     pub radiometry: &'a Radiometry,
     pub registered: &'a Registered,
     pub light: &'a LightCorrections,
@@ -38,7 +41,8 @@ pub(super) fn summarize(
     crosstalk: Option<CrossTalk>,
     secs: BuildSecs,
 ) -> Result<(MatrixHeader, BuildReport)> {
-    let (capture, hot) = (scene.capture, &scene.references.hot);
+    let capture = scene.capture;
+    let hot: Vec<&HotPixel> = scene.references.hot.iter().chain(found.defects).collect();
     let mut header = unmeasured(&capture.manifest);
     // Pixels of the photographs in one of the working resolution.
     let full = found.working.factor as f64;

@@ -1,10 +1,12 @@
 //! From a capture folder to the matrix: the way of the photographs, stage by stage.
 
 mod crosstalk;
+mod defects;
 mod drift;
 mod findings;
 mod flicker;
 mod lattice;
+mod memory;
 mod noise;
 mod photographs;
 mod radiometry;
@@ -21,7 +23,7 @@ use crate::progress::Progress;
 use crate::radiance::{Radiance, Sensor};
 use crate::registration::Registration;
 use crate::transport::{MatrixHeader, MatrixWriter, ShotRecord};
-use crate::{Result, Warning};
+use crate::{Error, Result, Warning};
 pub use crosstalk::CrossTalk;
 use drift::Movements;
 use findings::{Stages, unmeasured};
@@ -43,6 +45,8 @@ pub struct BuildOptions {
     pub keep_crosstalk: bool,
     /// How photographs are reduced while they are decoded.
     pub resolution: Resolution,
+    /// Bytes that the photographs at work may take: as many threads work as fit. `None`: all threads.
+    pub memory_bytes: Option<u64>,
     /// Where exposure times come from. capture.toml comes before all; `estimate` measures the actual times behind EXIF's from the
     /// photographs.
     pub exposure_from: ExposureFrom,
@@ -155,11 +159,29 @@ fn measure(
     let start = Instant::now();
     let noise = noise::find(capture)?;
     let working = resolution::choose(capture, &noise.noise, options, progress)?;
+    let found = (noise, working, start);
+    let Some(memory_bytes) = options.memory_bytes else { return measure_at(capture, options, found, rows, progress) };
+    let threads = memory::threads(capture, working, memory_bytes, rayon::current_num_threads())?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(Error::internal)?;
+    pool.install(|| measure_at(capture, options, found, rows, progress))
+}
+
+/// [`measure`] at the working resolution.
+fn measure_at(
+    capture: &Capture,
+    options: &BuildOptions,
+    (noise, working, start): (noise::FoundNoise, Working, Instant),
+    rows: &impl RowSink,
+    progress: &Progress,
+) -> Result<(MatrixHeader, BuildReport)> {
+    let full = capture;
     // From here on the camera is one of that resolution.
-    let by = Reduction { factor: working.factor, saturation_dn: noise.noise.saturation_dn };
-    let capture = &capture.reduced(by);
+    let defects = defects::find(capture, &noise.noise, working)?;
+    let left_out = defects.iter().map(|h| [h.at[1], h.at[0], h.at[2]].map(|v| v as u32)).collect();
+    let by = Reduction { factor: working.factor, saturation_dn: noise.noise.saturation_dn, left_out };
+    let capture = &capture.reduced(&by);
     let radiometry = radiometry::calibrate(capture, &noise.noise, options, progress)?;
-    let photographs = Photographs::new(capture, &radiometry);
+    let photographs = Photographs::new(full, capture, &radiometry, working.factor);
     let registered = register::register(&photographs, progress)?;
     let references = references::references(&photographs, &registered, radiometry.flicker_sd, progress)?;
     let scene = Scene::new(&photographs, &registered, &references);
@@ -175,7 +197,14 @@ fn measure(
         true => None,
         false => crosstalk::separate(&scene, &mut shots, rows, progress)?,
     };
-    let stages = Stages { noise: &noise, working, radiometry: &radiometry, registered: &registered, light: &light };
+    let stages = Stages {
+        noise: &noise,
+        working,
+        defects: &defects,
+        radiometry: &radiometry,
+        registered: &registered,
+        light: &light,
+    };
     let secs = BuildSecs { once: (prepared - start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
     findings::summarize(&scene, &stages, &shots, crosstalk, secs)
 }

@@ -6,13 +6,14 @@ use crate::capture::{
 };
 use crate::progress::Progress;
 use crate::radiance::{
-    Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, Sensor, Stack, decode_whole, estimate_curve,
-    evenly, fit_exposures, pick_pixels, stack_scales, take,
+    Bracket, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, Sensor, Stack, decode_spread,
+    estimate_curve, evenly, fit_exposures, pick_pixels, stack_scales, take,
 };
 use crate::{Error, RadianceWarning, Result};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
+use std::io::Read;
 
 /// The sensor and the exposures as they were found to be, and what was found on the way.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -57,7 +58,12 @@ const CURVE_FILE: &str = "response.toml";
 impl Radiometry {
     /// What turns code values to light.
     pub(super) fn sensor(&self) -> Sensor {
-        Sensor::with_curve(&self.noise, self.curve.clone(), self.file).averaged(block_px(&self.brackets))
+        self.sensor_of(block_px(&self.brackets))
+    }
+
+    /// The same for photographs that are averaged over blocks of `factor` pixels a side.
+    pub(super) fn sensor_of(&self, factor: usize) -> Sensor {
+        Sensor::with_curve(&self.noise, self.curve.clone(), self.file).averaged(factor)
     }
 }
 
@@ -85,8 +91,7 @@ pub(super) fn calibrate(
     let stacks: Vec<Stack> = chosen
         .par_iter()
         .map(|&shot| {
-            let exposures =
-                pick_pixels(decode_whole(&capture.brackets[shot], capture.rig.camera.size_px)?.exposures(), &sensor);
+            let exposures = pick_pixels(decode(capture, shot)?.exposures(), &sensor);
             stage.advance(1);
             let settings = capture.brackets[shot].iter().map(|p| settings.index(p)).collect();
             Ok(Stack { exposures, settings })
@@ -116,9 +121,17 @@ pub(super) fn calibrate(
     Ok(Radiometry { noise, curve, file, brackets, flicker_sd, warnings, record })
 }
 
+/// Pixels of a shot that are looked at. Dots are lit in several rows: every one is met.
+const LOOKED_AT_PX: usize = 1 << 20;
+
+/// Rows of a shot, spread over it.
+fn decode(capture: &Capture, shot: usize) -> Result<Bracket> {
+    decode_spread(&capture.brackets[shot], capture.rig.camera.size_px, LOOKED_AT_PX)
+}
+
 /// Pixels along each side of the blocks that photographs are averaged over, the same for all.
 fn block_px(brackets: &[Vec<Photograph>]) -> usize {
-    brackets.iter().flatten().find_map(|p| p.reduction).map_or(1, |by| by.factor)
+    brackets.iter().flatten().find_map(|p| p.reduction.as_ref()).map_or(1, |by| by.factor)
 }
 
 /// The distinct nominal exposures of a capture, shortest first.
@@ -168,12 +181,22 @@ fn choose_shots(capture: &Capture, settings: &Settings) -> Vec<usize> {
     chosen.into_iter().collect()
 }
 
+/// More than a JPEG has before its tables, previews included.
+const HEAD_BYTES: u64 = 8 << 20;
+
 /// Bits and compression of the capture's first photograph, which stand for all.
 fn file_noise(capture: &Capture) -> Result<FileNoise> {
     let Some(first) = capture.brackets.iter().flatten().next() else { return Ok(FileNoise::default()) };
-    let bytes = std::fs::read(&first.path).map_err(Error::io("read", &first.path))?;
-    let compression = compression_variance(&bytes, CODE_NOISE).unwrap_or_default();
-    let sixteen_bit = compression == [0.0; 3] && matches!(first.decode()?.samples, Samples::U16(_));
+    // A JPEG's tables are in its head.
+    let mut head = Vec::new();
+    let file = std::fs::File::open(&first.path).map_err(Error::io("read", &first.path))?;
+    file.take(HEAD_BYTES).read_to_end(&mut head).map_err(Error::io("read", &first.path))?;
+    let compression = compression_variance(&head, CODE_NOISE).unwrap_or_default();
+    let mut row = Samples::U8(vec![]);
+    if compression == [0.0; 3] {
+        Photograph { reduction: None, ..first.clone() }.open()?.read(1, &mut row)?;
+    }
+    let sixteen_bit = matches!(row, Samples::U16(_));
     Ok(FileNoise { sixteen_bit, compression })
 }
 
@@ -216,14 +239,13 @@ fn light_sums(capture: &Capture, settings: &Settings, sensor: &Sensor) -> Result
             both.take(BITS_PER_AXIS)
         })
         .collect();
-    let decode = |shot: usize| decode_whole(&capture.brackets[shot], capture.rig.camera.size_px);
-    let white_bracket = decode(white)?;
-    let dark = decode(black)?;
+    let white_bracket = decode(capture, white)?;
+    let dark = decode(capture, black)?;
     let dark = dark.merge(dark.rect(), sensor).value;
     let sums: Vec<Vec<LightSum>> = pairs
         .par_iter()
         .map(|pair| {
-            let parts = [decode(pair[0])?, decode(pair[1])?];
+            let parts = [decode(capture, pair[0])?, decode(capture, pair[1])?];
             let mut sums = Vec::new();
             for (k, photograph) in capture.brackets[white].iter().enumerate() {
                 let setting = settings.index(photograph);

@@ -1,12 +1,12 @@
 //! Slab, camera and projector related to each other: by the board or the frame's marks, and by the Gray code.
 
 use super::photographs::Photographs;
-use crate::capture::{Board, Capture, Pattern, Surface};
+use crate::capture::{Board, Pattern, Surface};
 use crate::geometry::{CameraView, Lens, Point};
 use crate::progress::{Progress, Stage};
 use crate::radiance::Radiance;
 use crate::registration::{
-    BitPair, FrameFit, LensChoice, Pairs, PointSpread, Registration, StripeSurface, ViewFit, find_board,
+    BitPair, FrameFit, LensChoice, LensTrial, Pairs, PointSpread, Registration, StripeSurface, ViewFit, find_board,
     fit_lens_of_views, marks_moved, measure_point_spread, register_frame, register_projector,
 };
 use crate::{Error, RegistrationWarning, Result};
@@ -63,8 +63,8 @@ pub(super) fn register(photographs: &Photographs<'_>, progress: &Progress) -> Re
 fn camera_view(
     photographs: &Photographs<'_>,
 ) -> Result<(ViewFit, LensChoice, Option<PointSpread>, Vec<RegistrationWarning>)> {
-    let rig = &photographs.capture.rig;
-    let camera = &rig.camera;
+    let (rig, fine) = (&photographs.capture.rig, &photographs.fine);
+    let camera = &fine.camera();
     let mut warnings = Vec::new();
     let (mut planes, mut has_board): (Vec<Pairs>, bool) = (Vec::new(), false);
     let mut sharp: Option<(Radiance, &Board)> = None;
@@ -72,7 +72,7 @@ fn camera_view(
         let kind = |p: &Pattern| if calibrating { *p == Pattern::CalibrationBoard } else { *p == Pattern::Board };
         for shot in photographs.capture.shots(kind) {
             let Some(board) = &rig.board else { continue };
-            let picture = photographs.merge_whole(shot)?;
+            let picture = photographs.merge_fine(shot)?;
             planes.push(find_board(&picture, board, camera).map_err(photographs.failed(shot))?);
             sharp.get_or_insert((picture, board));
             has_board |= !calibrating;
@@ -84,7 +84,7 @@ fn camera_view(
     let mut first: Option<FrameFit> = None;
     for shot in photographs.capture.shots(|p| *p == Pattern::Frame) {
         let Some(marks) = &rig.frame else { continue };
-        let picture = photographs.merge_whole(shot)?;
+        let picture = photographs.merge_fine(shot)?;
         let found = register_frame(&picture, marks, prior.as_ref(), camera).map_err(photographs.failed(shot))?;
         let name = photographs.capture.manifest.shots[shot].name.clone();
         match &first {
@@ -96,7 +96,12 @@ fn camera_view(
             Some(before) => {
                 let moved = marks_moved(before, &found);
                 let beyond = |(m, sd): &(Point, f64)| m[0].hypot(m[1]) > (5.0 * sd).max(0.05);
-                let told = |(moved_px, sd_px)| RegistrationWarning::FrameMoved { shot: name, moved_px, sd_px };
+                let scale = fine.scale();
+                let told = |(moved_px, sd_px): (Point, f64)| RegistrationWarning::FrameMoved {
+                    shot: name,
+                    moved_px: moved_px.map(|m| scale * m),
+                    sd_px: scale * sd_px,
+                };
                 warnings.extend(moved.filter(beyond).map(told));
             }
         }
@@ -110,23 +115,36 @@ fn camera_view(
         )
     })?;
     if first.is_some() && has_board {
-        warnings.extend(board_elsewhere(photographs.capture, &fits[1].view, &fits[0]));
+        warnings.extend(board_elsewhere(photographs, &fits[1].view, &fits[0]));
     }
     // Boards come after the frame; the first of them, in the sample's plane if there is one, tells how sharp the picture is.
     let seen = &fits[usize::from(first.is_some() && fits.len() > 1)].view;
     let point_spread = sharp.and_then(|(picture, board)| measure_point_spread(&picture, board, seen));
-    Ok((fits[0], choice, point_spread, warnings))
+    // All of it was in finer pixels.
+    let scale = fine.scale();
+    let fit = ViewFit { view: fine.view(&fits[0].view), rms_px: scale * fits[0].rms_px, sd_px: scale * fits[0].sd_px };
+    let choice = LensChoice {
+        trials: choice.trials.into_iter().map(|t| LensTrial { rms_px: scale * t.rms_px, ..t }).collect(),
+        ..choice
+    };
+    let point_spread = point_spread.map(|p| PointSpread {
+        psf_px: scale * p.psf_px,
+        variance_sd_px2: scale * scale * p.variance_sd_px2,
+        range_px: p.range_px.map(|r| scale * r),
+    });
+    Ok((fit, choice, point_spread, warnings))
 }
 
 /// Whether board and frame disagree about where the slab's corners are seen.
-fn board_elsewhere(capture: &Capture, board: &CameraView, frame: &ViewFit) -> Option<RegistrationWarning> {
-    let [w, h] = capture.manifest.slab.size_mm;
+fn board_elsewhere(photographs: &Photographs<'_>, board: &CameraView, frame: &ViewFit) -> Option<RegistrationWarning> {
+    let [w, h] = photographs.capture.manifest.slab.size_mm;
     let off = |p: Point| {
         let (a, b) = (board.camera_from_slab(p), frame.view.camera_from_slab(p));
         (a[0] - b[0]).hypot(a[1] - b[1])
     };
     let largest_px = [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(off).into_iter().fold(0.0, f64::max);
-    (largest_px > (5.0 * frame.sd_px).max(0.2)).then_some(RegistrationWarning::BoardElsewhere { largest_px })
+    (largest_px > (5.0 * frame.sd_px).max(0.2))
+        .then_some(RegistrationWarning::BoardElsewhere { largest_px: photographs.fine.scale() * largest_px })
 }
 
 /// What the Gray code was projected on: all of it on the same.

@@ -1,9 +1,9 @@
 //! At what resolution photographs are worked on: fine enough for the samples of the windows, and no finer.
 
 use super::BuildOptions;
-use crate::capture::{Capture, Noise, Pattern, Rect, Reduction, ResponseCurve};
+use crate::capture::{Capture, Noise, Pattern, Reduction, ResponseCurve};
 use crate::progress::Progress;
-use crate::radiance::{FileNoise, Sensor, decode_whole};
+use crate::radiance::{FileNoise, Sensor, merge_shot};
 use crate::registration::{Pairs, find_board, fit_lens_of_views, register_frame};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -98,7 +98,8 @@ fn px_per_mm(capture: &Capture, noise: &Noise) -> Result<Option<f64>> {
     let mut factor = width.max(height).div_ceil(LOOK_PX).max(1);
     let center_mm = capture.manifest.slab.size_mm.map(|s| 0.5 * s);
     loop {
-        let small = capture.reduced(Reduction { factor, saturation_dn: noise.saturation_dn });
+        let by = Reduction { factor, saturation_dn: noise.saturation_dn, left_out: Default::default() };
+        let small = capture.reduced(&by);
         if let Some(pairs) = plane(&small, noise, factor)? {
             let camera = &small.rig.camera;
             let fit = fit_lens_of_views(&[pairs], camera.principal_px, camera.focal_px);
@@ -117,11 +118,10 @@ fn px_per_mm(capture: &Capture, noise: &Noise) -> Result<Option<f64>> {
 /// Where points of the sample's plane are seen, the board's or the frame's.
 fn plane(capture: &Capture, noise: &Noise, factor: usize) -> Result<Option<Pairs>> {
     let [width, height] = capture.rig.camera.size_px;
-    let whole = Rect { x: 0, y: 0, width, height };
     let sensor = Sensor::with_curve(noise, None, FileNoise::default()).averaged(factor);
     let picture = |kind: Pattern| -> Result<_> {
         let Some(&shot) = capture.shots(|p| *p == kind).first() else { return Ok(None) };
-        Ok(Some(decode_whole(&capture.brackets[shot], [width, height])?.merge(whole, &sensor)))
+        merge_shot(&capture.brackets[shot], [width, height], &sensor).map(Some)
     };
     if let (Some(board), Some(picture)) = (&capture.rig.board, picture(Pattern::Board)?) {
         return Ok(find_board(&picture, board, &capture.rig.camera).ok());

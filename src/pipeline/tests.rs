@@ -81,7 +81,7 @@ fn stages_that_go_on_from_saved_outputs_give_the_same_rows_to_the_last_bit() {
         let noise = passed(noise::find(&capture).unwrap(), through_files);
         let radiometry = radiometry::calibrate(&capture, &noise.noise, &options, &silent).unwrap();
         let radiometry = passed(radiometry, through_files);
-        let photographs = Photographs::new(&capture, &radiometry);
+        let photographs = Photographs::new(&capture, &capture, &radiometry, 1);
         let registered = passed(register::register(&photographs, &silent).unwrap(), through_files);
         let references = references::references(&photographs, &registered, radiometry.flicker_sd, &silent).unwrap();
         let references = passed(references, through_files);

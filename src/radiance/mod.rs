@@ -20,5 +20,5 @@ pub use hot_pixels::{HotPixel, find_hot_pixels, mend};
 pub use merge::{Exposure, Radiance, merge};
 pub use noise::{Block, BlockGrid, DarkLevels, NoiseEstimate, black_level, blocks, clipping_code, fit, saturation};
 pub use sensor::{FileNoise, Sensor};
-pub use shot::{Bracket, decode_shot, decode_whole};
+pub use shot::{Bracket, decode_shot, decode_spread, merge_shot};
 pub use stray::{Halo, StrayLight};

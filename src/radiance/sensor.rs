@@ -46,6 +46,8 @@ struct Encoding {
 
 /// Rounding to whole code values spreads uniformly over one: variance 1/12.
 const ROUNDING_VARIANCE: f64 = 1.0 / 12.0;
+/// Of floating-point photographs a code value may be all there is; those of whole numbers have many.
+const WHOLE_RANGE: f32 = 100.0;
 /// Entries of the table of variances.
 const ROOTS: usize = 1024;
 
@@ -74,9 +76,17 @@ impl Sensor {
     }
 
     /// The same sensor read by means of blocks of `factor` × `factor` pixels: their noise is independent.
+    ///
+    /// Means are floating point, of code values that were rounded where these have a range of [`WHOLE_RANGE`] or more.
     pub fn averaged(self, factor: usize) -> Self {
         let share = 1.0 / (factor.max(1) * factor.max(1)) as f32;
-        Self { gain: self.gain * share, read: self.read * share, coding: self.coding * share, ..self }
+        let rounded = if factor > 1 && self.range() >= WHOLE_RANGE { self.coding } else { 0.0 };
+        Self {
+            gain: self.gain * share,
+            read: (self.read + rounded) * share,
+            coding: (self.coding - rounded) * share,
+            ..self
+        }
     }
 
     /// Linear code values above black of `samples[first..]`, as many as `out` holds; saturated ones as +∞, what is no measurement as NaN.
@@ -226,6 +236,19 @@ mod tests {
         }
         assert!(!FileNoise::default().is_compressed());
         assert!(FileNoise { sixteen_bit: true, compression: [0.0, 0.0, 0.1] }.is_compressed());
+    }
+
+    #[test]
+    fn means_of_blocks_have_their_share_of_all_noise_that_of_rounding_included() {
+        let mean = Samples::F32(vec![]);
+        let sensor = linear_sensor([0.0; 3]).averaged(4);
+        // A sixteenth of 5.76 and of 1/12; photons alike.
+        assert!((sensor.floor(&mean) * 16.0 - 5.76 - 1.0 / 12.0).abs() < 1e-5);
+        assert!((sensor.variance(160.0, 0) * 16.0 - 0.4 * 160.0 - 5.76 - 1.0 / 12.0).abs() < 1e-4);
+        // From 0 to 1, a code value is all there is: those were not rounded to one.
+        let float = Noise { black_dn: 0.0, saturation_dn: 1.0, gain_dn_per_electron: 1e-4, read_noise_electrons: 10.0 };
+        let sensor = Sensor::with_curve(&float, None, FileNoise::default()).averaged(4);
+        assert!((sensor.floor(&mean) * 16.0 - 1e-6).abs() < 1e-11);
     }
 
     /// Three curves, g = 255 (z / 255)^γ: γ is 1.6, 2.0 and 2.6.

@@ -2,7 +2,7 @@
 
 use super::{Exposure, Radiance, Sensor, merge};
 use crate::Result;
-use crate::capture::{Photograph, Rect, Sampling};
+use crate::capture::{Photograph, Rect, Rows, Samples, Sampling};
 
 /// A rectangle of a shot, decoded in all its exposures and not yet merged.
 #[derive(Debug, Clone)]
@@ -50,48 +50,83 @@ impl Bracket {
     }
 }
 
-/// Decodes a shot and keeps all of it.
+/// Decodes every so-manieth row of a shot, so that `most_px` pixels or fewer are kept: all that tells levels of light, and nothing of where they are.
 ///
 /// # Errors
-/// Those of [`decode_shot`].
-pub fn decode_whole(photographs: &[Photograph], size_px: [usize; 2]) -> Result<Bracket> {
-    let whole = Rect { x: 0, y: 0, width: size_px[0], height: size_px[1] };
-    let mut brackets = decode_shot(photographs, &[whole], size_px, &|_, _| {})?;
-    brackets.pop().ok_or_else(|| crate::Error::internal("a shot decoded to nothing"))
+/// Those of [`Photograph::decode_parts`].
+pub fn decode_spread(photographs: &[Photograph], size_px: [usize; 2], most_px: usize) -> Result<Bracket> {
+    let [width, height] = size_px;
+    let step = (width * height).div_ceil(most_px.max(1)).max(1);
+    let rect = Rect { x: 0, y: 0, width, height: height / step };
+    let mut bracket = Bracket { rect, exposures: vec![], sampling: Sampling::WHOLE };
+    let mut row = Samples::U8(vec![]);
+    for photograph in photographs {
+        let mut rows = photograph.open()?;
+        rows.check_size(size_px)?;
+        let mut samples = Samples::U8(vec![]);
+        for _ in 0..rect.height {
+            rows.skip(step / 2)?;
+            rows.read(1, &mut row)?;
+            rows.skip(step - step / 2 - 1)?;
+            samples.extend(&row, 0..row.len());
+        }
+        bracket.sampling = rows.sampling();
+        bracket.exposures.push(Exposure { samples, secs: photograph.effective_secs });
+    }
+    Ok(bracket)
 }
 
-/// Decodes a shot photograph by photograph and keeps the pixels in each of `rects`.
-///
-/// At any time one photograph is held whole, besides the crops. `decoded` is told each file's hash as it is read.
+/// Decodes a shot photograph by photograph and keeps the pixels in each of `rects`: of the rest a few rows at a time are in memory.
 ///
 /// # Errors
-/// Those of [`Photograph::decode`]; [`crate::Error::BrokenPhotograph`] when the decoded size is not that of the file's head.
-pub fn decode_shot(
-    photographs: &[Photograph],
-    rects: &[Rect],
-    size_px: [usize; 2],
-    decoded: &(dyn Fn(&Photograph, blake3::Hash) + Sync),
-) -> Result<Vec<Bracket>> {
+/// Those of [`Photograph::decode_parts`].
+pub fn decode_shot(photographs: &[Photograph], rects: &[Rect], size_px: [usize; 2]) -> Result<Vec<Bracket>> {
     let mut brackets: Vec<Bracket> =
         rects.iter().map(|&rect| Bracket { rect, exposures: vec![], sampling: Sampling::WHOLE }).collect();
     for photograph in photographs {
-        let pixels = photograph.decode()?;
-        decoded(photograph, pixels.hash);
-        if [pixels.width, pixels.height] != size_px {
-            return Err(crate::Error::BrokenPhotograph {
-                path: photograph.path.clone(),
-                shot: photograph.shot.clone(),
-                reason: format!("{} × {} px were decoded, its head says {size_px:?}", pixels.width, pixels.height),
-            });
-        }
-        let whole = pixels.rect();
-        for bracket in &mut brackets {
-            let samples = pixels.samples.crop(whole, bracket.rect);
-            bracket.sampling = pixels.sampling;
+        let (parts, sampling) = photograph.decode_parts(rects, size_px, true)?;
+        for (bracket, samples) in brackets.iter_mut().zip(parts) {
+            bracket.sampling = sampling;
             bracket.exposures.push(Exposure { samples, secs: photograph.effective_secs });
         }
     }
     Ok(brackets)
+}
+
+/// Rows that are merged at a time: a megabyte or so of each exposure.
+const MERGED_ROWS: usize = 16;
+
+/// The merged picture of a shot, some rows of all its photographs at a time.
+///
+/// # Errors
+/// Those of [`Photograph::decode_parts`].
+pub fn merge_shot(photographs: &[Photograph], size_px: [usize; 2], sensor: &Sensor) -> Result<Radiance> {
+    let [width, height] = size_px;
+    let n = 3 * width * height;
+    let mut merged = Radiance {
+        rect: Rect { x: 0, y: 0, width, height },
+        value: Vec::with_capacity(n),
+        variance: Vec::with_capacity(n),
+        used: Vec::with_capacity(n),
+    };
+    let mut open = photographs.iter().map(Photograph::open).collect::<Result<Vec<_>>>()?;
+    open.iter().try_for_each(|rows| rows.check_size(size_px))?;
+    let secs = photographs.iter().map(|p| p.effective_secs);
+    let exposures = secs.map(|secs| Exposure { samples: Samples::U8(vec![]), secs }).collect();
+    let sampling = open.first().map_or(Sampling::WHOLE, Rows::sampling);
+    let mut band = Bracket { rect: merged.rect, exposures, sampling };
+    for y in (0..height).step_by(MERGED_ROWS) {
+        band.rect = Rect { x: 0, y, width, height: MERGED_ROWS.min(height - y) };
+        for (rows, exposure) in open.iter_mut().zip(&mut band.exposures) {
+            rows.read(band.rect.height, &mut exposure.samples)?;
+        }
+        let part = band.merge(band.rect, sensor);
+        merged.value.extend(part.value);
+        merged.variance.extend(part.variance);
+        merged.used.extend(part.used);
+    }
+    open.iter_mut().try_for_each(Rows::finish)?;
+    Ok(merged)
 }
 
 #[cfg(test)]
@@ -172,9 +207,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let photographs = [photograph(dir.path(), "a.png", SIZE_PX, 1), photograph(dir.path(), "b.png", SIZE_PX, 3)];
         let rects = [Rect { x: 8, y: 1, width: 5, height: 2 }, Rect { x: 0, y: 5, width: 3, height: 3 }];
-        let seen = std::sync::Mutex::new(vec![]);
-        let decoded = |p: &Photograph, hash: blake3::Hash| seen.lock().unwrap().push((p.path.clone(), hash));
-        let brackets = decode_shot(&photographs, &rects, SIZE_PX, &decoded).unwrap();
+        let brackets = decode_shot(&photographs, &rects, SIZE_PX).unwrap();
         assert_eq!(brackets.iter().map(Bracket::rect).collect::<Vec<_>>(), rects);
         for (bracket, rect) in brackets.iter().zip(rects) {
             assert_eq!(bracket.sampling(), Sampling::WHOLE);
@@ -184,10 +217,33 @@ mod tests {
                 assert_eq!(exposure.samples, Samples::U16((0..3 * rect.area()).map(at).collect()));
             }
         }
-        let hash = |p: &Photograph| (p.path.clone(), blake3::hash(&std::fs::read(&p.path).unwrap()));
-        assert_eq!(*seen.lock().unwrap(), photographs.iter().map(hash).collect::<Vec<_>>());
-        let whole = decode_whole(&photographs, SIZE_PX).unwrap();
-        assert_eq!((whole.rect(), whole.exposures().len()), (Rect { x: 0, y: 0, width: 13, height: 8 }, 2));
+        for photograph in &photographs {
+            assert_eq!(photograph.hash().unwrap(), blake3::hash(&std::fs::read(&photograph.path).unwrap()));
+        }
+    }
+
+    #[test]
+    fn a_shot_is_merged_by_rows_as_it_is_as_a_whole() {
+        let dir = tempfile::tempdir().unwrap();
+        // More rows than are merged at a time, and no whole number of them.
+        let size = [5, 2 * MERGED_ROWS + 7];
+        let photographs = [photograph(dir.path(), "a.png", size, 1), photograph(dir.path(), "b.png", size, 3)];
+        let whole = Rect { x: 0, y: 0, width: size[0], height: size[1] };
+        let expected = decode_shot(&photographs, &[whole], size).unwrap()[0].merge(whole, &sensor());
+        assert_eq!(merge_shot(&photographs, size, &sensor()).unwrap(), expected);
+    }
+
+    #[test]
+    fn rows_spread_over_a_shot_are_its_own() {
+        let dir = tempfile::tempdir().unwrap();
+        let photographs = [photograph(dir.path(), "a.png", [5, 41], 2)];
+        // 205 pixels in 60: every fourth row, from the third on.
+        let found = decode_spread(&photographs, [5, 41], 60).unwrap();
+        assert_eq!(found.rect(), Rect { x: 0, y: 0, width: 5, height: 10 });
+        let at = |k: usize| code(k / 3 % 5, 4 * (k / 15) + 2, k % 3) + 2;
+        assert_eq!(found.exposures()[0].samples, Samples::U16((0..150).map(at).collect()));
+        let all = decode_spread(&photographs, [5, 41], 205).unwrap();
+        assert_eq!(all.exposures()[0].samples.len(), 3 * 205);
     }
 
     #[test]
@@ -195,7 +251,17 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         // Turned by a quarter: as many pixels.
         let photographs = [photograph(dir.path(), "a.png", [8, 13], 1)];
-        let refused = decode_whole(&photographs, SIZE_PX).unwrap_err();
-        assert!(matches!(&refused, crate::Error::BrokenPhotograph { shot, .. } if shot == "lattice-3"), "{refused}");
+        let whole = Rect { x: 0, y: 0, width: 13, height: 8 };
+        for refused in [
+            decode_shot(&photographs, &[whole], SIZE_PX).map(|_| ()),
+            merge_shot(&photographs, SIZE_PX, &sensor()).map(|_| ()),
+            decode_spread(&photographs, SIZE_PX, 1000).map(|_| ()),
+        ] {
+            let refused = refused.unwrap_err();
+            assert!(
+                matches!(&refused, crate::Error::BrokenPhotograph { shot, .. } if shot == "lattice-3"),
+                "{refused}"
+            );
+        }
     }
 }

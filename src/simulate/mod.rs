@@ -127,6 +127,7 @@ pub fn simulate(options: &SimulateOptions, dir: &Path, progress: &Progress) -> R
     options.check()?;
     let new = NewFolder::create(dir, options.force)?;
     let work = new.path();
+    let options = &scene::fitted(options)?;
     let bench = Bench::new(options, progress)?;
     let options = &SimulateOptions { voxels_blake3: bench.record.voxels_blake3.clone(), ..options.clone() };
     let summary = match options.truth_only {

@@ -11,6 +11,10 @@ use serde::{Deserialize, Serialize};
 pub enum FileFormat {
     /// 16-bit PNG. With a linear response curve it holds the sensor's code values unscaled.
     Png,
+    /// 16-bit TIFF, not compressed: the same code values, larger files, decoded at once.
+    Tiff,
+    /// 16-bit TIFF, compressed by Deflate after a difference from the pixel before.
+    TiffDeflate,
     /// 8-bit JPEG (quality 95, no chroma subsampling).
     Jpeg,
 }
@@ -132,6 +136,9 @@ pub struct SimulateOptions {
     pub nominal_times: bool,
     /// Camera pixels across an outgoing cell. 3: enough for sub-cell registration.
     pub camera_px_per_sample: f64,
+    /// The camera's pixels: 6000x4000. Slab and frame fill them as far as their shape allows, which decides `camera_px_per_sample`
+    /// [default: as many as slab and frame need]
+    pub camera_size: Option<[usize; 2]>,
     /// Lens distortion, Brown's k1. −0.05: a good lens, 3 px at the corner of a picture of 1000; k2 is −k1/5.
     pub distortion: f64,
     /// Tilt of the camera about the slab's x and y axes, degrees: 5 or 5x-3.
@@ -236,6 +243,7 @@ impl Default for SimulateOptions {
             camera_jump_px: 0.0,
             camera_jumps: 3,
             camera_px_per_sample: 3.0,
+            camera_size: None,
             thickness_mm: None,
             voxels_per_sample: 2,
             step_projector_px: [4, 5],
@@ -294,7 +302,7 @@ impl SimulateOptions {
     /// How code values encode light.
     pub fn response_curve(&self) -> CameraCurve {
         self.response_curve.unwrap_or(match self.format {
-            FileFormat::Png => CameraCurve::Linear,
+            FileFormat::Png | FileFormat::Tiff | FileFormat::TiffDeflate => CameraCurve::Linear,
             FileFormat::Jpeg => CameraCurve::Srgb,
         })
     }
@@ -323,6 +331,9 @@ impl SimulateOptions {
         };
         range("photons", self.photons as f64, 1e3, 1e12)?;
         let lit_pitch_mm = self.lit_pitch_mm();
+        for side in self.camera_size.into_iter().flatten() {
+            range("camera_size", side as f64, 64.0, 16_384.0)?;
+        }
         for a in 0..2 {
             range("grid", self.grid[a] as f64, 1.0, 1024.0)?;
             range("window", self.window[a] as f64, 3.0, 255.0)?;

@@ -103,6 +103,7 @@ fn lattice_drift(options: &SimulateOptions, names: Vec<String>, drift_mm: impl F
 fn shot(options: &SimulateOptions, photographs: usize, name: String, pattern: Pattern) -> Shot {
     let extension = match options.format {
         FileFormat::Png => "png",
+        FileFormat::Tiff | FileFormat::TiffDeflate => "tif",
         FileFormat::Jpeg => "jpg",
     };
     let photographs = (0..photographs)

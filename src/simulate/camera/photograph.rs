@@ -5,6 +5,8 @@ use crate::{Error, Result};
 use exif::{Field, In, Rational, Tag, Value, experimental::Writer};
 use image::ImageEncoder;
 use std::path::Path;
+use tiff::encoder::{Compression, DeflateLevel, Predictor, TiffEncoder};
+use tiff::tags::Tag as Tiff;
 
 /// An exposure time as EXIF holds it: a fraction of whole numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -94,6 +96,8 @@ impl PhotographWriter {
         self.bytes.clear();
         match self.format {
             FileFormat::Png => self.encode_png(codes, exif)?,
+            FileFormat::Tiff => self.encode_tiff(codes, exposure, Compression::Uncompressed)?,
+            FileFormat::TiffDeflate => self.encode_tiff(codes, exposure, Compression::Deflate(DeflateLevel::Fast))?,
             FileFormat::Jpeg => self.encode_jpeg(codes, exif)?,
         }
         std::fs::write(path, &self.bytes).map_err(Error::io("write", path))?;
@@ -115,6 +119,28 @@ impl PhotographWriter {
         self.data.as_chunks_mut::<2>().0.iter_mut().zip(codes).for_each(|(to, c)| *to = c.to_be_bytes());
         writer.write_image_data(&self.data).map_err(Error::internal)?;
         writer.finish().map_err(Error::internal)
+    }
+
+    fn encode_tiff(&mut self, codes: &[u16], exposure: ExposureTime, compression: Compression) -> Result<()> {
+        let [width, height] = self.size_px.map(|s| s as u32);
+        let predictor = match compression {
+            Compression::Uncompressed => Predictor::None,
+            _ => Predictor::Horizontal,
+        };
+        let file = std::io::Cursor::new(&mut self.bytes);
+        let encoder = TiffEncoder::new(file).map_err(Error::internal)?;
+        let mut encoder = encoder.with_compression(compression).with_predictor(predictor);
+        // ExposureTime, FNumber, PhotographicSensitivity.
+        let mut exif = encoder.extra_directory().map_err(Error::internal)?;
+        let rational = |n: u32, d: u32| tiff::encoder::Rational { n, d };
+        exif.write_tag(Tiff::Unknown(33_434), rational(exposure.numerator, exposure.denominator))
+            .and_then(|()| exif.write_tag(Tiff::Unknown(33_437), rational(8, 1)))
+            .and_then(|()| exif.write_tag(Tiff::Unknown(34_855), 100u16))
+            .map_err(Error::internal)?;
+        let exif = exif.finish_with_offsets().map_err(Error::internal)?;
+        let mut image = encoder.new_image::<tiff::encoder::colortype::RGB16>(width, height).map_err(Error::internal)?;
+        image.encoder().write_tag(Tiff::ExifDirectory, exif.offset).map_err(Error::internal)?;
+        image.write_data(codes).map_err(Error::internal)
     }
 
     fn encode_jpeg(&mut self, codes: &[u16], exif: Vec<u8>) -> Result<()> {
@@ -166,11 +192,16 @@ mod tests {
     }
 
     #[test]
-    fn exposure_times_stay_exact_and_are_found_in_both_formats() {
+    fn exposure_times_stay_exact_and_are_found_in_all_formats() {
         let time = ExposureTime::one_over(256).longer(4.0);
         assert_eq!(time, ExposureTime { numerator: 1, denominator: 16 });
         let dir = tempfile::tempdir().unwrap();
-        for (format, name) in [(FileFormat::Png, "a.png"), (FileFormat::Jpeg, "a.jpg")] {
+        for (format, name) in [
+            (FileFormat::Png, "a.png"),
+            (FileFormat::Tiff, "a.tif"),
+            (FileFormat::TiffDeflate, "b.tif"),
+            (FileFormat::Jpeg, "a.jpg"),
+        ] {
             let path = dir.path().join(name);
             PhotographWriter::new(format, [8, 4]).write(&path, &[100; 96], time, 3700).unwrap();
             let mut file = std::io::BufReader::new(std::fs::File::open(&path).unwrap());

@@ -54,15 +54,15 @@ impl SimulatedSensor {
         let black = (device.black_dn * max / own_max).round();
         let gain = device.gain_dn_per_electron * (max - black) / (own_max - device.black_dn);
         let max_code = match options.format {
-            FileFormat::Png => 65_535.0,
+            FileFormat::Png | FileFormat::Tiff | FileFormat::TiffDeflate => 65_535.0,
             FileFormat::Jpeg => 255.0,
         };
         // The rig counts the linear signal of encoded files from 0 to 255, whatever their bits.
         let (development, file_black_dn, file_max_dn) = match (options.response_curve(), options.format) {
-            (CameraCurve::Linear, FileFormat::Png) => (Development::Raw, black, max),
             (CameraCurve::Linear, FileFormat::Jpeg) => {
                 (Development::Scaled((max_code / max) as f32), black * max_code / max, max_code)
             }
+            (CameraCurve::Linear, _) => (Development::Raw, black, max),
             (curve, _) => (Development::Curve(Table::new(curve, max_code)), 0.0, 255.0),
         };
         Self {

@@ -75,11 +75,8 @@ impl SimulatedScene {
         let centered = projector_view(options);
         let corners = grid_corners(options, -1.0).map(|p| centered.map(p));
         let lit = grid_corners(options, 0.0).map(|p| centered.map(p));
-        // As far as dots drift; a third of a pitch more for rounding by anyone.
         let px_mm = options.pitch_mm / options.camera_px_per_sample;
-        let border = options.window_mm().map(|w| 0.5 * w + 0.35 * options.pitch_mm + options.drift_reach_px() * px_mm);
-        let low: Point = std::array::from_fn(|a| fold(&corners, a, f64::min) - border[a]);
-        let slab_size_mm = std::array::from_fn(|a| fold(&corners, a, f64::max) + border[a] - low[a]);
+        let (low, slab_size_mm) = slab(options, &corners);
         let lit_low: Point = std::array::from_fn(|a| fold(&lit, a, f64::min));
         let frame_mm = FRAME_PITCHES * options.pitch_mm;
         let slab_from_centered = Homography::similarity(1.0, low.map(|v| -v)).after(&centered);
@@ -331,6 +328,45 @@ fn projector_view(options: &SimulateOptions) -> Homography {
     Homography { matrix: [[x * cos, -y * sin, 0.0], [x * sin, y * cos, 0.0], [keystone(0), keystone(1), 1.0]] }
 }
 
+/// The slab's upper left corner and its size, mm, with room for windows and drift around the grid's corners.
+fn slab(options: &SimulateOptions, corners: &[Point]) -> (Point, Point) {
+    let px_mm = options.pitch_mm / options.camera_px_per_sample;
+    // As far as dots drift; a third of a pitch more for rounding by anyone.
+    let border = options.window_mm().map(|w| 0.5 * w + 0.35 * options.pitch_mm + options.drift_reach_px() * px_mm);
+    let low: Point = std::array::from_fn(|a| fold(corners, a, f64::min) - border[a]);
+    (low, std::array::from_fn(|a| fold(corners, a, f64::max) + border[a] - low[a]))
+}
+
+/// Options with as many pixels across a cell as make slab and frame fill the camera, where its size is given.
+///
+/// # Errors
+/// [`Error::Setting`] for a size that takes pixels across a cell out of their range.
+pub(crate) fn fitted(options: &SimulateOptions) -> Result<SimulateOptions> {
+    let mut fitted = options.clone();
+    let Some(wanted) = options.camera_size else { return Ok(fitted) };
+    fitted.camera_size = None;
+    let corners = grid_corners(options, -1.0).map(|p| projector_view(options).map(p));
+    // Margins are pixels, all else grows with the scale: a few rounds end within a pixel.
+    for round in 0..8 {
+        let (_, size_mm) = slab(&fitted, &corners);
+        let needed = camera(&fitted, size_mm, FRAME_PITCHES * options.pitch_mm).1.size_px;
+        let scale = |a: usize| wanted[a] as f64 / needed[a] as f64;
+        let smaller = if round < 5 { 1.0 } else { 0.9995 };
+        if round >= 5 && scale(0).min(scale(1)) >= 1.0 {
+            break;
+        }
+        fitted.camera_px_per_sample *= scale(0).min(scale(1)) * smaller;
+    }
+    let px = fitted.camera_px_per_sample;
+    if !(1.0..=200.0).contains(&px) {
+        let expected = "a camera with 1 to 200 pixels across an outgoing cell".into();
+        let found = format!("{} × {} px, {px:.1} across a cell", wanted[0], wanted[1]);
+        return Err(Error::Setting { setting: "camera_size", expected, found });
+    }
+    fitted.camera_size = Some(wanted);
+    Ok(fitted)
+}
+
 /// A pinhole turned and tilted, its axis beside the slab's centre, its lens, and an image just large enough for slab and frame.
 fn camera(options: &SimulateOptions, size: Point, frame: f64) -> (CameraView, Camera, [f64; 3]) {
     let px_per_mm = options.camera_px_per_sample / options.pitch_mm;
@@ -378,8 +414,8 @@ fn camera(options: &SimulateOptions, size: Point, frame: f64) -> (CameraView, Ca
         .collect();
     // The axis meets the middle of the picture, which is as large as the farther side demands.
     let reach = |a: usize| fold(&edge, a, f64::max).max(-fold(&edge, a, f64::min)) + image_margin_px(options);
-    let shift = [0, 1].map(|a| reach(a).ceil());
-    let size_px = shift.map(|s| 2 * s as usize + 1);
+    let size_px = options.camera_size.unwrap_or_else(|| [0, 1].map(|a| 2 * reach(a).ceil() as usize + 1));
+    let shift = size_px.map(|s| 0.5 * (s as f64 - 1.0));
     view.ideal_from_slab = Homography::similarity(1.0, shift).after(&view.ideal_from_slab);
     view.lens.center_px = [off[0] + shift[0], off[1] + shift[1]];
     let principal_px = size_px.map(|s| 0.5 * (s as f64 - 1.0));
