@@ -93,7 +93,7 @@ impl Goal {
 }
 
 /// About `count` rows of a matrix: whole blocks of neighbours, spread evenly.
-fn spread(reader: &MatrixReader, count: usize) -> Vec<Range<usize>> {
+pub(super) fn spread(reader: &MatrixReader, count: usize) -> Vec<Range<usize>> {
     let rows = reader.header().rows();
     // A row of the grid costs a chunk to read: few places, many neighbours.
     let (places, run) = (32.min(rows), count.div_ceil(32).max(1));

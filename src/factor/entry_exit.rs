@@ -22,6 +22,9 @@ const MOST: f64 = 30.0;
 /// Numbers in a block of rows.
 const BLOCK: usize = 1 << 20;
 
+/// Sums over a row, their variances, and where it was measured, if not everywhere.
+type RowSums = ([f64; 3], [f64; 3], Option<Vec<u8>>);
+
 /// What the maps are fitted to.
 pub(super) struct Sums {
     quadrature: Quadrature,
@@ -89,7 +92,7 @@ impl Sums {
             let complete = row.valid.iter().all(|&v| v != 0);
             (sum, variance, (!complete).then(|| row.valid.to_vec()))
         };
-        let found: Vec<([f64; 3], [f64; 3], Option<Vec<u8>>)> = (0..block.rows).into_par_iter().map(sums).collect();
+        let found: Vec<RowSums> = (0..block.rows).into_par_iter().map(sums).collect();
         for (k, (sum, variance, gap)) in found.into_iter().enumerate() {
             (self.rows[block.first + k], self.row_variance[block.first + k]) = (sum, variance);
             self.gaps.extend(gap.map(|gap| (block.first + k, gap)));

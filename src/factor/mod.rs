@@ -3,6 +3,7 @@
 //! All models go the same way: a survey places the rows, what is factored of them (intensity, grey, three channels) is decomposed into
 //! terms (singular triplets or a non-negative product), and where the model has one a colour polynomial is fitted to every row.
 
+mod agreement;
 mod backend;
 mod choose;
 mod color;
@@ -21,6 +22,7 @@ mod terms;
 mod test_matrices;
 mod vector;
 
+pub use agreement::Agreement;
 pub use backend::Backend;
 pub use choose::{Goal, regression_conditions};
 pub use storing::{ROOM_DB, Storage, Stored, factor_and_store};
@@ -108,6 +110,8 @@ pub struct Factored {
     pub rel_rmse: f64,
     /// `psnr_db` of `docs/metrics.md` on the same entries; `None` when nothing is left or nothing was there.
     pub psnr_db: Option<f64>,
+    /// Where it stands to the matrix's noise; `None` for a matrix without variance.
+    pub agreement: Option<Agreement>,
     /// Why it has the terms and the degree that it has, and how they were computed, one line.
     pub choice: String,
     /// How the SVD was computed.
@@ -216,6 +220,8 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progr
     let (rel_rmse, psnr_db) = (fit.misfit.rel_rmse(), fit.misfit.psnr_db());
     let mut material = fit.material;
     check_finite(reader, &material)?;
+    let agreement = agreement::agreement(reader, &material)?;
+    let choice = format!("{choice}{}", agreement.map(|a| format!("; {a}")).unwrap_or_default());
     let mut warnings = rows.survey.warnings.clone();
     if options.terms.is_none() {
         warnings.extend(options.goal.missed(&material, psnr_db));
@@ -229,9 +235,10 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progr
         "backend": fit.backend,
         "choice": choice,
         "rel_rmse": rel_rmse,
+        "agreement": agreement,
         "matrix": reader.header().provenance,
     });
-    Ok(Factored { material, warnings, rel_rmse, psnr_db, choice, backend: fit.backend })
+    Ok(Factored { material, warnings, rel_rmse, psnr_db, agreement, choice, backend: fit.backend })
 }
 
 /// Half of the machine's memory; 4 GiB where the system does not tell.

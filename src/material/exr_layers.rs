@@ -12,7 +12,7 @@ use std::path::Path;
 type FlatLayer = Layer<AnyChannels<FlatSamples>>;
 
 /// Writes one part per map: `f_j` (points; the weight g_j is multiplied into it), `h_j` (offsets), `profile` (offsets), `color_p` (RGB,
-/// powers of the intensity, points) and `shift` (X, Y, points). Maps that the channels share are Y, others RGB.
+/// powers of the intensity, points), `entry` (points) and `exit` (the exit map's grid) where there are such maps, and `shift` (X, Y, points). Maps that the channels share are Y, others RGB.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Internal`].
@@ -48,6 +48,12 @@ pub fn export_exr(material: &Material, path: &Path) -> Result<()> {
             let channel =
                 |c: usize| monomials.iter().skip(c * powers + p).step_by(3 * powers).map(|&v| v as f32).collect();
             layers.push(layer(&format!("color_{p:02}"), h.points, planes(3, &channel)));
+        }
+    }
+    if let Some(grid) = h.exit_grid {
+        for (name, map, size) in [("entry", &material.entry_map, h.points), ("exit", &material.exit_map, grid.size)] {
+            let plane = |k: usize| map[k * size[0] * size[1]..][..size[0] * size[1]].to_vec();
+            layers.push(layer(name, size, planes(grid.planes, &plane)));
         }
     }
     let along = |a: usize| material.shift.iter().map(|s| f32::from(s[a])).collect();

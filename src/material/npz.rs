@@ -38,6 +38,9 @@ fn archive(material: &Material) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     }
     add(&mut zip, "shift", &[n, 2], material.shift.as_flattened())?;
     add(&mut zip, "lit_mm", &[n, 2], &lit)?;
+    if let Some(grid) = h.exit_grid {
+        add(&mut zip, "exit_origin_mm", &[2], &grid.origin_mm)?;
+    }
     add(&mut zip, "points", &[2], &pair(h.points))?;
     add(&mut zip, "window", &[2], &pair(h.window))?;
     add(&mut zip, "extended", &[2], &pair(h.extended))?;
