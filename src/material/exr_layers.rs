@@ -1,11 +1,11 @@
 //! OpenEXR: every map of a material as a layer that any viewer shows, and single images.
 
-use super::{Exitance, Material, legendre};
+use super::{Canvas, Exitance, Material, legendre};
 use crate::output::write_whole;
 use crate::{Error, Result};
 use exr::prelude::{
-    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, ImageAttributes, IntegerBounds, Layer, LayerAttributes,
-    SmallVec, Vec2, WritableImage,
+    AnyChannel, AnyChannels, AttributeValue, Encoding, FlatSamples, Image, ImageAttributes, IntegerBounds, Layer, LayerAttributes,
+    SmallVec, Text, Vec2, WritableImage,
 };
 use std::path::Path;
 
@@ -61,14 +61,23 @@ pub fn export_exr(material: &Material, path: &Path) -> Result<()> {
     write_layers(path, layers)
 }
 
-/// Writes an exitance as linear RGB.
+/// Writes an exitance as linear RGB, with the attributes `originMm` (centre of the first sample), `pitchMm` and `unit`.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Internal`].
 pub fn write_exitance(exitance: &Exitance, path: &Path) -> Result<()> {
     let plane = |c: usize| exitance.planes[c].iter().map(|&v| v as f32).collect();
     let maps = vec![("R", plane(0)), ("G", plane(1)), ("B", plane(2))];
-    write_layers(path, vec![layer("exitance", exitance.canvas.size, maps)])
+    let mut layer = layer("exitance", exitance.canvas.size, maps);
+    let Canvas { origin_mm, pitch_mm, .. } = exitance.canvas;
+    let unit = "radiant exitance, in the unit that the light's irradiance has";
+    let known = [
+        ("originMm", AttributeValue::FloatVec2(Vec2(origin_mm[0] as f32, origin_mm[1] as f32))),
+        ("pitchMm", AttributeValue::F32(pitch_mm as f32)),
+        ("unit", AttributeValue::Text(Text::from(unit))),
+    ];
+    layer.attributes.other.extend(known.map(|(name, value)| (Text::from(name), value)));
+    write_layers(path, vec![layer])
 }
 
 /// β as coefficients of powers of the intensity, \[N, 3, P+1\], lowest power first; empty without a polynomial.
