@@ -14,7 +14,10 @@ const LIT_PITCH_MM: [f64; 2] = [1.2, 0.8];
 /// Lit points moved shot by shot, by up to a third of a sample: as a bench drifts.
 fn place(i: usize) -> [f64; 2] {
     let (x, y, shot) = (i % POINTS[0], i / POINTS[0], (i % POINTS[0] % 3 + 3 * (i / POINTS[0] % 2)) as f64);
-    [0.13 * (2.1 * shot).sin() + LIT_PITCH_MM[0] * x as f64, 5.0 + 0.13 * (1.3 * shot).cos() + LIT_PITCH_MM[1] * y as f64]
+    [
+        0.13 * (2.1 * shot).sin() + LIT_PITCH_MM[0] * x as f64,
+        5.0 + 0.13 * (1.3 * shot).cos() + LIT_PITCH_MM[1] * y as f64,
+    ]
 }
 
 /// A matrix whose rows are `albedo(i)` times one profile of three colours.

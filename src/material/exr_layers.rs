@@ -4,8 +4,8 @@ use super::{Canvas, Exitance, Material, legendre};
 use crate::output::write_whole;
 use crate::{Error, Result};
 use exr::prelude::{
-    AnyChannel, AnyChannels, AttributeValue, Encoding, FlatSamples, Image, ImageAttributes, IntegerBounds, Layer, LayerAttributes,
-    SmallVec, Text, Vec2, WritableImage,
+    AnyChannel, AnyChannels, AttributeValue, Encoding, FlatSamples, Image, ImageAttributes, IntegerBounds, Layer,
+    LayerAttributes, SmallVec, Text, Vec2, WritableImage,
 };
 use std::path::Path;
 
