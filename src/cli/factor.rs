@@ -55,7 +55,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "BYTES", value_parser = bytes)]
     memory: Option<u64>,
     /// Entry and exit maps, so that every row has its albedo and the slab under even light its exitance: yes or no [default: for joint, where they
-    /// differ from one by more than noise, unless --target-psnr is given].
+    /// differ from one by more than noise, unless a target is given].
     #[arg(long, value_name = "yes|no", value_parser = yes_or_no)]
     maps: Option<bool>,
     /// For joint: the power of the mean profile by which errors are divided: 0 for peaks, 0.5 for tails.

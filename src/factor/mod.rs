@@ -51,8 +51,8 @@ pub struct FactorOptions {
     /// What decides on T, P and the model where they are not given.
     pub goal: Goal,
     /// Whether entry and exit maps multiply the terms, so that every row has its albedo and the slab under even light its exitance (not with a
-    /// colour polynomial). `None`: for `joint`, where they differ from one by more than noise, unless `psnr_db` is the goal, to which they add
-    /// little for their bytes.
+    /// colour polynomial). `None`: for `joint`, where they differ from one by more than noise, unless a `psnr_db` or bytes are the goal: of
+    /// entries, `psnr_db` is better without in the same bytes.
     pub maps: Option<bool>,
     /// For `joint`: the power of the mean profile by which errors are divided before their squares are summed, 0 to 1. 0.25: tails' logarithms
     /// are off by a third to a half less than with 0, and `rel_rmse` is a tenth larger; 0.5 is the weight of photon noise.
@@ -174,7 +174,7 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progr
     let colored = if regression { Content::Intensity } else { Content::Channels };
     let wanted = match options.maps {
         Some(maps) => maps,
-        None => model == Model::Joint && !matches!(options.goal, Goal::Psnr(_)),
+        None => model == Model::Joint && (options.terms.is_some() || options.goal == Goal::Noise),
     };
     let power = if model == Model::Joint { options.profile_power } else { 0.0 };
     let prepared = |content| -> Result<(PreparedRows<'_>, Option<Sums>)> {

@@ -128,6 +128,8 @@ impl<'a> PreparedRows<'a> {
             });
         }
         self.through = Some(new);
+        // What fills the gaps is what it would be if rows were read again.
+        self.refill(self.basis.clone());
     }
 
     /// What row `index` was before it was divided and its columns were multiplied, on its measured window `[plane][dy][dx]`.
