@@ -147,6 +147,34 @@ fn a_photograph_of_another_size_is_refused() {
 }
 
 #[test]
+fn a_head_of_a_thousand_megapixels_is_refused_before_anything_is_allocated() {
+    let bench = Bench::new();
+    let photograph = bench.lattice_photograph();
+    let mut bytes = std::fs::read(&photograph).unwrap();
+    // Width and height behind the signature and the chunk's head; its checksum is then wrong, as a forger would mend it.
+    bytes[16..24].copy_from_slice(&[0, 0, 0x7d, 0, 0, 0, 0x7d, 0]);
+    let crc = crc32(&bytes[12..29]);
+    bytes[29..33].copy_from_slice(&crc.to_be_bytes());
+    std::fs::write(&photograph, &bytes).unwrap();
+    bench.build_fails(&[photograph.file_name().unwrap().to_str().unwrap(), "32000 × 32000 px"]);
+}
+
+/// The checksum of PNG's chunks (CRC-32, reflected).
+fn crc32(bytes: &[u8]) -> u32 {
+    let step = |crc: u32, &byte: &u8| {
+        (0..8).fold(crc ^ u32::from(byte), |c, _| if c & 1 == 1 { 0xedb8_8320 ^ (c >> 1) } else { c >> 1 })
+    };
+    !bytes.iter().fold(!0, step)
+}
+
+#[test]
+fn a_window_wider_than_the_picture_is_refused() {
+    let bench = Bench::new();
+    bench.edit("capture.toml", |t| t.replacen("samples = [7, 5]", "samples = [4001, 5]", 1));
+    bench.build_fails(&["capture.toml", "window.samples"]);
+}
+
+#[test]
 fn a_photograph_without_any_exposure_time_is_refused() {
     let bench = Bench::new();
     let photograph = bench.lattice_photograph();

@@ -14,7 +14,7 @@ mod text;
 pub use finding::{Finding, Severity, Topic};
 pub use text::table;
 
-use crate::capture::{Capture, Manifest, Pattern, ResponseCurve, Rig};
+use crate::capture::{Capture, Manifest, Pattern, Reduction, ResponseCurve, Rig};
 use crate::pipeline::{BuildOptions, BuildReport, BuildSecs, try_build};
 use crate::progress::Progress;
 use crate::radiance::Sensor;
@@ -114,6 +114,9 @@ pub fn check(dir: &Path, options: &CheckOptions, progress: &Progress) -> Result<
     report.findings.sort_by_key(|f| std::cmp::Reverse(f.severity()));
     Ok(report)
 }
+
+/// Pixels along the longer side of the pictures that are looked at where nothing tells how fine the windows are.
+const LOOK_PX: usize = 2000;
 
 impl CheckReport {
     /// Whether nothing is known that would stop `build-matrix`.
@@ -218,10 +221,17 @@ impl CheckReport {
         let stage = progress.stage("light", 3);
         // What code values mean may itself have to be found by the build: guessed, all might look black.
         let known = matches!(sample.rig.camera.response_curve, ResponseCurve::Linear | ResponseCurve::Srgb);
-        let of_rig = || Sensor::of_rig(&sample.rig).filter(|_| known);
+        // In the resolution of the registration; where there is none, in pictures of about [`LOOK_PX`], as far as means are those of light.
+        let longer = sample.rig.camera.size_px.into_iter().max().unwrap_or(0);
+        let linear = sample.rig.camera.response_curve == ResponseCurve::Linear;
+        let factor = tried.map_or(if linear { (longer / LOOK_PX).max(1) } else { 1 }, |t| t.working.factor);
+        let of_rig = || Sensor::of_rig(&sample.rig).filter(|_| known).map(|s| s.averaged(factor));
         let sensor = tried.map(|t| t.sensor.clone()).or_else(of_rig);
         let Some(sensor) = sensor else { return Ok(()) };
-        let pictures = Pictures::new(sample, sensor);
+        let saturation_dn =
+            tried.map(|t| &t.noise).or(sample.rig.noise.as_ref()).map_or(f64::INFINITY, |n| n.saturation_dn);
+        let reduced = sample.reduced(&Reduction { factor, saturation_dn, left_out: Default::default() });
+        let pictures = Pictures::new(&reduced, sensor);
         self.findings.extend(pictures.stills(tried)?);
         stage.advance(1);
         let Some(tried) = tried else { return Ok(()) };
@@ -234,9 +244,11 @@ impl CheckReport {
         self.figures.camera_rms_px = Some(tried.registration.camera_rms_px);
         self.figures.projector_rms_px = Some(tried.registration.projector_rms_px);
         self.drift(tried);
-        let sample_px = capture.manifest.window.pitch_mm * tried.registration.px_per_mm();
+        // In the camera's own pixels.
+        let full = factor as f64;
+        let sample_px = full * capture.manifest.window.pitch_mm * tried.registration.px_per_mm();
         self.figures.sample_px = Some(sample_px);
-        self.figures.psf_px = tried.registration.point_spread.map(|p| p.psf_px);
+        self.figures.psf_px = tried.registration.point_spread.map(|p| full * p.psf_px);
         if let Some(psf_px) = self.figures.psf_px.filter(|psf| *psf > BLUR_SHARE * sample_px) {
             self.findings.push(Finding::Blurred { psf_px, sample_px });
         }

@@ -75,7 +75,11 @@ impl<'a> Pictures<'a> {
         let seen: Vec<SeenDots> = shots
             .par_iter()
             .zip(&report.shots)
-            .map(|(&shot, record)| self.lattice_shot(shot, record.drift_px, report, &ambient))
+            .map(|(&shot, record)| {
+                // The drift is told in the camera's own pixels.
+                let drift_px = record.drift_px.map(|d| d / report.working.factor as f64);
+                self.lattice_shot(shot, drift_px, report, &ambient)
+            })
             .collect::<Result<_>>()?;
         Ok(seen.into_iter().fold(SeenDots::default(), |mut all, one| {
             all.looked_at += one.looked_at;
