@@ -9,8 +9,8 @@ use crate::transport::{MatrixReader, RowBlock};
 use crate::{Error, Result};
 use rayon::prelude::*;
 
-/// Rounds of fitting: each takes the misfit of the one before to about a fifth of it (chessboard and marble, docs/materials.md).
-const ROUNDS: usize = 6;
+/// Rounds of fitting before terms are fitted anew, and at the end: each takes the misfit of the one before to about a fifth of it.
+pub(super) const ROUNDS: [usize; 2] = [2, 6];
 /// Where this share of the largest exitance leaves, or of the largest albedo enters, a map is half way to its value from one: the terms say so
 /// little there that their ratio to what was measured is noise. What that leaves of the exitance's misfit is a millionth of it where the slab is
 /// bright, and less than this share of the largest where it is dark.
@@ -148,7 +148,7 @@ impl Sums {
     ///
     /// # Errors
     /// Those of relighting.
-    pub(super) fn fit(&self, material: &mut Material, planes: usize) -> Result<()> {
+    pub(super) fn fit(&self, material: &mut Material, planes: usize, rounds: usize) -> Result<()> {
         let grid = self.grid(planes);
         let samples = grid.size[0] * grid.size[1];
         if material.header.exit_grid != Some(grid) {
@@ -158,7 +158,7 @@ impl Sums {
         }
         let (exitance, sums) = self.filled(material);
         let wanted: Vec<Vec<f64>> = shared(&exitance.planes, planes);
-        for _ in 0..ROUNDS {
+        for _ in 0..rounds {
             self.enter(material, &sums, planes);
             // What leaves without the exit map.
             material.exit_map.fill(1.0);

@@ -4,7 +4,7 @@ use super::backend::Rows;
 use super::backend::{self, Backend, LowRank, Triplets, low_rank, triplets};
 use super::choose::{self, Goal};
 use super::content::Content;
-use super::entry_exit::Sums;
+use super::entry_exit::{ROUNDS, Sums};
 use super::fill::Basis;
 use super::noise::{F32_ROUNDING, TermNoise, significant};
 use super::nonnegative::factorize;
@@ -133,9 +133,10 @@ pub(super) fn fit(
     };
     if let Some(sums) = maps.filter(|_| rows.content != Content::Intensity) {
         let plain = (fit.material.clone(), residual_of(rows, reader, &fit.material)?);
-        sums.fit(&mut fit.material, planes)?;
+        let refits = if model == Model::Joint { REFITS } else { 0 };
+        sums.fit(&mut fit.material, planes, ROUNDS[usize::from(refits == 0)])?;
         let mut start = Some(low);
-        for _ in 0..if model == Model::Joint { REFITS } else { 0 } {
+        for refit in 1..=refits {
             rows.divide_by(&fit.material);
             let wanted = plan.most() + BEYOND;
             let low = decompose(rows, options, chosen, wanted, start.take())?;
@@ -147,7 +148,7 @@ pub(super) fn fit(
             fit = asked.finish(reader, &found, &plan, chosen)?;
             fit.material.header.exit_grid = maps.header.exit_grid;
             (fit.material.entry_map, fit.material.exit_map) = (maps.entry_map, maps.exit_map);
-            sums.fit(&mut fit.material, planes)?;
+            sums.fit(&mut fit.material, planes, ROUNDS[usize::from(refit == refits)])?;
         }
         // Maps that take more from the rows than they give: sums that are not those of anything like light.
         let error = residual_of(rows, reader, &fit.material)?;

@@ -89,6 +89,17 @@ impl Material {
         let plane = &self.exit_map[channel.min(planes - 1) * size[0] * size[1]..];
         let [above, below] = [y.first, y.next].map(|line| &plane[line * size[0]..][..size[0]]);
         let down = |x: usize| f64::from(above[x]) + y.beyond * (f64::from(below[x]) - f64::from(above[x]));
+        let start = Between::at(place[0], size[0]);
+        if place[0] > -1e-6 && place[0] + count as f64 - 1.0 < size[0] as f64 - 1.0 + 1e-6 {
+            // All samples lie as far beyond those of the map.
+            let mut left = down(start.first);
+            for k in 0..count {
+                let right = down((start.first + k + 1).min(size[0] - 1));
+                each(k, if start.beyond == 0.0 { left } else { left + start.beyond * (right - left) });
+                left = right;
+            }
+            return;
+        }
         for k in 0..count {
             let x = Between::at(place[0] + k as f64, size[0]);
             let left = down(x.first);
