@@ -77,7 +77,7 @@ impl Sensor {
 
     /// The same sensor read by means of blocks of `factor` × `factor` pixels: their noise is independent.
     ///
-    /// Means are floating point, of code values that were rounded where these have a range of [`WHOLE_RANGE`] or more.
+    /// Means are floating point, of code values that were rounded where these have a range of 100 code values or more.
     pub fn averaged(self, factor: usize) -> Self {
         let share = 1.0 / (factor.max(1) * factor.max(1)) as f32;
         let rounded = if factor > 1 && self.range() >= WHOLE_RANGE { self.coding } else { 0.0 };
