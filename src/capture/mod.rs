@@ -12,6 +12,7 @@ mod rig;
 mod rows;
 mod samples;
 mod settings;
+mod tiff_bands;
 
 pub use exif::ExposureFrom;
 pub use folder::Capture;
@@ -21,7 +22,7 @@ pub use manifest::{
 };
 pub use photograph::Photograph;
 pub(crate) use photograph::{check_exr_size, check_jpeg_end};
-pub use reduction::{Photosite, Reduction, Rows};
+pub use reduction::{PhotographRows, Photosite, Reduction};
 pub use rig::{Board, Camera, FrameMarks, Noise, Projector, ResponseCurve, Rig, WhiteReference};
 pub use samples::{Pixels, Rect, Samples, Sampling};
 pub use settings::CameraSettings;

@@ -2,7 +2,7 @@
 
 #[cfg(feature = "raw")]
 pub(super) use super::raw;
-use super::reduction::{Reduction, Rows};
+use super::reduction::{PhotographRows, Reduction};
 use super::rows::RowReader;
 use super::samples::{Pixels, Rect, Samples, Sampling};
 use crate::{Error, Result};
@@ -29,9 +29,9 @@ impl Photograph {
     ///
     /// # Errors
     /// [`Error::MissingPhotograph`], [`Error::BrokenPhotograph`] (an unknown format or layout).
-    pub fn open(&self) -> Result<Rows<'_>> {
+    pub fn open(&self) -> Result<PhotographRows<'_>> {
         let reader = RowReader::open(&self.path).map_err(|e| self.unreadable(e))?;
-        Rows::new(self, reader.map_err(|reason| self.broken(reason))?)
+        PhotographRows::new(self, reader.map_err(|reason| self.broken(reason))?)
     }
 
     /// All of it. Grey is repeated in three channels, alpha is dropped.
@@ -188,21 +188,15 @@ pub(super) const MOST_BYTES: usize = 2 << 30;
 const MOST_PIXELS: usize = 1 << 27;
 
 /// JPEG, and whatever else the file's first bytes say that it is.
-pub(super) fn decode_jpeg(path: &Path) -> std::io::Result<Decoded> {
-    if let Err(reason) = check_jpeg_end(&std::fs::read(path)?) {
-        return Ok(Err(reason));
-    }
-    let file = std::io::BufReader::new(std::fs::File::open(path)?);
-    let decode = || {
-        let mut reader = image::ImageReader::new(file).with_guessed_format().map_err(|e| e.to_string())?;
-        let mut limits = image::Limits::default();
-        limits.max_alloc = Some(MOST_BYTES as u64);
-        reader.limits(limits);
-        let image = reader.decode().map_err(|e| e.to_string())?;
-        let (width, height) = (image.width() as usize, image.height() as usize);
-        Ok((width, height, Samples::U8(image.into_rgb8().into_raw())))
-    };
-    Ok(decode())
+pub(super) fn decode_jpeg(bytes: &[u8]) -> Decoded {
+    check_jpeg_end(bytes)?;
+    let mut reader = image::ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| e.to_string())?;
+    let mut limits = image::Limits::default();
+    limits.max_alloc = Some(MOST_BYTES as u64);
+    reader.limits(limits);
+    let image = reader.decode().map_err(|e| e.to_string())?;
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    Ok((width, height, Samples::U8(image.into_rgb8().into_raw())))
 }
 
 /// Refuses a JPEG file that does not reach its end-of-image marker: the decoder fills what is missing with grey and
@@ -265,14 +259,6 @@ pub(super) fn decode_exr(mut file: impl std::io::BufRead + std::io::Seek + Send)
         .map_err(|e| e.to_string())?;
     let size = image.layer_data.size;
     Ok((size.width(), size.height(), Samples::F32(image.layer_data.channel_data.pixels.1)))
-}
-
-pub(super) fn to_rgb<T: Copy>(values: Vec<T>, channels: usize) -> Vec<T> {
-    match channels {
-        3 => values,
-        1 => values.into_iter().flat_map(|v| [v; 3]).collect(),
-        _ => values.chunks_exact(channels).flat_map(|p| [p[0], p[1], p[2]]).collect(),
-    }
 }
 
 #[cfg(test)]

@@ -37,7 +37,7 @@ mod shared {
 }
 
 /// The rows of a photograph, reduced as it says, from the first to the last.
-pub struct Rows<'a> {
+pub struct PhotographRows<'a> {
     photograph: &'a Photograph,
     reader: RowReader,
     blocks: Option<Blocks>,
@@ -46,7 +46,7 @@ pub struct Rows<'a> {
     taken: usize,
 }
 
-impl<'a> Rows<'a> {
+impl<'a> PhotographRows<'a> {
     pub(super) fn new(photograph: &'a Photograph, mut reader: RowReader) -> Result<Self> {
         let blocks =
             photograph.reduction.as_ref().filter(|by| by.factor > 1).map(|by| Blocks::new(by, reader.size_px[0]));
@@ -287,7 +287,7 @@ mod tests {
             Photograph { path, shot: "s".into(), exposure_secs: 1.0, effective_secs: 1.0, reduction: Some(by) };
         let found = photograph.decode().unwrap();
         let whole = RowReader::whole(size_px, samples, Sampling::WHOLE);
-        let mut rows = Rows::new(&photograph, whole).unwrap();
+        let mut rows = PhotographRows::new(&photograph, whole).unwrap();
         let mut again = Samples::U8(vec![]);
         rows.read(found.height, &mut again).unwrap();
         rows.finish().unwrap();

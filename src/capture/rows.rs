@@ -1,13 +1,12 @@
 //! A photograph's code values row by row, so that it is in memory as a whole only where its format leaves no choice.
 
 use super::photograph::raw;
-use super::photograph::{Format, UNKNOWN_ENDING, decode_exr, decode_jpeg, to_rgb};
+use super::photograph::{Format, UNKNOWN_ENDING, decode_exr, decode_jpeg};
 use super::samples::{Samples, Sampling};
+use super::tiff_bands::TiffBands;
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{BufReader, Read, Seek};
 use std::path::Path;
-use tiff::decoder::{ChunkType, Decoder, DecodingResult};
-use tiff::tags::Tag;
 
 /// Rows of a photograph from the first to the last, three channels each; grey is repeated in them, alpha dropped.
 ///
@@ -51,10 +50,12 @@ impl RowReader {
                 let mut first = [0; 8];
                 let is_png = file.read_exact(&mut first).is_ok() && first == *b"\x89PNG\r\n\x1a\n";
                 file.rewind()?;
-                match is_png {
-                    true => Self::png(file),
-                    false => decode_jpeg(path)?.map(|(w, h, samples)| Self::whole([w, h], samples, Sampling::WHOLE)),
+                if is_png {
+                    return Ok(Self::png(file));
                 }
+                let mut bytes = Vec::new();
+                file.read_to_end(&mut bytes)?;
+                decode_jpeg(&bytes).map(|(w, h, samples)| Self::whole([w, h], samples, Sampling::WHOLE))
             }
         })
     }
@@ -85,7 +86,7 @@ impl RowReader {
 
     fn tiff(file: BufReader<File>) -> Result<Self, String> {
         let bands = TiffBands::new(file)?;
-        let size_px = bands.size_px;
+        let size_px = bands.size_px();
         let source = Source::Tiff(Box::new(bands));
         Ok(Self { size_px, sampling: Sampling::WHOLE, source, band: Samples::U8(vec![]), taken: 0 })
     }
@@ -179,7 +180,7 @@ fn of_png(bytes: &[u8], kind: (png::ColorType, png::BitDepth), out: &mut Samples
 }
 
 /// Grey three times, colours without alpha.
-fn channels_to_rgb<T: Copy>(mut codes: impl Iterator<Item = T>, channels: usize, out: &mut Vec<T>) {
+pub(super) fn channels_to_rgb<T: Copy>(mut codes: impl Iterator<Item = T>, channels: usize, out: &mut Vec<T>) {
     match channels {
         3 => out.extend(codes),
         1 => out.extend(codes.flat_map(|v| [v; 3])),
@@ -192,184 +193,29 @@ fn channels_to_rgb<T: Copy>(mut codes: impl Iterator<Item = T>, channels: usize,
     }
 }
 
-/// A TIFF's strips or rows of tiles.
-struct TiffBands {
-    decoder: Decoder<BufReader<File>>,
-    size_px: [usize; 2],
-    channels: usize,
-    /// Rows of a strip or tile.
-    chunk_rows: usize,
-    /// Strips or tiles side by side.
-    across: usize,
-    /// The first row that was not read.
-    row: usize,
-    /// Bytes of a code value where rows can be read from the file as they are.
-    plain: Option<Plain>,
-    bytes: Vec<u8>,
-}
-
-/// Strips that are not compressed.
-struct Plain {
-    offsets: Vec<u64>,
-    bits: u16,
-    big_endian: bool,
-}
-
-/// Strips of no more bytes than this are read as they are.
-const STRIP_BYTES: usize = 1 << 22;
-
-impl TiffBands {
-    fn new(file: BufReader<File>) -> Result<Self, String> {
-        use tiff::ColorType;
-        let words = |e: tiff::TiffError| e.to_string();
-        let mut limits = tiff::decoder::Limits::default();
-        let most = super::photograph::MOST_BYTES;
-        (limits.decoding_buffer_size, limits.intermediate_buffer_size) = (most, most);
-        let mut decoder = Decoder::new(file).map_err(words)?.with_limits(limits);
-        let (width, height) = decoder.dimensions().map_err(words)?;
-        let channels = match decoder.colortype().map_err(words)? {
-            ColorType::RGB(_) => 3,
-            ColorType::RGBA(_) => 4,
-            ColorType::Gray(_) => 1,
-            other => return Err(format!("pixels of type {other:?} are not read")),
-        };
-        let planar: Option<u16> = decoder.find_tag_unsigned(Tag::PlanarConfiguration).map_err(words)?;
-        if planar.is_some_and(|p| p != 1) && channels > 1 {
-            return Err("planes of one colour each (PlanarConfiguration 2) are not read".into());
-        }
-        let (chunk_width, chunk_rows) = decoder.chunk_dimensions();
-        if chunk_width == 0 || chunk_rows == 0 {
-            return Err("strips or tiles without pixels".into());
-        }
-        let size_px = [width as usize, height as usize];
-        let (across, chunk_rows) = (width.div_ceil(chunk_width) as usize, chunk_rows as usize);
-        let large = decoder.get_chunk_type() == ChunkType::Strip
-            && size_px[0] * channels * chunk_rows.min(size_px[1]) > STRIP_BYTES;
-        let plain = if large { Plain::of(&mut decoder).map_err(words)? } else { None };
-        Ok(Self { decoder, size_px, channels, chunk_rows, across, row: 0, plain, bytes: vec![] })
+/// Grey three times, colours without alpha; colours alone stay where they are.
+pub(super) fn rgb_of<T: Copy>(codes: Vec<T>, channels: usize) -> Vec<T> {
+    if channels == 3 {
+        return codes;
     }
-
-    /// Leaves out whole strips or rows of tiles that end within the next `rows`; returns how many rows these are.
-    fn skip(&mut self, rows: usize) -> usize {
-        let before = self.row;
-        if self.plain.is_some() {
-            self.row += rows;
-        } else {
-            self.row = (self.row + rows) / self.chunk_rows * self.chunk_rows;
-        }
-        // The last strip may be shorter: what it lacks of the others is not there to be skipped.
-        self.row = self.row.clamp(before, self.size_px[1].max(before));
-        self.row - before
-    }
-
-    fn read(&mut self, band: &mut Samples) -> Result<(), String> {
-        if self.row >= self.size_px[1] {
-            return Err("the file ends before the image does".into());
-        }
-        if self.plain.is_some() {
-            return self.read_plain(band).map_err(|e| e.to_string());
-        }
-        let chunk = self.row / self.chunk_rows * self.across;
-        let rows = self.chunk_rows.min(self.size_px[1] - self.row);
-        self.row += rows;
-        if self.across == 1 {
-            *band = of_tiff(self.decoder.read_chunk(chunk as u32).map_err(|e| e.to_string())?, self.channels)?;
-            return Ok(());
-        }
-        let mut tiles = Vec::with_capacity(self.across);
-        for k in 0..self.across {
-            let index = (chunk + k) as u32;
-            let width = self.decoder.chunk_data_dimensions(index).0 as usize;
-            let tile = self.decoder.read_chunk(index).map_err(|e| e.to_string())?;
-            tiles.push((width, of_tiff(tile, self.channels)?));
-        }
-        band.clear();
-        for y in 0..rows {
-            for (width, tile) in &tiles {
-                let from = 3 * width * y..3 * width * (y + 1);
-                if tile.len() < from.end {
-                    return Err("a tile of fewer pixels than it should have".into());
-                }
-                band.extend(tile, from);
-            }
-        }
-        Ok(())
-    }
-
-    fn read_plain(&mut self, band: &mut Samples) -> std::io::Result<()> {
-        let Some(plain) = &self.plain else { return Ok(()) };
-        let line = self.size_px[0] * self.channels * usize::from(plain.bits / 8);
-        let (strip, inside) = (self.row / self.chunk_rows, self.row % self.chunk_rows);
-        let offset = plain.offsets.get(strip).copied().unwrap_or(u64::MAX / 2) + (inside * line) as u64;
-        self.bytes.resize(line, 0);
-        let file = self.decoder.inner();
-        if file.stream_position()? != offset {
-            file.seek(SeekFrom::Start(offset))?;
-        }
-        file.read_exact(&mut self.bytes)?;
-        self.row += 1;
-        let (bytes, channels) = (&self.bytes, self.channels);
-        let (pairs, fours) = (bytes.as_chunks::<2>().0.iter(), bytes.as_chunks::<4>().0.iter());
-        let be = plain.big_endian;
-        let u16_of = |&b: &[u8; 2]| if be { u16::from_be_bytes(b) } else { u16::from_le_bytes(b) };
-        let f32_of = |&b: &[u8; 4]| if be { f32::from_be_bytes(b) } else { f32::from_le_bytes(b) };
-        match plain.bits {
-            8 => band.refill_u8(|out| channels_to_rgb(bytes.iter().copied(), channels, out)),
-            16 => band.refill_u16(|out| channels_to_rgb(pairs.map(u16_of), channels, out)),
-            _ => band.refill_f32(|out| channels_to_rgb(fours.map(f32_of), channels, out)),
-        }
-        Ok(())
-    }
-}
-
-impl Plain {
-    /// `None` for strips that need decoding.
-    fn of(decoder: &mut Decoder<BufReader<File>>) -> tiff::TiffResult<Option<Self>> {
-        let compression: u16 = decoder.find_tag_unsigned(Tag::Compression)?.unwrap_or(1);
-        let predictor: u16 = decoder.find_tag_unsigned(Tag::Predictor)?.unwrap_or(1);
-        let photometric: u16 = decoder.find_tag_unsigned(Tag::PhotometricInterpretation)?.unwrap_or(0);
-        let fill: u16 = decoder.find_tag_unsigned(Tag::FillOrder)?.unwrap_or(1);
-        let bits: Vec<u16> = decoder.find_tag_unsigned_vec(Tag::BitsPerSample)?.unwrap_or_default();
-        let formats: Vec<u16> = decoder.find_tag_unsigned_vec(Tag::SampleFormat)?.unwrap_or_else(|| vec![1]);
-        let Some(&first) = bits.first() else { return Ok(None) };
-        let known = match first {
-            8 | 16 => formats.iter().all(|&f| f == 1),
-            32 => formats.iter().all(|&f| f == 3),
-            _ => false,
-        };
-        // 1 is grey from black, 2 is R G B.
-        let plain = compression == 1 && predictor == 1 && fill == 1 && matches!(photometric, 1 | 2);
-        if !plain || !known || bits.iter().any(|&b| b != first) {
-            return Ok(None);
-        }
-        let offsets = decoder.get_tag_u64_vec(Tag::StripOffsets)?;
-        let big_endian = decoder.byte_order() == tiff::tags::ByteOrder::BigEndian;
-        Ok(Some(Self { offsets, bits: first, big_endian }))
-    }
-}
-
-fn of_tiff(decoded: DecodingResult, channels: usize) -> Result<Samples, String> {
-    Ok(match decoded {
-        DecodingResult::U8(v) => Samples::U8(to_rgb(v, channels)),
-        DecodingResult::U16(v) => Samples::U16(to_rgb(v, channels)),
-        DecodingResult::F32(v) => Samples::F32(to_rgb(v, channels)),
-        _ => return Err("samples must be 8 or 16 bit integers or 32 bit floats".into()),
-    })
+    let mut out = Vec::with_capacity(3 * codes.len() / channels.max(1));
+    channels_to_rgb(codes.into_iter(), channels, &mut out);
+    out
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use tiff::encoder::{Compression, DeflateLevel, TiffEncoder, colortype};
 
-    const SIZE_PX: [usize; 2] = [31, 23];
+    pub(in crate::capture) const SIZE_PX: [usize; 2] = [31, 23];
 
     /// Different at every pixel and channel, and no bytes alike.
     fn code(x: usize, y: usize, c: usize) -> u16 {
         (1234 + 701 * x + 83 * y + 17_001 * c) as u16
     }
 
-    fn rows(range: std::ops::Range<usize>) -> Samples {
+    pub(in crate::capture) fn rows(range: std::ops::Range<usize>) -> Samples {
         let at = |y: usize| (0..3 * SIZE_PX[0]).map(move |k| code(k / 3, y, k % 3));
         Samples::U16(range.flat_map(at).collect())
     }
@@ -389,7 +235,7 @@ mod tests {
         assert!(reader.read(1, &mut out).is_err(), "{path:?} ends");
     }
 
-    fn save_tiff(path: &Path, compression: Compression, rows_per_strip: u32) {
+    pub(in crate::capture) fn save_tiff(path: &Path, compression: Compression, rows_per_strip: u32) {
         let mut encoder = TiffEncoder::new(File::create(path).unwrap()).unwrap().with_compression(compression);
         let [w, h] = SIZE_PX.map(|s| s as u32);
         let mut image = encoder.new_image::<colortype::RGB16>(w, h).unwrap();
@@ -429,29 +275,6 @@ mod tests {
             let Samples::U16(rows) = rows else { unreachable!() };
             Samples::U8(rows.chunks_exact(3).flat_map(|p| [p[0] as u8; 3]).collect())
         });
-    }
-
-    #[test]
-    fn strips_that_are_not_compressed_are_read_by_rows_whatever_their_height() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("a.tif");
-        for strip in [23, 7] {
-            save_tiff(&path, Compression::Uncompressed, strip);
-            let mut bands = TiffBands::new(BufReader::new(File::open(&path).unwrap())).unwrap();
-            // As if they were large.
-            bands.plain = Plain::of(&mut bands.decoder).unwrap();
-            let mut band = Samples::U8(vec![]);
-            for y in 0..5 {
-                bands.read(&mut band).unwrap();
-                assert_eq!(band, rows(y..y + 1));
-            }
-            assert_eq!(bands.skip(13), 13);
-            bands.read(&mut band).unwrap();
-            assert_eq!(band, rows(18..19));
-        }
-        save_tiff(&path, Compression::Lzw, 23);
-        let mut bands = TiffBands::new(BufReader::new(File::open(&path).unwrap())).unwrap();
-        assert!(Plain::of(&mut bands.decoder).unwrap().is_none(), "compressed");
     }
 
     #[test]

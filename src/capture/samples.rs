@@ -75,47 +75,20 @@ impl Samples {
 
     /// Makes these 8-bit code values, which `fill` puts into an empty vector.
     pub(super) fn refill_u8(&mut self, fill: impl FnOnce(&mut Vec<u8>)) {
-        match self {
-            Self::U8(v) => {
-                v.clear();
-                fill(v);
-            }
-            other => {
-                let mut v = vec![];
-                fill(&mut v);
-                *other = Self::U8(v);
-            }
-        }
+        let old = if let Self::U8(v) = self { std::mem::take(v) } else { vec![] };
+        *self = Self::U8(refilled(old, fill));
     }
 
     /// Makes these 16-bit code values, which `fill` puts into an empty vector.
     pub(super) fn refill_u16(&mut self, fill: impl FnOnce(&mut Vec<u16>)) {
-        match self {
-            Self::U16(v) => {
-                v.clear();
-                fill(v);
-            }
-            other => {
-                let mut v = vec![];
-                fill(&mut v);
-                *other = Self::U16(v);
-            }
-        }
+        let old = if let Self::U16(v) = self { std::mem::take(v) } else { vec![] };
+        *self = Self::U16(refilled(old, fill));
     }
 
     /// Makes these floating point code values, which `fill` puts into an empty vector.
     pub(super) fn refill_f32(&mut self, fill: impl FnOnce(&mut Vec<f32>)) {
-        match self {
-            Self::F32(v) => {
-                v.clear();
-                fill(v);
-            }
-            other => {
-                let mut v = vec![];
-                fill(&mut v);
-                *other = Self::F32(v);
-            }
-        }
+        let old = if let Self::F32(v) = self { std::mem::take(v) } else { vec![] };
+        *self = Self::F32(refilled(old, fill));
     }
 
     /// No code values, in the memory that they had.
@@ -154,4 +127,11 @@ impl Samples {
             Self::F32(v) => Self::F32(rows(v, whole, part)),
         }
     }
+}
+
+/// What `fill` puts into the memory of `values`.
+fn refilled<T>(mut values: Vec<T>, fill: impl FnOnce(&mut Vec<T>)) -> Vec<T> {
+    values.clear();
+    fill(&mut values);
+    values
 }

@@ -221,7 +221,8 @@ impl CheckReport {
         let stage = progress.stage("light", 3);
         // What code values mean may itself have to be found by the build: guessed, all might look black.
         let known = matches!(sample.rig.camera.response_curve, ResponseCurve::Linear | ResponseCurve::Srgb);
-        // In the resolution of the registration; where there is none, in pictures of about [`LOOK_PX`], as far as means are those of light.
+        // Photographs are averaged as the registration did. Without one, they are averaged to about [`LOOK_PX`] pixels a side, if code values
+        // are linear in light: only then is their mean the mean of the light.
         let longer = sample.rig.camera.size_px.into_iter().max().unwrap_or(0);
         let linear = sample.rig.camera.response_curve == ResponseCurve::Linear;
         let factor = tried.map_or(if linear { (longer / LOOK_PX).max(1) } else { 1 }, |t| t.working.factor);

@@ -3,7 +3,7 @@
 mod reciprocity;
 
 use crate::geometry::Point;
-use crate::material::{Exitance, FIXED_SET, LitArea, Quadrature, Source, relight, splat};
+use crate::material::{Exitance, FIXED_SET, Quadrature, Source, lit_area_of, relight, splat};
 use crate::progress::Progress;
 use crate::transport::{MatrixHeader, MatrixReader, RowBlock};
 use crate::{Error, Result};
@@ -79,12 +79,7 @@ pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progres
     check(candidate, reference)?;
     let header = reference.header();
     let reference_shape = reference.shape();
-    let area = LitArea::of(&reference_shape).map_err(|error| match error {
-        acquire_material::Error::TooSparse { expected, found } => {
-            Error::field(reference.path(), "lit_mm", expected, found)
-        }
-        other => other.into(),
-    })?;
+    let area = lit_area_of(&reference_shape, reference.path())?;
     // Both are lit alike, on the reference's area, each from where its own lit points are.
     let [own, theirs] = [Quadrature::new(&area, &shape), Quadrature::new(&area, &reference_shape)];
     let fluxes = FIXED_SET.iter().map(|light| Ok(light.flux(&theirs)?)).collect::<Result<Vec<_>>>()?;

@@ -1,7 +1,7 @@
 //! Every measure against plain loops over plain arrays.
 
 use super::*;
-use crate::material::Shape;
+use crate::material::{LitArea, Shape};
 use crate::transport::{MatrixWriter, Row, ShotRecord};
 use std::path::Path;
 

@@ -4,13 +4,15 @@
 //! R̂_c(x_i, x_o) = a_c(x_i) e_c(x_o) M_c(x_i, x_o − x_i). For every x_i the sum over the window is to be that of the matrix (the row's albedo),
 //! and at every x_o the exitance under even light. Entries that were not measured count as what the material says there.
 
-use crate::material::{ExitGrid, Exitance, Light, LitArea, Material, Quadrature, Responses, splat};
+use crate::Result;
+use crate::material::{ExitGrid, Exitance, Light, Material, Quadrature, Responses, lit_area_of, splat, splat_entries};
 use crate::transport::{MatrixReader, RowBlock};
-use crate::{Error, Result};
 use rayon::prelude::*;
 
-/// Rounds of fitting before terms are fitted anew, and at the end: each takes the misfit of the one before to about a fifth of it.
-pub(super) const ROUNDS: [usize; 2] = [2, 6];
+/// Rounds of fitting: each takes the misfit of the one before to about a fifth of it.
+pub(super) const ROUNDS: usize = 6;
+/// The same where terms are to be fitted anew.
+pub(super) const ROUNDS_BETWEEN: usize = 2;
 /// Where this share of the largest exitance leaves, or of the largest albedo enters, a map is half way to its value from one: the terms say so
 /// little there that their ratio to what was measured is noise. What that leaves of the exitance's misfit is a millionth of it where the slab is
 /// bright, and less than this share of the largest where it is dark.
@@ -22,45 +24,43 @@ const MOST: f64 = 30.0;
 /// Numbers in a block of rows.
 const BLOCK: usize = 1 << 20;
 
-/// Sums over a row, their variances, and where it was measured, if not everywhere.
+/// Marginals over a row, their variances, and where it was measured, if not everywhere.
 type RowSums = ([f64; 3], [f64; 3], Option<Vec<u8>>);
 
 /// What the maps are fitted to.
-pub(super) struct Sums {
+pub(super) struct Marginals {
     quadrature: Quadrature,
-    /// Even light.
+    /// Even light, and its square.
     flux: Vec<Vec<[f64; 3]>>,
+    squared_flux: Vec<Vec<[f64; 3]>>,
     /// What leaves under it, as far as it was measured.
     exitance: Exitance,
     /// The variance of that, as far as it is independent from entry to entry.
     exitance_variance: Exitance,
-    /// Sums of rows, \[N\], likewise, and their variances.
+    /// Marginals of rows, \[N\], likewise, and their variances.
     rows: Vec<[f64; 3]>,
     row_variance: Vec<[f64; 3]>,
     /// Rows of which a part was not measured, and where they were.
     gaps: Vec<(usize, Vec<u8>)>,
 }
 
-impl Sums {
+impl Marginals {
     /// Of no row.
     ///
     /// # Errors
-    /// [`Error::Field`] when the lit points are too far apart for an image.
+    /// [`crate::Error::Field`] when the lit points are too far apart for an image.
     pub(super) fn new(reader: &MatrixReader) -> Result<Self> {
         let shape = reader.shape();
-        let area = LitArea::of(&shape).map_err(|error| match error {
-            acquire_material::Error::TooSparse { expected, found } => {
-                Error::field(reader.path(), "lit_mm", expected, found)
-            }
-            other => other.into(),
-        })?;
+        let area = lit_area_of(&shape, reader.path())?;
         let quadrature = Quadrature::new(&area, &shape);
         let flux = vec![Light::Uniform.flux(&quadrature)?];
+        let squared_flux = flux.iter().map(|cells| cells.iter().map(|f| f.map(|f| f * f)).collect()).collect();
         let exitance = Exitance::new(area.canvas);
         let none = vec![[0.0; 3]; shape.rows()];
         Ok(Self {
             quadrature,
             flux,
+            squared_flux,
             exitance_variance: exitance.clone(),
             exitance,
             rows: none.clone(),
@@ -72,13 +72,10 @@ impl Sums {
     /// Adds rows of the matrix.
     pub(super) fn add(&mut self, block: &RowBlock, window: [usize; 2]) {
         splat(std::slice::from_mut(&mut self.exitance), block, window, &self.quadrature, &self.flux);
-        let squares =
-            RowBlock { response: block.variance.clone(), variance: Vec::new(), valid: block.valid.clone(), ..*block };
-        // Shares of a cell's light are squared by no more than themselves: rather too large a variance than too small a one.
-        let area: Vec<Vec<[f64; 3]>> = self.flux.iter().map(|f| f.iter().map(|f| f.map(|f| f * f)).collect()).collect();
         if !block.variance.is_empty() {
+            // Shares of a cell's light are squared by no more than themselves: rather too large a variance than too small a one.
             let image = std::slice::from_mut(&mut self.exitance_variance);
-            splat(image, &squares, window, &self.quadrature, &area);
+            splat_entries(image, block, &block.variance, window, &self.quadrature, &self.squared_flux);
         }
         let sums = |k: usize| {
             let row = block.view(k);
@@ -103,14 +100,13 @@ impl Sums {
     fn filled(&self, material: &Material) -> (Exitance, Vec<[f64; 3]>) {
         let (mut exitance, mut sums) = (self.exitance.clone(), self.rows.clone());
         let responses = Responses::new(material);
-        let row_len = material.header.row_len();
         for (row, valid) in &self.gaps {
             let response = responses.row(*row);
             for (s, v) in response.iter().enumerate().filter(|(s, _)| valid[*s] == 0) {
                 sums[*row][s % 3] += f64::from(*v);
             }
             let valid = valid.iter().map(|v| 1 - v).collect();
-            let block = RowBlock { first: *row, rows: 1, response, variance: vec![0.0; row_len], valid };
+            let block = RowBlock { first: *row, rows: 1, response, variance: Vec::new(), valid };
             splat(std::slice::from_mut(&mut exitance), &block, material.header.window, &self.quadrature, &self.flux);
         }
         (exitance, sums)
@@ -186,7 +182,7 @@ impl Sums {
     }
 }
 
-/// Sums of the rows of a material over their windows.
+/// Marginals of the rows of a material over their windows.
 fn row_sums(material: &Material) -> Vec<[f64; 3]> {
     let responses = Responses::new(material);
     let window = responses.window_len();
@@ -266,7 +262,7 @@ mod tests {
 
     /// The largest difference of exitances under even light, and of rows' sums, relative to the largest of both.
     fn off(reader: &MatrixReader, material: &Material) -> [f64; 2] {
-        let mut sums = Sums::new(reader).unwrap();
+        let mut sums = Marginals::new(reader).unwrap();
         reader
             .for_each_block(|block| {
                 sums.add(&block, [7, 5]);

@@ -34,7 +34,7 @@ use crate::transport::{MatrixReader, RowBlock};
 use crate::words::count;
 use crate::{Error, FactorWarning, Result};
 use content::Content;
-use entry_exit::Sums;
+use entry_exit::Marginals;
 use prepared_rows::PreparedRows;
 
 /// How to factor.
@@ -177,10 +177,12 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progr
         None => model == Model::Joint && (options.terms.is_some() || options.goal == Goal::Noise),
     };
     let power = if model == Model::Joint { options.profile_power } else { 0.0 };
-    let prepared = |content| -> Result<(PreparedRows<'_>, Option<Sums>)> {
+    let prepared = |content| -> Result<(PreparedRows<'_>, Option<Marginals>)> {
         let mut sums = match wanted && content != Content::Intensity {
             // Where no image of the slab can be made, maps that are not asked for are not made either.
-            true => Sums::new(reader).map(Some).or_else(|e| if options.maps.is_some() { Err(e) } else { Ok(None) })?,
+            true => {
+                Marginals::new(reader).map(Some).or_else(|e| if options.maps.is_some() { Err(e) } else { Ok(None) })?
+            }
             false => None,
         };
         let each = |block: &RowBlock| {

@@ -166,15 +166,27 @@ impl NoiseSums {
                 along
             })
             .collect();
-        for (i, sd) in self.position_sd_px.iter().enumerate().filter(|(_, sd)| **sd > 0.0) {
-            let (first, second) = (sd * sd, sd.powi(4));
-            let amounts: Vec<f64> = (0..terms).map(|k| all.weights[k] * all.left[i * terms + k]).collect();
-            for (kind, share) in [first, first, second / 2.0, second / 2.0, second].into_iter().enumerate() {
-                for (j, out) in out.iter_mut().enumerate() {
-                    let moved: f64 = amounts.iter().zip(&seen).map(|(a, along)| a * along[kind][j]).sum();
-                    *out += share * moved * moved;
+        // Σ_i sd_i² (Σ_k a_ik D_kj)² = Σ_kl D_kj D_lj Σ_i sd_i² a_ik a_il: the rows are gone through once for each power of sd.
+        let amounts = |i: usize, k: usize| all.weights[k] * all.left[i * terms + k];
+        let [first, second] = [2, 4].map(|power| {
+            let mut gram = vec![0.0; terms * terms];
+            for (i, sd) in self.position_sd_px.iter().enumerate().filter(|(_, sd)| **sd > 0.0) {
+                for k in 0..terms {
+                    let amount = sd.powi(power) * amounts(i, k);
+                    (0..terms).for_each(|l| gram[k * terms + l] += amount * amounts(i, l));
                 }
             }
+            gram
+        });
+        for (j, out) in out.iter_mut().enumerate() {
+            let square = |gram: &[f64], kind: usize| -> f64 {
+                let row = |k: usize| (0..terms).map(|l| gram[k * terms + l] * seen[l][kind][j]).sum::<f64>();
+                (0..terms).map(|k| seen[k][kind][j] * row(k)).sum()
+            };
+            let [x, y, xx, yy, xy] = [(&first, 0), (&first, 1), (&second, 2), (&second, 3), (&second, 4)]
+                .map(|(gram, kind)| square(gram, kind));
+            // Sums of squares but for rounding.
+            *out = (x + y + (xx + yy) / 2.0 + xy).max(0.0);
         }
         out
     }

@@ -4,6 +4,7 @@
 use super::backend::Rows;
 use super::content::{Content, RawRows};
 use super::fill::{Basis, Missing};
+use super::noise::NoiseSums;
 use super::survey::{Survey, survey};
 use crate::Result;
 use crate::material::Material;
@@ -33,6 +34,8 @@ pub(super) struct PreparedRows<'a> {
     pub content: Content,
     /// What columns are multiplied by, \[plane, y, x\]; empty for one.
     pub metric: Vec<f32>,
+    /// Noise of the rows so multiplied.
+    pub noise: NoiseSums,
     /// A material whose entry and exit maps divide the rows.
     through: Option<Material>,
     /// What fills the gaps of rows that are read again.
@@ -44,7 +47,8 @@ pub(super) struct PreparedRows<'a> {
 }
 
 impl<'a> PreparedRows<'a> {
-    /// Reads the matrix once, which `each` sees, too: places rows, keeps them when they take at most `memory` bytes, and fills gaps with the mean profile.
+    /// Reads the matrix once: places rows, keeps them when they take at most `memory` bytes, and fills gaps with the mean profile. Columns are
+    /// multiplied by the mean profile to the power −`profile_power`; `each` sees every block as it is read.
     ///
     /// # Errors
     /// Those of the reader.
@@ -75,7 +79,9 @@ impl<'a> PreparedRows<'a> {
             false => survey.mean.iter().zip(&metric).map(|(m, &w)| m * f64::from(w)).collect(),
         };
         let basis = Basis::mean(&mean);
-        let mut rows = Self { reader, progress, survey, content, metric, through: None, basis, cache: None, patterns };
+        let noise = survey.noise.weighed(&metric);
+        let mut rows =
+            Self { reader, progress, survey, content, metric, noise, through: None, basis, cache: None, patterns };
         if keep && bytes(rows.survey.layout.len()) <= memory {
             let basis = rows.basis.prepared(&rows.patterns);
             let chunks = raw.into_iter().map(|raw| {

@@ -286,26 +286,23 @@ impl Sums {
         self.grey.join(&other.grey);
     }
 
+    /// Where sample `k` of plane `p` on a smaller window is among the sums.
+    fn index(&self, to: &Layout, p: usize, k: usize) -> usize {
+        let at = [k % to.extended[0], k / to.extended[0]];
+        let [x, y] = [0, 1].map(|a| at[a] + (self.layout.extended[a] - to.extended[a]) / 2);
+        p * self.layout.len() + x + y * self.layout.extended[0]
+    }
+
     /// The noise of the columns of the smaller window.
     fn noise_on(&self, to: &Layout, planes: usize) -> Vec<f64> {
-        let margin: [usize; 2] = std::array::from_fn(|a| (self.layout.extended[a] - to.extended[a]) / 2);
-        let from = |k: usize| {
-            let (x, y) = (k % to.extended[0] + margin[0], k / to.extended[0] + margin[1]);
-            x + y * self.layout.extended[0]
-        };
-        (0..planes).flat_map(|p| (0..to.len()).map(move |k| self.noise[p * self.layout.len() + from(k)])).collect()
+        (0..planes).flat_map(|p| (0..to.len()).map(move |k| self.noise[self.index(to, p, k)])).collect()
     }
 
     /// The mean on the smaller window, its unmeasured rim extended, and whether all rows measured all of it.
     fn mean(&self, to: &Layout, planes: usize) -> (Vec<f64>, bool) {
-        let margin: [usize; 2] = std::array::from_fn(|a| (self.layout.extended[a] - to.extended[a]) / 2);
-        let from = |k: usize| {
-            let (x, y) = (k % to.extended[0] + margin[0], k / to.extended[0] + margin[1]);
-            x + y * self.layout.extended[0]
-        };
         let (mut all, mut complete) = (Vec::with_capacity(planes * to.len()), true);
         for p in 0..planes {
-            let at = |k: usize| p * self.layout.len() + from(k);
+            let at = |k: usize| self.index(to, p, k);
             let mut mean: Vec<f64> =
                 (0..to.len()).map(|k| self.value[at(k)] / f64::from(self.count[at(k)].max(1))).collect();
             let measured: Vec<bool> = (0..to.len()).map(|k| self.count[at(k)] > 0).collect();

@@ -4,7 +4,7 @@ use super::backend::Rows;
 use super::backend::{self, Backend, LowRank, Triplets, low_rank, triplets};
 use super::choose::{self, Goal};
 use super::content::Content;
-use super::entry_exit::{ROUNDS, Sums};
+use super::entry_exit::{Marginals, ROUNDS, ROUNDS_BETWEEN};
 use super::fill::Basis;
 use super::noise::{F32_ROUNDING, TermNoise, significant};
 use super::nonnegative::factorize;
@@ -59,7 +59,7 @@ struct Found {
 impl Found {
     fn new(rows: &PreparedRows<'_>, low: &LowRank, wanted: usize, exact: bool) -> Result<Self> {
         let mut all = triplets(rows, low, wanted, exact)?;
-        let noise = rows.survey.noise.weighed(&rows.metric).of_terms(&all, &rows.metric, rows.survey.layout.extended);
+        let noise = rows.noise.of_terms(&all, &rows.metric, rows.survey.layout.extended);
         let singular = all.weights.clone();
         if !rows.metric.is_empty() {
             let columns = rows.metric.len();
@@ -100,7 +100,7 @@ pub(super) fn fit(
     rows: &mut PreparedRows<'_>,
     model: Model,
     options: &FactorOptions,
-    sums: Option<&Sums>,
+    sums: Option<&Marginals>,
 ) -> Result<TermsFit> {
     let (n, columns) = rows.shape();
     let chosen = options.backend.unwrap_or_else(|| backend::choose(n, columns, options.accuracy));
@@ -113,60 +113,62 @@ pub(super) fn fit(
         let low = decompose(rows, options, chosen, wanted, start.take())?;
         let found = Found::new(rows, &low, wanted, exact)?;
         let rank = if model == Model::Peers2006 { found.rank().max(most) } else { found.rank() };
-        let asked = Asked { rank, most, rows, model, options, sums };
-        let plan = asked.plan(reader, &found)?;
+        let plan = Asked { rows, model, options, sums }.plan(reader, &found, rank, most)?;
         if !plan.short || rank < most || most >= 4 * options.max_terms || most >= n.min(columns) {
             break (found, plan, low);
         }
         most *= 2;
         start = Some(low);
     };
-    let mut passes = low.passes;
-    let residual = low.residual;
-    let mut fit = Asked { rank: most, most, rows, model, options, sums }.finish(reader, &found, &plan, chosen)?;
-    let planes = rows.content.planes();
+    let (mut passes, residual) = (low.passes, low.residual);
+    let mut material = Asked { rows, model, options, sums }.made(reader, &found, &plan)?;
+    // Of an intensity the colour polynomial is still to come.
+    let mut left = if rows.content == Content::Intensity { 0.0 } else { residual_of(rows, reader, &material)? };
+    let mut why = plan.why.clone();
     let maps = match (sums, options.maps) {
         (Some(sums), Some(true)) => Some(sums),
         // Only what the scene requires.
-        (Some(sums), _) if sums.differ(&fit.material)? => Some(sums),
+        (Some(sums), _) if sums.differ(&material)? => Some(sums),
         _ => None,
     };
-    if let Some(sums) = maps.filter(|_| rows.content != Content::Intensity) {
-        let plain = (fit.material.clone(), residual_of(rows, reader, &fit.material)?);
-        let refits = if model == Model::Joint { REFITS } else { 0 };
-        sums.fit(&mut fit.material, planes, ROUNDS[usize::from(refits == 0)])?;
+    if let Some(sums) = maps {
+        let (planes, refits) = (rows.content.planes(), if model == Model::Joint { REFITS } else { 0 });
+        let rounds = |refit: usize| if refit == refits { ROUNDS } else { ROUNDS_BETWEEN };
+        let mut with = material.clone();
+        sums.fit(&mut with, planes, rounds(0))?;
         let mut start = Some(low);
         for refit in 1..=refits {
-            rows.divide_by(&fit.material);
+            rows.divide_by(&with);
             let wanted = plan.most() + BEYOND;
             let low = decompose(rows, options, chosen, wanted, start.take())?;
             passes += low.passes;
             let found = Found::new(rows, &low, wanted, exact)?;
             start = Some(low);
-            let maps = fit.material;
-            let asked = Asked { rank: most, most, rows, model, options, sums: Some(sums) };
-            fit = asked.finish(reader, &found, &plan, chosen)?;
-            fit.material.header.exit_grid = maps.header.exit_grid;
-            (fit.material.entry_map, fit.material.exit_map) = (maps.entry_map, maps.exit_map);
-            sums.fit(&mut fit.material, planes, ROUNDS[usize::from(refit == refits)])?;
+            let terms = Asked { rows, model, options, sums: Some(sums) }.made(reader, &found, &plan)?;
+            with = with_maps_of(terms, with);
+            sums.fit(&mut with, planes, rounds(refit))?;
         }
+        let error = residual_of(rows, reader, &with)?;
         // Maps that take more from the rows than they give: sums that are not those of anything like light.
-        let error = residual_of(rows, reader, &fit.material)?;
-        if options.maps.is_none() && error > WORSE * WORSE * plain.1 {
-            fit.material = plain.0;
-            fit.why += "; entry and exit maps would fit the rows worse";
+        if options.maps.is_none() && error > WORSE * WORSE * left {
+            why += "; entry and exit maps would fit the rows worse";
+        } else {
+            (material, left) = (with, error);
         }
     }
-    if rows.content != Content::Intensity {
-        fit.misfit = rows.survey.misfit(residual_of(rows, reader, &fit.material)?);
-    }
-    fit.how = format!(
+    let how = format!(
         "{chosen}, {}{}{}",
         count(passes, "pass"),
         if residual > 0.0 { format!(", singular values to {residual:.0e}") } else { String::new() },
         if rows.in_memory() { "" } else { ", streamed from the store" },
     );
-    Ok(fit)
+    Ok(TermsFit { material, why, how, backend: chosen, misfit: rows.survey.misfit(left), degree: plan.degree })
+}
+
+/// `terms` with the entry and exit maps of `maps`.
+fn with_maps_of(mut terms: Material, maps: Material) -> Material {
+    terms.header.exit_grid = maps.header.exit_grid;
+    Material { entry_map: maps.entry_map, exit_map: maps.exit_map, ..terms }
 }
 
 /// The truncated SVD of the rows, repeated while missing samples are estimated from it.
@@ -196,9 +198,9 @@ fn decompose(
         } else {
             visible
         };
-        let noise = rows.survey.noise.weighed(&rows.metric);
-        let terms = options.terms.unwrap_or_else(|| noise.count_above(&low.singular_values)).min(options.max_terms);
-        let noise = noise.mean;
+        let terms =
+            options.terms.unwrap_or_else(|| rows.noise.count_above(&low.singular_values)).min(options.max_terms);
+        let noise = rows.noise.mean;
         rows.refill(Basis::factors(&low, terms.min(most), n, columns, noise));
         start = Some(low);
     }
@@ -207,14 +209,10 @@ fn decompose(
 
 /// What is known when terms are chosen.
 struct Asked<'r, 'a> {
-    /// Terms that the rows have.
-    rank: usize,
-    /// Terms that were looked for.
-    most: usize,
     rows: &'r PreparedRows<'a>,
     model: Model,
     options: &'r FactorOptions,
-    sums: Option<&'r Sums>,
+    sums: Option<&'r Marginals>,
 }
 
 /// What was chosen.
@@ -247,16 +245,17 @@ impl Plan {
 }
 
 impl Asked<'_, '_> {
-    fn plan(&self, reader: &MatrixReader, found: &Found) -> Result<Plan> {
+    /// What to keep of `found`, where the rows have `rank` terms and `looked_for` were looked for.
+    fn plan(&self, reader: &MatrixReader, found: &Found, rank: usize, looked_for: usize) -> Result<Plan> {
         let (options, all) = (self.options, &found.all);
-        let most = self.rank.min(self.most);
+        let most = rank.min(looked_for);
         let plan = |kept, why| Plan { kept, maps: None, degree: None, why, short: false };
         if let Some(asked) = options.terms {
-            let why = match asked > self.rank {
+            let why = match asked > rank {
                 true => format!("{asked} asked, all that the rows have"),
                 false => "as asked".to_owned(),
             };
-            return Ok(plan(Kept::First(asked.min(self.rank)), why));
+            return Ok(plan(Kept::First(asked.min(rank)), why));
         }
         match options.goal {
             Goal::Noise => {
@@ -366,7 +365,7 @@ impl Asked<'_, '_> {
             degree: None,
             intensity_range: [0.0, 1.0],
             singular_values: singular.iter().map(|g| g * unit).collect(),
-            noise_level: survey.noise.weighed(&self.rows.metric).bound(singular) * unit,
+            noise_level: self.rows.noise.bound(singular) * unit,
             warnings: Vec::new(),
             provenance: serde_json::Value::Null,
         }
@@ -449,22 +448,18 @@ impl Asked<'_, '_> {
         material
     }
 
-    fn finish(&self, reader: &MatrixReader, found: &Found, plan: &Plan, backend: Backend) -> Result<TermsFit> {
+    /// The material of what the plan keeps.
+    fn made(&self, reader: &MatrixReader, found: &Found, plan: &Plan) -> Result<Material> {
         let (kept, shrink) = match plan.kept {
             Kept::First(n) => ((0..n.min(found.singular.len())).collect(), false),
             Kept::AboveNoise(most) => (significant(&found.singular, &found.noise, most), true),
         };
-        let material = match self.model {
-            Model::Peers2006 => self.non_negative(reader, &found.all, plan.most()),
-            _ => {
-                // The mean profile is never nothing, however noisy.
-                let all = found.chosen(&kept, shrink && kept.len() > 1);
-                self.shared(reader, self.material(reader, &all, kept.len(), &found.singular), &all, plan.maps)?
-            }
-        };
-        let misfit = self.rows.survey.misfit(0.0);
-        let (why, degree) = (plan.why.clone(), plan.degree);
-        Ok(TermsFit { material, why, how: String::new(), backend, misfit, degree })
+        if self.model == Model::Peers2006 {
+            return Ok(self.non_negative(reader, &found.all, plan.most()));
+        }
+        // The mean profile is never nothing, however noisy.
+        let all = found.chosen(&kept, shrink && kept.len() > 1);
+        self.shared(reader, self.material(reader, &all, kept.len(), &found.singular), &all, plan.maps)
     }
 }
 
@@ -476,7 +471,6 @@ fn residual_of(rows: &PreparedRows<'_>, reader: &MatrixReader, material: &Materi
     let columns = rows.shape().1;
     let (layout, planes) = (rows.survey.layout, rows.content.planes());
     let (samples, window) = (layout.len(), layout.window[0] * layout.window[1]);
-    // Where maps divide the rows, those of the material multiply them again.
     let (mut error, responses) = (0.0, Responses::new(material));
     rows.for_each_chunk("measure", &mut |first, values, missing| {
         let indices: Vec<usize> = (first..first + missing.len()).collect();

@@ -18,8 +18,8 @@ pub use acquire_material::{
 pub use exr_layers::{export_exr, write_exitance, write_png};
 pub use light_file::{parse_light, read_light_image};
 pub use npz::export_npz;
-pub(crate) use relight::splat;
 pub use relight::{lit_area, relight};
+pub(crate) use relight::{lit_area_of, splat, splat_entries};
 pub use source::Source;
 
 use crate::output::write_whole;

@@ -1,9 +1,10 @@
 //! Relighting a matrix or a material: the exitance of the slab under a light.
 
-use super::{Exitance, LitArea, Quadrature, Source};
+use super::{Exitance, LitArea, Quadrature, Shape, Source};
 use crate::progress::Progress;
 use crate::transport::RowBlock;
 use crate::{Error, Result};
+use std::path::Path;
 
 /// The exitance under several lights at once, each given as the flux into every cell of `quadrature`.
 ///
@@ -43,10 +44,13 @@ pub fn relight(
 /// # Errors
 /// [`Error::Field`] when the lit points are too far apart for an image.
 pub fn lit_area(source: &Source) -> Result<LitArea> {
-    LitArea::of(&source.shape()).map_err(|error| match error {
-        acquire_material::Error::TooSparse { expected, found } => {
-            Error::field(source.path(), "lit_mm", expected, found)
-        }
+    lit_area_of(&source.shape(), source.path())
+}
+
+/// The same for the rows of a file.
+pub(crate) fn lit_area_of(shape: &Shape<'_>, path: &Path) -> Result<LitArea> {
+    LitArea::of(shape).map_err(|error| match error {
+        acquire_material::Error::TooSparse { expected, found } => Error::field(path, "lit_mm", expected, found),
         other => other.into(),
     })
 }
@@ -59,11 +63,23 @@ pub(crate) fn splat(
     quadrature: &Quadrature,
     fluxes: &[Vec<[f64; 3]>],
 ) {
+    splat_entries(images, block, &block.response, window, quadrature, fluxes);
+}
+
+/// The same of other numbers of the rows than their responses, \[rows\]\[dy\]\[dx\]\[channel\].
+pub(crate) fn splat_entries(
+    images: &mut [Exitance],
+    block: &RowBlock,
+    values: &[f32],
+    window: [usize; 2],
+    quadrature: &Quadrature,
+    fluxes: &[Vec<[f64; 3]>],
+) {
     let indices: Vec<usize> = (block.first..block.first + block.rows).collect();
     acquire_material::splat(images, &indices, window, quadrature, fluxes, &|k, channel, dy, line| {
-        let row = block.view(k);
-        let entries = 3 * window[0] * dy..3 * window[0] * (dy + 1);
-        let measured = row.response[entries.clone()].chunks_exact(3).zip(row.valid[entries].chunks_exact(3));
+        let first = 3 * window[0] * (window[1] * k + dy);
+        let entries = first..first + 3 * window[0];
+        let measured = values[entries.clone()].chunks_exact(3).zip(block.valid[entries].chunks_exact(3));
         for (out, (value, valid)) in line.iter_mut().zip(measured) {
             *out = if valid[channel] == 0 { 0.0 } else { f64::from(value[channel]) };
         }
@@ -77,13 +93,7 @@ mod tests {
     #[test]
     fn entries_that_were_not_measured_add_nothing() {
         let lit_mm = [[0.0, 0.1], [1.0, -0.1], [2.05, 0.05], [3.1, 0.0]];
-        let shape = super::super::Shape {
-            points: [4, 1],
-            window: [3, 3],
-            pitch_mm: 0.5,
-            lit_pitch_mm: [1.0; 2],
-            lit_mm: &lit_mm,
-        };
+        let shape = Shape { points: [4, 1], window: [3, 3], pitch_mm: 0.5, lit_pitch_mm: [1.0; 2], lit_mm: &lit_mm };
         let quadrature = Quadrature::of_points(&LitArea::of(&shape).unwrap(), &shape);
         let mut block = RowBlock {
             first: 2,

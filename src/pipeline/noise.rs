@@ -157,10 +157,15 @@ impl Reader<'_> {
         let tiles = Tiles::of(self.capture.rig.camera.size_px);
         let (parts, sampling) = photograph.decode_parts(&tiles.rects(), self.capture.rig.camera.size_px, false)?;
         let mut samples = tiles.together(&parts);
-        if let (Samples::F32(v), Some(unit_dn)) = (&mut samples, self.unit_dn) {
+        self.to_unit(&mut samples);
+        Ok((samples, sampling))
+    }
+
+    /// Divides floating point code values by `unit_dn`, if there is one.
+    fn to_unit(&self, samples: &mut Samples) {
+        if let (Samples::F32(v), Some(unit_dn)) = (samples, self.unit_dn) {
             v.iter_mut().for_each(|v| *v = (f64::from(*v) / unit_dn) as f32);
         }
-        Ok((samples, sampling))
     }
 
     /// Shows `see` all rows of a photograph, in units of `unit_dn`, some at a time.
@@ -170,9 +175,7 @@ impl Reader<'_> {
         let mut row = Samples::U8(vec![]);
         for _ in 0..rows.size_px()[1] {
             rows.read(1, &mut row)?;
-            if let (Samples::F32(v), Some(unit_dn)) = (&mut row, self.unit_dn) {
-                v.iter_mut().for_each(|v| *v = (f64::from(*v) / unit_dn) as f32);
-            }
+            self.to_unit(&mut row);
             see(&row);
         }
         Ok(())

@@ -2,7 +2,7 @@
 
 use super::{Exposure, Radiance, Sensor, merge};
 use crate::Result;
-use crate::capture::{Photograph, Rect, Rows, Samples, Sampling};
+use crate::capture::{Photograph, PhotographRows, Rect, Samples, Sampling};
 
 /// A rectangle of a shot, decoded in all its exposures and not yet merged.
 #[derive(Debug, Clone)]
@@ -113,7 +113,7 @@ pub fn merge_shot(photographs: &[Photograph], size_px: [usize; 2], sensor: &Sens
     open.iter().try_for_each(|rows| rows.check_size(size_px))?;
     let secs = photographs.iter().map(|p| p.effective_secs);
     let exposures = secs.map(|secs| Exposure { samples: Samples::U8(vec![]), secs }).collect();
-    let sampling = open.first().map_or(Sampling::WHOLE, Rows::sampling);
+    let sampling = open.first().map_or(Sampling::WHOLE, PhotographRows::sampling);
     let mut band = Bracket { rect: merged.rect, exposures, sampling };
     for y in (0..height).step_by(MERGED_ROWS) {
         band.rect = Rect { x: 0, y, width, height: MERGED_ROWS.min(height - y) };
@@ -125,7 +125,7 @@ pub fn merge_shot(photographs: &[Photograph], size_px: [usize; 2], sensor: &Sens
         merged.variance.extend(part.variance);
         merged.used.extend(part.used);
     }
-    open.iter_mut().try_for_each(Rows::finish)?;
+    open.iter_mut().try_for_each(PhotographRows::finish)?;
     Ok(merged)
 }
 

@@ -46,14 +46,14 @@ pub enum RegistrationWarning {
     },
     /// No reference dots: drift is the median of the lattice dots' own shifts, which edges of materials bias.
     DriftFromLatticeDots,
-    /// Without reference dots, shots have too few dots to measure their drift; it is taken for none.
+    /// Shots without reference dots have too few dots for a measurement of their drift; their drift is treated as zero.
     DriftUnmeasured {
         /// The first such shot.
         first: String,
         /// How many shots.
         shots: usize,
     },
-    /// The board does not tell how much the lens blurs; it is taken for not at all.
+    /// The blur of the lens could not be measured on the board; it is treated as zero.
     PointSpreadUnmeasured,
     /// The lens blurs more in one part of the picture than in another; its mean is taken out everywhere.
     PointSpreadVaries {

@@ -1,7 +1,7 @@
 //! Point queries for a renderer: R̂_d at one pair of points, without allocation.
 
 use crate::color::{Colors, Interval, colors};
-use crate::lattice::Lattice;
+use crate::lattice::{Corners, Lattice};
 use crate::sampling::{LANES, Sampled, Tree};
 use crate::{CHANNELS, Layout, Material, Point, Result, offset_plane};
 
@@ -31,8 +31,7 @@ pub struct Evaluator {
     color: Vec<[f64; CHANNELS]>,
     powers: usize,
     interval: Interval,
-    lit_mm: Vec<Point>,
-    /// Only the maps of a material that has them: its factors are held above.
+    /// Only the maps and positions of a material that has maps: its factors are held above.
     through: Option<Box<Material>>,
     lattice: Lattice,
     tree: Tree,
@@ -125,7 +124,6 @@ impl Evaluator {
             color,
             powers: h.degree.map_or(0, |p| p + 1),
             interval: Interval::of(h.intensity_range),
-            lit_mm: material.lit_mm.clone(),
             through: h.exit_grid.is_some().then(|| Box::new(material.maps_alone())),
             lattice: Lattice::of(h.points, &material.lit_mm, h.lit_pitch_mm),
             tree: Tree::new(material),
@@ -145,7 +143,7 @@ impl Evaluator {
         let Some(e) = self.layout.index(shift, sample) else { return Some([0.0; CHANNELS]) };
         let value = self.value(index, e);
         let Some(through) = &self.through else { return Some(value.map(|v| v as f32)) };
-        let at = [0, 1].map(|a| self.lit_mm[index][a] + offset[a] as f64 * self.pitch_mm);
+        let at = [0, 1].map(|a| through.lit_mm[index][a] + offset[a] as f64 * self.pitch_mm);
         let (entry, exit) = (through.entry(index), through.exit(at));
         Some(std::array::from_fn(|c| (entry[c] * exit[c] * value[c]) as f32))
     }
@@ -322,33 +320,6 @@ pub(crate) fn product(g: &[f64], f: &[f32], h: &[f32]) -> f64 {
         }
     }
     (sums[0] + sums[1]) + (sums[2] + sums[3])
-}
-
-/// The four places of a grid around a point, and how far it is from the first.
-struct Corners {
-    first: [usize; 2],
-    next: [usize; 2],
-    beyond: Point,
-}
-
-impl Corners {
-    /// `None` further than half a step outside the grid.
-    fn around(at: Point, size: [usize; 2]) -> Option<Self> {
-        let last = size.map(|s| s as f64 - 1.0);
-        if !(0..2).all(|a| at[a] >= -0.5 && at[a] <= last[a] + 0.5) {
-            return None;
-        }
-        let at = [0, 1].map(|a| at[a].clamp(0.0, last[a]));
-        let first = at.map(|v| v as usize);
-        let next = [0, 1].map(|a| (first[a] + 1).min(size[a] - 1));
-        Some(Self { first, next, beyond: [at[0] - first[0] as f64, at[1] - first[1] as f64] })
-    }
-
-    /// With their weights, which sum to one.
-    fn each(&self) -> [([usize; 2], f64); 4] {
-        let (p, q, [x, y]) = (self.first, self.next, self.beyond);
-        [(p, (1.0 - x) * (1.0 - y)), ([q[0], p[1]], x * (1.0 - y)), ([p[0], q[1]], (1.0 - x) * y), (q, x * y)]
-    }
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Lit points as a lattice: from millimetres to the indices of lit points.
+//! Lit points as a lattice: from millimetres to the indices of lit points, and the four around a place.
 
 use crate::Point;
 
@@ -49,6 +49,35 @@ impl Lattice {
     /// Largest extent along each lattice axis of a square cell of the slab with this side.
     pub(crate) fn extent(&self, side_mm: f64) -> Point {
         self.from_mm.map(|row| side_mm * (row[0].abs() + row[1].abs()))
+    }
+}
+
+/// The four places of a grid around a point, and how far it is from the first.
+pub(crate) struct Corners {
+    first: [usize; 2],
+    next: [usize; 2],
+    beyond: Point,
+}
+
+impl Corners {
+    /// `None` further than half a step outside the grid.
+    pub(crate) fn around(at: Point, size: [usize; 2]) -> Option<Self> {
+        let inside = |a: usize| at[a] >= -0.5 && at[a] <= size[a] as f64 - 0.5;
+        (inside(0) && inside(1)).then(|| Self::held(at, size))
+    }
+
+    /// Those of the nearest point of the grid where it is outside.
+    pub(crate) fn held(at: Point, size: [usize; 2]) -> Self {
+        let at = [0, 1].map(|a| at[a].clamp(0.0, size[a] as f64 - 1.0));
+        let first = at.map(|v| v as usize);
+        let next = [0, 1].map(|a| (first[a] + 1).min(size[a] - 1));
+        Self { first, next, beyond: [at[0] - first[0] as f64, at[1] - first[1] as f64] }
+    }
+
+    /// With their weights, which sum to one.
+    pub(crate) fn each(&self) -> [([usize; 2], f64); 4] {
+        let (p, q, [x, y]) = (self.first, self.next, self.beyond);
+        [(p, (1.0 - x) * (1.0 - y)), ([q[0], p[1]], x * (1.0 - y)), ([p[0], q[1]], (1.0 - x) * y), (q, x * y)]
     }
 }
 

@@ -7,7 +7,7 @@
 //! distance of lit points.
 
 use crate::exitance::{Canvas, Shape};
-use crate::lattice::Lattice;
+use crate::lattice::{Corners, Lattice};
 use crate::{Point, Result};
 
 /// Lattice coordinates this close to a lit point are that point.
@@ -65,7 +65,7 @@ pub(crate) struct Share {
 /// How light on cells of the lit area becomes light into rows.
 #[derive(Debug, Clone)]
 pub struct Quadrature {
-    pub(crate) canvas: Canvas,
+    canvas: Canvas,
     pub(crate) cells: Vec<LitCell>,
     /// Whether cells are those of lit points.
     pub(crate) of_points: Option<[usize; 2]>,
@@ -197,21 +197,8 @@ impl Places {
     }
 
     fn corners(&self, at: Point) -> [(usize, f64); 4] {
-        let last = self.points.map(|n| n as f64 - 1.0);
-        let at = [0, 1].map(|a| {
-            let held = at[a].clamp(0.0, last[a]);
-            if (held - held.round()).abs() < SAME { held.round() } else { held }
-        });
-        let first = at.map(|v| v as usize);
-        let next = [0, 1].map(|a| (first[a] + 1).min(self.points[a] - 1));
-        let [x, y] = [at[0] - first[0] as f64, at[1] - first[1] as f64];
-        let row = |x: usize, y: usize| x + y * self.points[0];
-        [
-            (row(first[0], first[1]), (1.0 - x) * (1.0 - y)),
-            (row(next[0], first[1]), x * (1.0 - y)),
-            (row(first[0], next[1]), (1.0 - x) * y),
-            (row(next[0], next[1]), x * y),
-        ]
+        let at = at.map(|v| if (v - v.round()).abs() < SAME { v.round() } else { v });
+        Corners::held(at, self.points).each().map(|([x, y], weight)| (x + y * self.points[0], weight))
     }
 }
 

@@ -183,9 +183,10 @@ fn unreachable_quality(quality: Quality) -> Error {
 /// One encoding, decoded again and measured.
 fn encode_at(material: &Material, options: &EncodeOptions, step: f64, sample: &measure::Sample) -> Result<Coded> {
     let price = Price { step, lambda: LAMBDA };
-    let expected = step / (sample.norm().max(1e-30) * STEP_OF_ERROR);
+    let norm = sample.norm();
+    let expected = step / (norm.max(1e-30) * STEP_OF_ERROR);
     let position_error = options.position_error_px.unwrap_or(expected.clamp(1e-6, MOST_POSITION_ERROR));
-    let maps = stream::write_maps(material, price, position_error).map_err(Error::internal)?;
+    let maps = stream::write_maps(material, norm, price, position_error).map_err(Error::internal)?;
     let plain = stream::read_maps(&maps, rounded(&material.header)).map_err(Error::internal)?;
     let added_error = sample.relative_error(&plain);
     let mut header = rounded(&material.header);

@@ -3,7 +3,7 @@
 use super::entropy::{Bits, Reader, Writer};
 use super::exact::{positions, raw, shifts, weights};
 use super::maps::{Group, Price, step_index};
-use super::measure::{Sample, energy, refit_weights, slope, stride};
+use super::measure::{energy, refit_weights, slope, stride};
 use super::planes::{ColorBasis, Rotation, moments};
 use super::text::code_text;
 use crate::parallel::*;
@@ -77,8 +77,13 @@ impl Scales<'_> {
     }
 }
 
-/// Everything but the header.
-pub(super) fn write_maps(material: &Material, price: Price, position_error_px: f64) -> Result<Vec<u8>, String> {
+/// Everything but the header; `norm` is ‖R̂‖.
+pub(super) fn write_maps(
+    material: &Material,
+    norm: f64,
+    price: Price,
+    position_error_px: f64,
+) -> Result<Vec<u8>, String> {
     let h = &material.header;
     let mut w = Writer::default();
     let singular: Vec<f64> = h.singular_values.iter().map(|&v| f64::from(v as f32)).collect();
@@ -115,20 +120,19 @@ pub(super) fn write_maps(material: &Material, price: Price, position_error_px: f
         };
         write_colors(&mut w, material, &decoded, degree, price, first)?;
     }
-    write_through(&mut w, material, price, first)?;
+    write_through(&mut w, material, norm, price, first)?;
     Ok(w.finish())
 }
 
 /// How many times finer than other maps entry and exit maps are kept: an error of theirs is one of all that enters or leaves at a place.
 const THROUGH_FINER: f64 = 4.0;
 
-/// Writes entry and exit maps: their sensitivity is the root of the squared response that a sample of theirs multiplies, in the mean.
-fn write_through(w: &mut Writer, material: &Material, price: Price, first: i32) -> Result<(), String> {
+/// Writes entry and exit maps: their sensitivity is the root of the squared response that a sample of theirs multiplies, in the mean. `norm` is ‖R̂‖.
+fn write_through(w: &mut Writer, material: &Material, norm: f64, price: Price, first: i32) -> Result<(), String> {
     let Some(grid) = material.header.exit_grid else { return Ok(()) };
-    let sample = Sample::of(material);
     for (map, size) in [(&material.entry_map, material.header.points), (&material.exit_map, grid.size)] {
         let mut group = Group::new(size, grid.planes, first);
-        let sensitivity = THROUGH_FINER * sample.norm() / (map.len() as f64).sqrt();
+        let sensitivity = THROUGH_FINER * norm / (map.len() as f64).sqrt();
         for plane in map.chunks_exact(size[0] * size[1]) {
             group.encode(w, &to_f64(plane), sensitivity, price)?;
         }
