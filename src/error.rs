@@ -147,6 +147,12 @@ pub enum Error {
         /// What it is.
         found: String,
     },
+    /// What a capture says twice, and so differently that no result can be believed.
+    #[error("{finding}")]
+    Contradiction {
+        /// What was found; its name is what `accept` of [`crate::pipeline::BuildOptions`] takes.
+        finding: Box<crate::Warning>,
+    },
     /// What `acquire check` found would stop `acquire build-matrix`.
     #[error("would not build: {reason}")]
     WouldNotBuild {

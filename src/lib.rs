@@ -60,6 +60,6 @@ pub mod cli;
 
 pub use error::{Error, Result};
 pub use warning::{
-    CaptureWarning, DriftJump, FactorWarning, RadianceWarning, RegistrationWarning, ResponseWarning, SimulateWarning,
-    Warning,
+    CaptureWarning, ConsistencyWarning, DriftJump, FactorWarning, RadianceWarning, RegistrationWarning,
+    ResponseWarning, SimulateWarning, Warning,
 };

@@ -285,6 +285,7 @@ fn topic_of(warning: &Warning) -> Topic {
         }
         Warning::Registration(_) => Topic::Drift,
         Warning::Response(E::SaturatedSamples { .. } | E::AlbedoAboveOne { .. }) => Topic::Light,
+        Warning::Consistency(_) => Topic::Dots,
         // `check` neither factors nor simulates.
         Warning::Response(_) | Warning::Factor(_) | Warning::Simulate(_) => Topic::Dots,
     }

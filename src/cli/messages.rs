@@ -56,6 +56,9 @@ pub(super) fn hint(error: &Error) -> Option<String> {
         Error::DoesNotFit { .. } => {
             "compare plan.toml with the photographs around the one that is named; remove doubled ones, shoot missing ones again"
         }
+        Error::Contradiction { finding } => {
+            return finding.id().ok().map(|id| format!("to build all the same, --accept {id}"));
+        }
         Error::WouldNotBuild { reason } => return hint(reason),
         Error::BrokenMatrix { .. } => {
             "the store may come from a stopped run; build it again with `acquire build-matrix`"

@@ -44,6 +44,9 @@ typed!(Build => crate::pipeline::BuildOptions {
     /// photographs.
     #[arg(long, value_enum, default_value = "exif", value_name = "SOURCE")]
     exposure_from: ExposureFrom,
+    /// Go on where a capture contradicts itself in this way; the name is that of the message's hint. May be given again.
+    #[arg(long, value_name = "FINDING")]
+    accept: Vec<String>,
 });
 
 typed!(Check => crate::check::CheckOptions {

@@ -50,6 +50,22 @@ pub struct BuildOptions {
     /// Where exposure times come from. capture.toml comes before all; `estimate` measures the actual times behind EXIF's from the
     /// photographs.
     pub exposure_from: ExposureFrom,
+    /// Names of findings ([`Warning::id`]) that are told and do not stop the work.
+    pub accept: Vec<String>,
+}
+
+impl BuildOptions {
+    /// A finding after which no result can be believed: an error, and where it is accepted a warning.
+    ///
+    /// # Errors
+    /// [`Error::Contradiction`].
+    fn refuse(&self, finding: impl Into<Warning>) -> Result<Warning> {
+        let finding = finding.into();
+        match self.accept.contains(&finding.id()?) {
+            true => Ok(finding),
+            false => Err(Error::Contradiction { finding: Box::new(finding) }),
+        }
+    }
 }
 
 /// What [`build_matrix`] found besides the matrix.

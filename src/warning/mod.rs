@@ -4,6 +4,7 @@
 //! folders because the header of a matrix keeps those of all stages: this module imports none of them.
 
 mod capture;
+mod consistency;
 mod factor;
 mod radiance;
 mod registration;
@@ -13,6 +14,7 @@ mod simulate;
 mod tests;
 
 pub use capture::CaptureWarning;
+pub use consistency::ConsistencyWarning;
 pub use factor::FactorWarning;
 pub use radiance::RadianceWarning;
 pub use registration::{DriftJump, RegistrationWarning};
@@ -30,6 +32,8 @@ use serde::{Deserialize, Serialize};
 pub enum Warning {
     /// Of reading a capture.
     Capture(CaptureWarning),
+    /// Of comparing what a capture says twice.
+    Consistency(ConsistencyWarning),
     /// Of merging exposures.
     Radiance(RadianceWarning),
     /// Of registration.
@@ -40,6 +44,18 @@ pub enum Warning {
     Factor(FactorWarning),
     /// Of the simulator.
     Simulate(SimulateWarning),
+}
+
+impl Warning {
+    /// Its name, as it is written: `photograph-disagrees`.
+    ///
+    /// # Errors
+    /// [`crate::Error::Internal`] for a warning that cannot be written.
+    pub fn id(&self) -> crate::Result<String> {
+        let written = serde_json::to_value(self).map_err(crate::Error::internal)?;
+        let id = written.get("warning").and_then(|id| id.as_str());
+        id.map(str::to_owned).ok_or_else(|| crate::Error::internal("a warning without a name"))
+    }
 }
 
 /// Each stage's enum is one variant: it becomes a warning by `into()`, and is shown as it shows itself.
@@ -63,6 +79,7 @@ macro_rules! join {
 
 join!(
     Capture(CaptureWarning),
+    Consistency(ConsistencyWarning),
     Radiance(RadianceWarning),
     Registration(RegistrationWarning),
     Response(ResponseWarning),
