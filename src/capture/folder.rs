@@ -28,6 +28,11 @@ pub struct Capture {
 const EXPOSURE_TOLERANCE: f64 = 0.07;
 
 impl Capture {
+    /// The name of a file as capture.toml gives it.
+    pub(crate) fn name_of(&self, path: &Path) -> String {
+        path.strip_prefix(&self.dir).unwrap_or(path).display().to_string()
+    }
+
     /// [`Self::open_with`] exposure times from EXIF.
     ///
     /// # Errors

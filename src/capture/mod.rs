@@ -1,5 +1,6 @@
 //! Read: a capture folder — `capture.toml`, photographs, EXIF, the rig — checked before any work starts.
 
+mod encoding;
 mod exif;
 mod folder;
 mod jpeg;
@@ -14,6 +15,7 @@ mod samples;
 mod settings;
 mod tiff_bands;
 
+pub(crate) use encoding::stated_encoding;
 pub use exif::ExposureFrom;
 pub use folder::Capture;
 pub use jpeg::compression_variance;

@@ -269,6 +269,12 @@ impl Capture {
         }
         reduced
     }
+
+    /// The same capture with other exposure times: those of `brackets`, its photographs in any resolution.
+    pub(crate) fn timed(&self, brackets: &[Vec<Photograph>]) -> Self {
+        let as_taken = |p: &Photograph| Photograph { reduction: None, ..p.clone() };
+        Self { brackets: brackets.iter().map(|b| b.iter().map(as_taken).collect()).collect(), ..self.clone() }
+    }
 }
 
 #[cfg(test)]

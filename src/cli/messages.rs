@@ -1,6 +1,6 @@
 //! What the terminal shows of errors and warnings: options as they are typed, and what to try.
 
-use crate::{Error, RadianceWarning, SimulateWarning, Warning};
+use crate::{ConsistencyWarning, Error, RadianceWarning, SimulateWarning, Warning};
 
 /// An error in one line.
 pub(super) fn text(error: &Error) -> String {
@@ -57,6 +57,9 @@ pub(super) fn hint(error: &Error) -> Option<String> {
             "compare plan.toml with the photographs around the one that is named; remove doubled ones, shoot missing ones again"
         }
         Error::Contradiction { finding } => {
+            if matches!(**finding, Warning::Consistency(ConsistencyWarning::ExposureTimes { .. })) {
+                return Some("correct exposure_secs in capture.toml, or measure the times from the photographs: --exposure-from estimate".into());
+            }
             return finding.id().ok().map(|id| format!("to build all the same, --accept {id}"));
         }
         Error::WouldNotBuild { reason } => return hint(reason),

@@ -15,6 +15,7 @@ mod register;
 mod resolution;
 mod scene;
 mod sink;
+mod strangers;
 mod stray;
 
 use crate::capture::{Capture, ExposureFrom, Noise, Reduction};
@@ -198,9 +199,37 @@ fn measure_at(
     let capture = &capture.reduced(&by);
     let radiometry = radiometry::calibrate(capture, &noise.noise, options, progress)?;
     let photographs = Photographs::new(full, capture, &radiometry, working.factor);
-    let registered = register::register(&photographs, progress)?;
-    let references = references::references(&photographs, &registered, radiometry.flicker_sd, progress)?;
-    let scene = Scene::new(&photographs, &registered, &references);
+    // What the photographs say of the noise was said of the stated times.
+    let noise = if radiometry.corrected { noise::find(&full.timed(&radiometry.brackets))? } else { noise };
+    let stages = Before { noise: &noise, working, defects: &defects, radiometry: &radiometry, start };
+    let built = build_rows(&photographs, &stages, options, rows, progress);
+    let ((mut header, mut report), finding) = strangers::with_findings(&photographs, options, built)?;
+    header.warnings.extend(finding.clone());
+    report.warnings.extend(finding);
+    Ok((header, report))
+}
+
+/// What was found before the first shot was looked at as a picture.
+struct Before<'a> {
+    noise: &'a noise::FoundNoise,
+    working: Working,
+    defects: &'a [crate::radiance::HotPixel],
+    radiometry: &'a radiometry::Radiometry,
+    start: Instant,
+}
+
+/// Registration, references, and the lattice shots.
+fn build_rows(
+    photographs: &Photographs<'_>,
+    before: &Before<'_>,
+    options: &BuildOptions,
+    rows: &impl RowSink,
+    progress: &Progress,
+) -> Result<(MatrixHeader, BuildReport)> {
+    let radiometry = before.radiometry;
+    let registered = register::register(photographs, progress)?;
+    let references = references::references(photographs, &registered, radiometry.flicker_sd, progress)?;
+    let scene = Scene::new(photographs, &registered, &references);
     lattice::check_dots(&scene)?;
     let light = LightCorrections {
         stray: stray::measure(&scene, progress)?,
@@ -214,14 +243,14 @@ fn measure_at(
         false => crosstalk::separate(&scene, &mut shots, rows, progress)?,
     };
     let stages = Stages {
-        noise: &noise,
-        working,
-        defects: &defects,
-        radiometry: &radiometry,
+        noise: before.noise,
+        working: before.working,
+        defects: before.defects,
+        radiometry,
         registered: &registered,
         light: &light,
     };
-    let secs = BuildSecs { once: (prepared - start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
+    let secs = BuildSecs { once: (prepared - before.start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
     findings::summarize(&scene, &stages, &shots, crosstalk, secs)
 }
 

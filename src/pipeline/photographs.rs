@@ -3,9 +3,11 @@
 use super::radiometry::Radiometry;
 use crate::capture::{Camera, Capture, Pattern, Photograph, Rect, Reduction};
 use crate::geometry::{CameraView, Homography, Lens};
-use crate::radiance::{Bracket, Radiance, Sensor, decode_shot, merge_shot};
+use crate::radiance::{
+    Bracket, Brightness, Exposure, Radiance, Sensor, decode_shot, disagreements, merge_keeping, merge_shot,
+};
 use crate::{Error, Result};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Mutex;
 
@@ -14,12 +16,29 @@ pub(super) struct Photographs<'a> {
     pub(super) capture: &'a Capture,
     /// Photographs of each shot with their actual exposure times, shortest first.
     pub(super) brackets: &'a [Vec<Photograph>],
+    radiometry: &'a Radiometry,
     pub(super) sensor: Sensor,
     /// Board and frame are read finer.
     pub(super) fine: Fine<'a>,
     /// BLAKE3 of every file that was read.
     hashes: Mutex<BTreeMap<PathBuf, blake3::Hash>>,
+    /// Photographs that do not show what the others of their shot show, by shot and place in its bracket: left out from then on.
+    strangers: Mutex<BTreeMap<[usize; 2], Stranger>>,
 }
+
+/// A photograph that does not show what the others of its shot show.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Stranger {
+    /// The place of another one that may be the stranger as well; neither is left out then.
+    pub(super) or: Option<usize>,
+    /// Share of the samples with light that differ, 0 to 1.
+    pub(super) share: f64,
+    /// How many times as bright as the others it is, where it shows the same.
+    pub(super) factor: Option<f64>,
+}
+
+/// Pixels of a shot in which its photographs are compared.
+const COMPARED_PX: usize = 1 << 16;
 
 /// The resolution in which corners and discs are found: to some hundredths of its pixels, whatever these are.
 pub(super) struct Fine<'a> {
@@ -68,29 +87,102 @@ impl<'a> Photographs<'a> {
     /// `full` is the capture as it was taken, `capture` the same in the working resolution.
     pub(super) fn new(full: &'a Capture, capture: &'a Capture, radiometry: &'a Radiometry, working: usize) -> Self {
         let fine = Fine::new(full, radiometry, working);
-        Self { capture, brackets: &radiometry.brackets, sensor: radiometry.sensor(), fine, hashes: Mutex::default() }
+        Self {
+            capture,
+            brackets: &radiometry.brackets,
+            radiometry,
+            sensor: radiometry.sensor(),
+            fine,
+            hashes: Mutex::default(),
+            strangers: Mutex::default(),
+        }
     }
 
     /// The merged picture of a shot in the finer resolution.
     pub(super) fn merge_fine(&self, shot: usize) -> Result<Radiance> {
-        self.remember(shot)?;
         let fine = |p: &Photograph| {
             let reduction = p.reduction.clone().map(|by| Reduction { factor: self.fine.factor, ..by });
             Photograph { reduction, ..p.clone() }
         };
-        let bracket: Vec<Photograph> = self.brackets[shot].iter().map(fine).collect();
-        merge_shot(&bracket, self.fine.camera().size_px, &self.fine.sensor)
+        self.merge(shot, fine, self.fine.camera().size_px, &self.fine.sensor)
+    }
+
+    /// The merged picture of a shot.
+    pub(super) fn merge_whole(&self, shot: usize) -> Result<Radiance> {
+        self.merge(shot, Photograph::clone, self.capture.rig.camera.size_px, &self.sensor)
+    }
+
+    fn merge(
+        &self,
+        shot: usize,
+        read: impl Fn(&Photograph) -> Photograph,
+        size_px: [usize; 2],
+        sensor: &Sensor,
+    ) -> Result<Radiance> {
+        self.remember(shot)?;
+        loop {
+            let kept = self.kept(shot)?;
+            let bracket: Vec<Photograph> = kept.iter().map(|&k| read(&self.brackets[shot][k])).collect();
+            let (merged, rows) = merge_keeping(&bracket, size_px, sensor, COMPARED_PX)?;
+            if self.compare(shot, &kept, &[rows.exposures()], sensor)?.is_empty() {
+                return Ok(merged);
+            }
+        }
     }
 
     /// Decodes a shot and keeps the pixels of `rects`.
     pub(super) fn decode(&self, shot: usize, rects: &[Rect]) -> Result<Vec<Bracket>> {
         self.remember(shot)?;
-        decode_shot(&self.brackets[shot], rects, self.capture.rig.camera.size_px)
+        let kept = self.kept(shot)?;
+        let bracket: Vec<Photograph> = kept.iter().map(|&k| self.brackets[shot][k].clone()).collect();
+        let mut brackets = decode_shot(&bracket, rects, self.capture.rig.camera.size_px)?;
+        let parts: Vec<&[Exposure]> = brackets.iter().map(Bracket::exposures).collect();
+        for place in self.compare(shot, &kept, &parts, &self.sensor)?.into_iter().rev() {
+            brackets.iter_mut().for_each(|b| b.leave_out(place));
+        }
+        Ok(brackets)
     }
 
-    pub(super) fn merge_whole(&self, shot: usize) -> Result<Radiance> {
-        self.remember(shot)?;
-        merge_shot(&self.brackets[shot], self.capture.rig.camera.size_px, &self.sensor)
+    /// Places of a shot's bracket that are not left out.
+    fn kept(&self, shot: usize) -> Result<Vec<usize>> {
+        let strangers = self.strangers.lock().map_err(Error::internal)?;
+        let out = |k: usize| strangers.get(&[shot, k]).is_some_and(|s| s.or.is_none());
+        Ok((0..self.brackets[shot].len()).filter(|&k| !out(k)).collect())
+    }
+
+    /// Compares the photographs of a shot, those at the places `kept` of its bracket, in some rectangles; returns which of `kept` are to be left out.
+    fn compare(&self, shot: usize, kept: &[usize], parts: &[&[Exposure]], sensor: &Sensor) -> Result<BTreeSet<usize>> {
+        let samples: usize = parts.iter().filter_map(|p| p.first()).map(|e| e.samples.len()).sum();
+        let log_scale: Vec<f64> = kept.iter().map(|&k| self.radiometry.unapplied_log_scale(shot, k)).collect();
+        let brightness = Brightness { log_scale: &log_scale, tolerance: self.radiometry.brightness_tolerance() };
+        let found = disagreements(parts, sensor, samples.div_ceil(3 * COMPARED_PX), brightness);
+        if found.is_empty() {
+            return Ok(BTreeSet::new());
+        }
+        let mut strangers = self.strangers.lock().map_err(Error::internal)?;
+        for d in &found {
+            let stranger = Stranger { or: d.or.map(|k| kept[k]), share: d.share, factor: d.factor };
+            strangers.insert([shot, kept[d.photograph]], stranger);
+        }
+        Ok(found.into_iter().filter(|d| d.or.is_none()).map(|d| d.photograph).collect())
+    }
+
+    /// Photographs that do not show what the others of their shot show, by shot and place in its bracket.
+    pub(super) fn strangers(&self) -> Result<BTreeMap<[usize; 2], Stranger>> {
+        Ok(self.strangers.lock().map_err(Error::internal)?.clone())
+    }
+
+    /// The picture of one photograph of a shot, or of all others.
+    pub(super) fn merge_some(&self, shot: usize, of: impl Fn(usize) -> bool) -> Result<Radiance> {
+        let bracket: Vec<Photograph> =
+            self.brackets[shot].iter().enumerate().filter(|(k, _)| of(*k)).map(|(_, p)| p.clone()).collect();
+        merge_shot(&bracket, self.capture.rig.camera.size_px, &self.sensor)
+    }
+
+    /// A photograph of a shot as it was taken, and its size.
+    pub(super) fn as_taken(&self, shot: usize, place: usize) -> (Photograph, [usize; 2]) {
+        let photograph = Photograph { reduction: None, ..self.brackets[shot][place].clone() };
+        (photograph, self.fine.full.rig.camera.size_px)
     }
 
     /// Hashes the files of a shot that were not read before.

@@ -3,13 +3,14 @@
 use super::BuildOptions;
 use crate::capture::{
     Axis, Capture, ExposureFrom, Noise, Pattern, Photograph, ResponseCurve, Samples, Surface, compression_variance,
+    stated_encoding,
 };
 use crate::progress::Progress;
 use crate::radiance::{
-    Bracket, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, Sensor, Stack, decode_spread,
-    estimate_curve, evenly, fit_exposures, pick_pixels, stack_scales, take,
+    Bracket, Brightness, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, MOST_FLICKER, Sensor,
+    Stack, decode_spread, disagreements, estimate_curve, evenly, fit_exposures, pick_pixels, stack_scales, take,
 };
-use crate::{Error, RadianceWarning, Result};
+use crate::{ConsistencyWarning, Error, RadianceWarning, Result, Warning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -26,7 +27,11 @@ pub(super) struct Radiometry {
     pub brackets: Vec<Vec<Photograph>>,
     /// Standard deviation of a photograph's light about its setting's, when there is any beyond noise.
     pub flicker_sd: Option<f64>,
-    pub warnings: Vec<RadianceWarning>,
+    /// ln(actual / stated time) of each photograph as the stacks tell it, of what was not applied.
+    log_scales: Vec<Vec<f64>>,
+    /// Whether stated times were corrected by more than cameras round them.
+    pub corrected: bool,
+    pub warnings: Vec<Warning>,
     /// For the provenance.
     pub record: serde_json::Value,
 }
@@ -44,6 +49,16 @@ const TIME_TOLERANCE: f64 = 0.005;
 /// Compressed dark parts mislead by half a per cent and more: there by more than this.
 const COMPRESSED_TIME_TOLERANCE: f64 = 0.015;
 const TIME_SIGMA: f64 = 3.0;
+/// The brightness of a photograph that is off by more is a mistake, in files in proportion to light and in others. A shutter of a good camera
+/// repeats to a per cent; an unknown curve's error is of some.
+const LINEAR_TOLERANCE: f64 = 0.05;
+const CURVE_TOLERANCE: f64 = 0.15;
+/// The same in standard deviations of the flicker.
+const FLICKER_SIGMA: f64 = 6.0;
+/// A time that is off by more is none that a camera rounded (1/30 for 1/32 is 6 %): a matrix that rests on it would be wrong.
+const REFUSED_TIME: f64 = 0.15;
+/// A slope of ln(actual) over ln(nominal) that is off by more is a response curve: times that are wrong one by one have none.
+const REFUSED_SLOPE: f64 = 0.1;
 /// Compression scatters the scales of photographs by a tenth of a per cent: only more than this is flicker of the lamp.
 const LEAST_COMPRESSED_FLICKER: f64 = 0.002;
 /// How far nominal times are trusted while the curve is estimated (standard deviation of the logarithm): a rounded 1/30 for 1/32 is off by
@@ -59,6 +74,17 @@ impl Radiometry {
     /// What turns code values to light.
     pub(super) fn sensor(&self) -> Sensor {
         self.sensor_of(block_px(&self.brackets))
+    }
+
+    /// ln(actual / stated time) of a photograph as the stacks of the capture tell it, unless its time has been corrected by that.
+    pub(super) fn unapplied_log_scale(&self, shot: usize, place: usize) -> f64 {
+        self.log_scales[shot][place]
+    }
+
+    /// By how much the logarithm of a photograph's light may be off: by flicker, and by what the files do to light.
+    pub(super) fn brightness_tolerance(&self) -> f64 {
+        let files = if self.curve.is_some() || self.file.is_compressed() { CURVE_TOLERANCE } else { LINEAR_TOLERANCE };
+        files.max(FLICKER_SIGMA * self.flicker_sd.unwrap_or(0.0))
     }
 
     /// The same for photographs that are averaged over blocks of `factor` pixels a side.
@@ -106,19 +132,36 @@ pub(super) fn calibrate(
         sensor = Sensor::with_curve(noise, curve.clone(), file).averaged(factor);
         estimate = Some(found);
     }
-    let scales: Vec<_> =
-        stacks.par_iter().filter_map(|s| stack_scales(&[&s.exposures], &sensor, 1).map(|scales| (s, scales))).collect();
+    // A photograph of something else would tell nonsense of times.
+    let agreeing: Vec<&Stack> = stacks.iter().filter(|s| agrees(s, &sensor)).collect();
+    // A wrong curve makes most disagree.
+    let stacks: Vec<&Stack> = if 2 * agreeing.len() > stacks.len() { agreeing } else { stacks.iter().collect() };
+    let scales: Vec<_> = stacks
+        .par_iter()
+        .filter_map(|&s| stack_scales(&[&s.exposures], &sensor, 1).map(|scales| (s, scales)))
+        .collect();
     let mut fit = fit_exposures(&scales, settings.secs.len());
     fit.flicker_sd = fit.flicker_sd.filter(|sd| !file.is_compressed() || *sd > LEAST_COMPRESSED_FLICKER);
-    warnings.extend(judge(&fit, &settings, options, file));
+    warnings.extend(judge(&fit, &settings, options, file, capture)?);
     let mut brackets = capture.brackets.clone();
+    let mut corrected = false;
+    let mut log_scales: Vec<Vec<f64>> =
+        brackets.iter().map(|b| b.iter().map(|p| fit.log_scale[settings.index(p)]).collect()).collect();
     if options.exposure_from == ExposureFrom::Estimate {
         settings.apply(&fit, &mut brackets);
+        corrected = fit.log_scale.iter().any(|s| s.abs() > REFUSED_TIME);
+        log_scales.iter_mut().flatten().for_each(|s| *s = 0.0);
     }
     stage.advance(1);
     let record = record(&fit, &settings, file, estimate.as_ref(), options);
     let (noise, flicker_sd) = (noise.clone(), fit.flicker_sd);
-    Ok(Radiometry { noise, curve, file, brackets, flicker_sd, warnings, record })
+    Ok(Radiometry { noise, curve, file, brackets, flicker_sd, log_scales, corrected, warnings, record })
+}
+
+/// Whether the photographs of a stack show the same, whatever their brightness.
+fn agrees(stack: &Stack, sensor: &Sensor) -> bool {
+    let brightness = Brightness { log_scale: &vec![0.0; stack.exposures.len()], tolerance: f64::INFINITY };
+    disagreements(&[&stack.exposures], sensor, 1, brightness).is_empty()
 }
 
 /// Pixels of a shot that are looked at. Dots are lit in several rows: every one is met.
@@ -149,6 +192,12 @@ impl Settings {
 
     fn index(&self, photograph: &Photograph) -> usize {
         self.secs.partition_point(|s| s * SAME <= photograph.effective_secs).min(self.secs.len() - 1)
+    }
+
+    /// The first photograph of a setting.
+    fn first_file(&self, setting: usize, capture: &Capture) -> String {
+        let first = capture.brackets.iter().flatten().find(|p| self.index(p) == setting);
+        first.map_or_else(String::new, |p| capture.name_of(&p.path))
     }
 
     fn apply(&self, fit: &ExposureFit, brackets: &mut [Vec<Photograph>]) {
@@ -290,31 +339,79 @@ pub(super) fn save_curve(capture: &Capture, sensor: &Sensor) -> Option<RadianceW
     Some(RadianceWarning::CurveNotSaved { file: path.display().to_string(), reason: refused.to_string() })
 }
 
-fn judge(fit: &ExposureFit, settings: &Settings, options: &BuildOptions, file: FileNoise) -> Vec<RadianceWarning> {
+fn judge(
+    fit: &ExposureFit,
+    settings: &Settings,
+    options: &BuildOptions,
+    file: FileNoise,
+    capture: &Capture,
+) -> Result<Vec<Warning>> {
     let mut warnings = Vec::new();
+    if fit.failed {
+        warnings.push(ConsistencyWarning::ExposuresUnmeasured { settings: settings.secs.len() }.into());
+        return Ok(warnings);
+    }
+    let names: BTreeSet<usize> = fit.group.iter().copied().collect();
+    let of = |g: usize| (0..settings.secs.len()).filter(move |&s| fit.group[s] == g);
+    if let Some(slope) = names.iter().find_map(|&g| curve_slope(fit, settings, &of(g).collect::<Vec<_>>())) {
+        let encoding = capture.brackets.iter().flatten().next().and_then(|p| stated_encoding(&p.path));
+        warnings.push(options.refuse(ConsistencyWarning::ResponseCurve {
+            given: capture.rig.camera.response_curve.clone().into(),
+            slope,
+            encoding,
+        })?);
+        return Ok(warnings);
+    }
+    if let Some(relative_sd) = fit.flicker_sd.filter(|sd| *sd > 0.99 * MOST_FLICKER) {
+        warnings.push(options.refuse(ConsistencyWarning::BrightnessVaries { relative_sd })?);
+    }
     if options.exposure_from == ExposureFrom::Estimate {
-        let names: BTreeSet<usize> = fit.group.iter().copied().collect();
         if names.len() > 1 {
-            let of = |g: usize| (0..settings.secs.len()).filter(move |&s| fit.group[s] == g).map(|s| settings.secs[s]);
-            let groups = names.into_iter().map(|g| of(g).collect()).collect();
-            warnings.push(RadianceWarning::ExposuresUnlinked { groups });
+            let groups = names.into_iter().map(|g| of(g).map(|s| settings.secs[s]).collect()).collect();
+            warnings.push(RadianceWarning::ExposuresUnlinked { groups }.into());
         }
-        return warnings;
+        return Ok(warnings);
     }
     let tolerance = if file.is_compressed() { COMPRESSED_TIME_TOLERANCE } else { TIME_TOLERANCE };
     let significant = |s: &usize| {
         let (off, sd) = (fit.log_scale[*s].abs(), fit.variance[*s].sqrt());
         off > tolerance && off > TIME_SIGMA * sd
     };
-    let worst = (0..settings.secs.len())
-        .filter(significant)
-        .max_by(|&a, &b| fit.log_scale[a].abs().total_cmp(&fit.log_scale[b].abs()));
-    warnings.extend(worst.map(|s| RadianceWarning::ExposureRatios {
-        nominal_secs: settings.secs[s],
-        measured_secs: settings.secs[s] * fit.log_scale[s].exp(),
-        relative_sd: fit.variance[s].sqrt(),
-    }));
-    warnings
+    let off = |s: usize| fit.log_scale[s].abs();
+    let Some(worst) = (0..settings.secs.len()).filter(significant).max_by(|&a, &b| off(a).total_cmp(&off(b))) else {
+        return Ok(warnings);
+    };
+    let (nominal_secs, measured_secs) = (settings.secs[worst], settings.secs[worst] * fit.log_scale[worst].exp());
+    let relative_sd = fit.variance[worst].sqrt();
+    warnings.push(match off(worst) > REFUSED_TIME {
+        true => options.refuse(ConsistencyWarning::ExposureTimes {
+            file: settings.first_file(worst, capture),
+            nominal_secs,
+            measured_secs,
+            relative_sd,
+            settings: (0..settings.secs.len()).filter(|s| significant(s) && off(*s) > REFUSED_TIME).count(),
+        })?,
+        false => RadianceWarning::ExposureRatios { nominal_secs, measured_secs, relative_sd }.into(),
+    });
+    Ok(warnings)
+}
+
+/// The slope of ln(actual) over ln(nominal) of linked settings when it is not 1 and explains most of what they are off by: that of a response
+/// curve that was not taken into account.
+fn curve_slope(fit: &ExposureFit, settings: &Settings, of: &[usize]) -> Option<f64> {
+    if of.len() < 3 {
+        return None;
+    }
+    let n = of.len() as f64;
+    let x: Vec<f64> = of.iter().map(|&s| settings.secs[s].ln()).collect();
+    let y: Vec<f64> = of.iter().zip(&x).map(|(&s, x)| x + fit.log_scale[s]).collect();
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
+    let (mx, my) = (mean(&x), mean(&y));
+    let square: f64 = x.iter().map(|x| (x - mx).powi(2)).sum();
+    let slope = x.iter().zip(&y).map(|(x, y)| (x - mx) * (y - my)).sum::<f64>() / square;
+    // What 1 leaves, and what the slope leaves.
+    let left = |slope: f64| x.iter().zip(&y).map(|(x, y)| (y - my - slope * (x - mx)).powi(2)).sum::<f64>();
+    ((slope - 1.0).abs() > REFUSED_SLOPE && left(slope) < 0.1 * left(1.0)).then_some(slope)
 }
 
 fn record(

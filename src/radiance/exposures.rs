@@ -1,5 +1,6 @@
 //! How much light each photograph of a stack really took: the shutter's actual times, and a lamp that flickers.
 
+use super::agreement::median_ratio;
 use super::merge::BLOCK;
 use super::{Exposure, Sensor};
 use crate::capture::Samples;
@@ -28,9 +29,9 @@ const LEAST_SIGNAL_TO_NOISE: f32 = 4.0;
 /// Standard deviations that a predicted value keeps from saturation, and beyond which a residual is not noise.
 const MARGIN_SIGMA: f32 = 4.0;
 const OUTLIER_SIGMA: f32 = 5.0;
-/// Before scales are known a residual may be as large as an exposure that is two thirds of a stop off.
+/// While scales are known from medians only, a residual may be as large as one that is two thirds of a stop off.
 const LOOSE: f32 = 0.6;
-/// Prior standard deviation of ln(actual / stated): a stop. Only what is not measured at all is held by it.
+/// Prior standard deviation of ln(actual / stated) about what medians say: a stop. Only what is not measured at all is held by it.
 const PRIOR_SD: f64 = 0.7;
 const ITERATIONS: usize = 5;
 
@@ -62,12 +63,20 @@ pub fn stack_scales(parts: &[&[Exposure]], sensor: &Sensor, stride: usize) -> Op
     if n < 2 {
         return None;
     }
-    let mut log_scale = vec![0.0; n];
+    let log_scale = start(parts, sensor, stride);
+    // Wrong times may stand in the wrong order.
+    let mut order: Vec<usize> = (0..n).collect();
+    let actual = |j: usize| exposures[j].secs * log_scale[j].exp();
+    order.sort_by(|&a, &b| actual(a).total_cmp(&actual(b)));
+    let sorted: Vec<Vec<&Exposure>> = parts.iter().map(|part| order.iter().map(|&j| &part[j]).collect()).collect();
+    let mut log_scale: Vec<f64> = order.iter().map(|&j| log_scale[j]).collect();
+    let start = log_scale.clone();
     let mut information = vec![0.0; n * n];
     for round in 0..ITERATIONS {
-        let secs: Vec<f32> = exposures.iter().zip(&log_scale).map(|(e, s)| (e.secs * f64::exp(*s)) as f32).collect();
+        let secs: Vec<f32> =
+            order.iter().zip(&log_scale).map(|(&j, s)| (exposures[j].secs * f64::exp(*s)) as f32).collect();
         let mut sums = Sums::new(n);
-        parts.iter().for_each(|part| accumulate(part, &secs, sensor, stride, round < 2, &mut sums));
+        sorted.iter().for_each(|part| accumulate(part, &secs, sensor, stride, round < 2, &mut sums));
         if sums.freedom < 1.0 {
             return None;
         }
@@ -76,17 +85,36 @@ pub fn stack_scales(parts: &[&[Exposure]], sensor: &Sensor, stride: usize) -> Op
         information = sums.information.iter().map(|v| v / excess).collect();
         let mut system = information.clone();
         (0..n).for_each(|j| system[j * n + j] += PRIOR_SD.powi(-2));
-        let right = (0..n).map(|j| sums.score[j] / excess - log_scale[j] * PRIOR_SD.powi(-2)).collect();
+        let right = (0..n).map(|j| sums.score[j] / excess - (log_scale[j] - start[j]) * PRIOR_SD.powi(-2)).collect();
         let step = solve(system, right)?;
-        log_scale.iter_mut().zip(&step).for_each(|(s, d)| *s = (*s + d.clamp(-0.7, 0.7)).clamp(-3.0, 3.0));
+        log_scale.iter_mut().zip(&step).for_each(|(s, d)| *s += d.clamp(-0.7, 0.7));
         if step.iter().all(|d| d.abs() < 1e-6) && round >= 2 {
             break;
         }
     }
-    Some(StackScales { log_scale, information })
+    // Back in the order of the stated times.
+    let mut found = StackScales { log_scale: vec![0.0; n], information: vec![0.0; n * n] };
+    for (a, &j) in order.iter().enumerate() {
+        found.log_scale[j] = log_scale[a];
+        order.iter().enumerate().for_each(|(b, &i)| found.information[j * n + i] = information[a * n + b]);
+    }
+    Some(found)
 }
 
-fn accumulate(exposures: &[Exposure], secs: &[f32], sensor: &Sensor, stride: usize, loose: bool, sums: &mut Sums) {
+/// Log scales from the medians of the ratios of neighbours, however wrong the times are; 0 on average.
+fn start(parts: &[&[Exposure]], sensor: &Sensor, stride: usize) -> Vec<f64> {
+    let n = parts.first().map_or(0, |p| p.len());
+    let mut log_scale = vec![0.0; n];
+    for j in 1..n {
+        let both: Vec<[&Exposure; 2]> = parts.iter().map(|p| [&p[j - 1], &p[j]]).collect();
+        let ratio = median_ratio(&both, sensor, stride.max(1)).map_or(1.0, |r| r.median);
+        log_scale[j] = log_scale[j - 1] + f64::from(ratio).ln();
+    }
+    let mean = log_scale.iter().sum::<f64>() / n.max(1) as f64;
+    log_scale.iter().map(|s| s - mean).collect()
+}
+
+fn accumulate(exposures: &[&Exposure], secs: &[f32], sensor: &Sensor, stride: usize, loose: bool, sums: &mut Sums) {
     let n = exposures.len();
     let samples = exposures.iter().map(|e| e.samples.len()).min().unwrap_or(0);
     let mut linear = vec![[0.0f32; BLOCK]; n];
@@ -194,7 +222,7 @@ impl Here {
 /// What all stacks together say of the capture's exposure settings.
 #[derive(Debug, Clone)]
 pub struct ExposureFit {
-    /// ln(actual / nominal) of each setting; 0 on average over each group that stacks link.
+    /// ln(actual / nominal) of each setting; its median over each group that stacks link is 0.
     pub log_scale: Vec<f64>,
     /// Variance of that.
     pub variance: Vec<f64>,
@@ -203,7 +231,12 @@ pub struct ExposureFit {
     /// Standard deviation of a photograph's light about its setting's: flicker of the lamp, or a shutter that varies. `None` when the
     /// stacks show none beyond their noise.
     pub flicker_sd: Option<f64>,
+    /// The stacks could not be solved for the scales: nothing is known of them.
+    pub failed: bool,
 }
+
+/// The largest flicker that is looked for, relative: what seems to flicker more is something else.
+pub const MOST_FLICKER: f64 = 0.1;
 
 /// How much likelier (natural logarithm) flicker must make the stacks before it is believed.
 const FLICKER_EVIDENCE: f64 = 3.0;
@@ -211,7 +244,7 @@ const FLICKER_EVIDENCE: f64 = 3.0;
 /// Generalized least squares over stacks: one log scale a setting, each photograph with a random deviation of its own whose variance is
 /// found by maximum likelihood.
 ///
-/// Anchored so that within each linked group the mean of the log scales is 0: nominal times are taken as right on average, and a group
+/// Anchored so that within each linked group the median of the log scales is 0: most nominal times are taken as right, and a group
 /// that no stack links to another keeps its own nominal scale.
 pub fn fit_exposures(stacks: &[(&Stack, StackScales)], settings: usize) -> ExposureFit {
     let stacks: Vec<Contrast> = stacks.iter().filter_map(|(s, scales)| Contrast::new(s, scales)).collect();
@@ -223,8 +256,17 @@ pub fn fit_exposures(stacks: &[(&Stack, StackScales)], settings: usize) -> Expos
         .max_by(|a, b| a.1.log_likelihood.total_cmp(&b.1.log_likelihood));
     let believed = best.filter(|(_, fit)| fit.log_likelihood > none.log_likelihood + FLICKER_EVIDENCE);
     let flicker_sd = believed.as_ref().map(|(sd, _)| *sd);
-    let fit = believed.map_or(none, |(_, fit)| fit);
-    ExposureFit { log_scale: fit.log_scale, variance: fit.variance, group, flicker_sd }
+    let mut fit = believed.map_or(none, |(_, fit)| fit);
+    for g in 0..settings {
+        let members: Vec<usize> = (0..settings).filter(|&k| group[k] == g).collect();
+        let mut scales: Vec<f64> = members.iter().map(|&k| fit.log_scale[k]).collect();
+        scales.sort_by(f64::total_cmp);
+        let Some(last) = scales.len().checked_sub(1) else { continue };
+        let middle = 0.5 * (scales[last / 2] + scales[last.div_ceil(2)]);
+        members.iter().for_each(|&k| fit.log_scale[k] -= middle);
+    }
+    let failed = fit.log_likelihood == f64::MIN;
+    ExposureFit { log_scale: fit.log_scale, variance: fit.variance, group, flicker_sd, failed }
 }
 
 /// A stack reduced to the photographs that it measures.

@@ -14,6 +14,7 @@ pub struct Sensor {
     read: f32,
     /// Variance that a linear response curve adds in files of whole code values, DN²: rounding and compression.
     coding: f32,
+    compressed: bool,
     /// When the curve is not linear.
     encoding: Option<Encoding>,
 }
@@ -71,6 +72,7 @@ impl Sensor {
             gain: noise.gain_dn_per_electron as f32,
             read: (read * read) as f32,
             coding: coding as f32,
+            compressed: file.is_compressed(),
             encoding: curve.map(|curve| Encoding::new(curve, file)),
         }
     }
@@ -145,6 +147,11 @@ impl Sensor {
     /// Variance of a linear value of mean `linear` above black, DN².
     pub(super) fn variance(&self, linear: f32, channel: usize) -> f32 {
         self.gain * linear.max(0.0) + self.read + self.coding + self.rounding(linear, channel)
+    }
+
+    /// Whether lossy compression adds to the noise.
+    pub(super) fn is_compressed(&self) -> bool {
+        self.compressed
     }
 
     /// Whether code values are a curve of light.

@@ -29,6 +29,11 @@ impl Bracket {
         merged
     }
 
+    /// Leaves out an exposure, which must be one of several.
+    pub fn leave_out(&mut self, exposure: usize) {
+        self.exposures.remove(exposure);
+    }
+
     /// Where in its pixel each channel was measured.
     pub fn sampling(&self) -> Sampling {
         self.sampling
@@ -101,6 +106,19 @@ const MERGED_ROWS: usize = 16;
 /// # Errors
 /// Those of [`Photograph::decode_parts`].
 pub fn merge_shot(photographs: &[Photograph], size_px: [usize; 2], sensor: &Sensor) -> Result<Radiance> {
+    merge_keeping(photographs, size_px, sensor, 0).map(|(merged, _)| merged)
+}
+
+/// The same, and beside it rows of all photographs that are spread over the shot, `most_px` pixels or fewer, as [`decode_spread`] has them.
+///
+/// # Errors
+/// Those of [`Photograph::decode_parts`].
+pub fn merge_keeping(
+    photographs: &[Photograph],
+    size_px: [usize; 2],
+    sensor: &Sensor,
+    most_px: usize,
+) -> Result<(Radiance, Bracket)> {
     let [width, height] = size_px;
     let n = 3 * width * height;
     let mut merged = Radiance {
@@ -112,13 +130,19 @@ pub fn merge_shot(photographs: &[Photograph], size_px: [usize; 2], sensor: &Sens
     let mut open = photographs.iter().map(Photograph::open).collect::<Result<Vec<_>>>()?;
     open.iter().try_for_each(|rows| rows.check_size(size_px))?;
     let secs = photographs.iter().map(|p| p.effective_secs);
-    let exposures = secs.map(|secs| Exposure { samples: Samples::U8(vec![]), secs }).collect();
+    let exposures: Vec<_> = secs.map(|secs| Exposure { samples: Samples::U8(vec![]), secs }).collect();
     let sampling = open.first().map_or(Sampling::WHOLE, PhotographRows::sampling);
     let mut band = Bracket { rect: merged.rect, exposures, sampling };
+    let step = (width * height).div_ceil(most_px.max(1)).max(1);
+    let rect = Rect { height: if most_px == 0 { 0 } else { height / step }, ..merged.rect };
+    let mut kept = Bracket { rect, ..band.clone() };
     for y in (0..height).step_by(MERGED_ROWS) {
         band.rect = Rect { x: 0, y, width, height: MERGED_ROWS.min(height - y) };
-        for (rows, exposure) in open.iter_mut().zip(&mut band.exposures) {
+        for ((rows, exposure), kept) in open.iter_mut().zip(&mut band.exposures).zip(&mut kept.exposures) {
             rows.read(band.rect.height, &mut exposure.samples)?;
+            for row in (y..y + band.rect.height).filter(|row| row % step == step / 2 && row / step < rect.height) {
+                kept.samples.extend(&exposure.samples, 3 * width * (row - y)..3 * width * (row - y + 1));
+            }
         }
         let part = band.merge(band.rect, sensor);
         merged.value.extend(part.value);
@@ -126,7 +150,7 @@ pub fn merge_shot(photographs: &[Photograph], size_px: [usize; 2], sensor: &Sens
         merged.used.extend(part.used);
     }
     open.iter_mut().try_for_each(PhotographRows::finish)?;
-    Ok(merged)
+    Ok((merged, kept))
 }
 
 #[cfg(test)]
@@ -231,6 +255,19 @@ mod tests {
         let whole = Rect { x: 0, y: 0, width: size[0], height: size[1] };
         let expected = decode_shot(&photographs, &[whole], size).unwrap()[0].merge(whole, &sensor());
         assert_eq!(merge_shot(&photographs, size, &sensor()).unwrap(), expected);
+    }
+
+    #[test]
+    fn rows_that_are_kept_while_merging_are_those_that_are_spread_over_the_shot() {
+        let dir = tempfile::tempdir().unwrap();
+        let photographs = [photograph(dir.path(), "a.png", [5, 41], 2), photograph(dir.path(), "b.png", [5, 41], 4)];
+        let (merged, kept) = merge_keeping(&photographs, [5, 41], &sensor(), 60).unwrap();
+        assert_eq!(merged, merge_shot(&photographs, [5, 41], &sensor()).unwrap());
+        let expected = decode_spread(&photographs, [5, 41], 60).unwrap();
+        assert_eq!(kept.rect(), expected.rect());
+        for (k, e) in kept.exposures().iter().zip(expected.exposures()) {
+            assert_eq!((&k.samples, k.secs), (&e.samples, e.secs));
+        }
     }
 
     #[test]

@@ -21,21 +21,91 @@ pub enum ConsistencyWarning {
         share: f64,
         /// How many photographs of the capture do.
         photographs: usize,
+        /// Another photograph that may be the wrong one as well: nothing tells which.
+        or: Option<String>,
+    },
+    /// Exposure times by which the photographs of the stacks do not fit together, by more than a camera rounds times.
+    ExposureTimes {
+        /// The first photograph of the time that is farthest off.
+        file: String,
+        /// The stated time that is farthest off, s.
+        nominal_secs: f64,
+        /// What the photographs say it was, most other times taken as right, s.
+        measured_secs: f64,
+        /// Relative standard deviation of that.
+        relative_sd: f64,
+        /// How many different times are off.
+        settings: usize,
+    },
+    /// The stacks tell nothing of the exposure times, as they contradict each other.
+    ExposuresUnmeasured {
+        /// How many different times there are.
+        settings: usize,
+    },
+    /// Photographs with the same exposure time differ in brightness from shot to shot by more than a lamp flickers.
+    BrightnessVaries {
+        /// Relative standard deviation that explains them best, of those that were tried.
+        relative_sd: f64,
+    },
+    /// Code values are not related to light as the rig says.
+    ResponseCurve {
+        /// `camera.response` of the rig.
+        given: String,
+        /// Doublings of what the files say when the exposure doubles, the rig's curve taken out; 1 is right.
+        slope: f64,
+        /// What the files themselves say of their code values.
+        encoding: Option<String>,
     },
 }
 
 impl fmt::Display for ConsistencyWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::PhotographDisagrees { file, shot, looks, share, photographs } => {
-                write!(
-                    f,
-                    "{file} does not show what the other exposures of shot \"{shot}\" show ({:.0} % of the lit pixels differ by more than noise): {looks}",
-                    100.0 * share
-                )?;
+            Self::PhotographDisagrees { file, shot, looks, share, photographs, or } => {
+                match or {
+                    None => write!(f, "{file} does not show what the other exposures of shot \"{shot}\" show")?,
+                    Some(or) => write!(f, "{file} and {or} of shot \"{shot}\" do not show the same")?,
+                }
+                if *share > 0.0 {
+                    write!(f, " ({:.0} % of the lit samples differ by more than noise)", 100.0 * share)?;
+                }
+                write!(f, ": {looks}")?;
                 match photographs {
                     1 => Ok(()),
                     n => write!(f, "; so do {}", count(n - 1, "other photograph")),
+                }
+            }
+            Self::ExposureTimes { file, nominal_secs, measured_secs, relative_sd, settings } => {
+                write!(
+                    f,
+                    "the exposure time of {nominal_secs:.6} s ({file}) is {measured_secs:.6} s ({:+.1} % ± {:.1} %) by what the photographs of the stacks show",
+                    100.0 * (measured_secs / nominal_secs - 1.0),
+                    100.0 * relative_sd
+                )?;
+                match settings {
+                    1 => Ok(()),
+                    n => write!(f, "; {} off by more than 15 %", count(*n, "time")),
+                }
+            }
+            Self::ExposuresUnmeasured { settings } => write!(
+                f,
+                "the stacks contradict each other: their photographs do not tell the {}",
+                count(*settings, "exposure time")
+            ),
+            Self::BrightnessVaries { relative_sd } => write!(
+                f,
+                "photographs with the same exposure time differ in brightness from shot to shot by {:.0} % or more: no lamp flickers so much; times, lamp or patterns change",
+                100.0 * relative_sd
+            ),
+            Self::ResponseCurve { given, slope, encoding } => {
+                write!(
+                    f,
+                    "camera.response is {given}, but twice the exposure gives {:.2} times the signal, at all times alike: the files have another response curve",
+                    slope.exp2()
+                )?;
+                match encoding {
+                    Some(encoding) => write!(f, " (they say themselves: {encoding})"),
+                    None => Ok(()),
                 }
             }
         }

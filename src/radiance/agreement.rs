@@ -1,0 +1,221 @@
+//! Whether the photographs of one shot show the same light.
+
+use super::merge::BLOCK;
+use super::{Exposure, Sensor};
+
+/// A photograph of a stack that does not show what the others show.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Disagreement {
+    /// Which of the exposures.
+    pub photograph: usize,
+    /// Another one that may be the wrong one as well: with two photographs neither is told from the other.
+    pub or: Option<usize>,
+    /// Share of the samples with light that differ, of all pairs with that photograph, 0 to 1.
+    pub share: f64,
+    /// How many times as bright as the others say it is, when it shows the same and is brighter or darker alike all over.
+    pub factor: Option<f64>,
+}
+
+/// What is expected of the brightness of a stack's photographs.
+#[derive(Debug, Clone, Copy)]
+pub struct Brightness<'a> {
+    /// ln(actual / stated) of each exposure time, with any constant in common.
+    pub log_scale: &'a [f64],
+    /// By how much a photograph's logarithm may be off: flicker, a shutter that varies.
+    pub tolerance: f64,
+}
+
+/// Light that is this many standard deviations of its noise above none is told from none, and a difference of as many is no noise: one sample
+/// in 10⁹.
+const SIGMA: f32 = 6.0;
+/// Relative difference that is put down to what noise does not hold: photosites, the response curve, a lens that breathes.
+const TOLERANCE: f32 = 0.08;
+/// Lossy compression moves the light of a sharp edge about by its own rules.
+const COMPRESSED_TOLERANCE: f32 = 0.25;
+/// Share of differing samples that is a contradiction. Untouched stacks of the simulated benches have a thousandth at the most
+/// (`tests/tampered`), a photograph of another pattern has half or more.
+const LEAST_SHARE: f64 = 0.02;
+/// The same as a number of samples: fewer are a defect of the sensor or a cosmic ray.
+const LEAST_SAMPLES: u64 = 30;
+/// Ratios of two exposures from which the median is taken, at the most.
+const RATIOS: usize = 4096;
+
+/// Two photographs of a stack against each other.
+#[derive(Debug, Clone, Default)]
+struct Pair {
+    /// Samples in which one of the two has light that the other had to show.
+    lit: u64,
+    differ: u64,
+    /// ln of how much more light than expected the second has per time than the first, when that is more than tolerated.
+    log_factor: Option<f64>,
+}
+
+impl Pair {
+    fn share(&self) -> f64 {
+        self.differ as f64 / self.lit.max(1) as f64
+    }
+
+    fn disagrees(&self) -> bool {
+        self.differs() || self.log_factor.is_some()
+    }
+
+    fn differs(&self) -> bool {
+        self.differ >= LEAST_SAMPLES && self.share() > LEAST_SHARE
+    }
+}
+
+/// The photographs of a stack that do not show what the others show, worst first.
+///
+/// Each two are compared sample by sample, one time corrected against the other by the median of their ratios: what is unsaturated and
+/// above noise in one has to be in the other within its noise and 8 % (25 % where files are compressed); what saturates in one bounds the other. `parts` are rectangles of one shot,
+/// the same photographs in each, sorted by time; `stride` leaves out all but every so many blocks of pixels.
+///
+/// Of three photographs or more the one is named without which the others agree.
+///
+/// Not detected: movements of less than about a tenth
+/// of the width of what is seen; differences below noise or of few samples.
+pub fn disagreements(
+    parts: &[&[Exposure]],
+    sensor: &Sensor,
+    stride: usize,
+    brightness: Brightness<'_>,
+) -> Vec<Disagreement> {
+    let n = parts.first().map_or(0, |p| p.len());
+    let mut pairs = vec![Pair::default(); n * n];
+    for a in 0..n {
+        for b in a + 1..n {
+            let both: Vec<[&Exposure; 2]> = parts.iter().map(|p| [&p[a], &p[b]]).collect();
+            let ratio = median_ratio(&both, sensor, stride.max(1));
+            let pair = &mut pairs[a * n + b];
+            *pair = compare(&both, sensor, stride.max(1), ratio.map_or(1.0, |r| r.median));
+            pair.log_factor = ratio.and_then(|r| {
+                let off = f64::from(r.median).ln() - (brightness.log_scale[b] - brightness.log_scale[a]);
+                (off.abs() > brightness.tolerance + r.five_sd()).then_some(off)
+            });
+        }
+    }
+    let pair = |a: usize, b: usize| &pairs[a.min(b) * n + a.max(b)];
+    let mut left: Vec<usize> = (0..n).collect();
+    let mut found = Vec::new();
+    loop {
+        let bad = |j: usize| left.iter().filter(|&&i| i != j && pair(i, j).disagrees()).count();
+        let weight = |j: usize| left.iter().filter(|&&i| i != j).map(|&i| pair(i, j).share()).sum::<f64>();
+        let Some(&worst) = left.iter().max_by(|&&a, &&b| {
+            (bad(a), weight(a)).partial_cmp(&(bad(b), weight(b))).unwrap_or(std::cmp::Ordering::Equal)
+        }) else {
+            return found;
+        };
+        if bad(worst) == 0 {
+            return found;
+        }
+        // Whose removal explains as much as that of the worst.
+        let or = left.iter().copied().find(|&j| j != worst && bad(j) == bad(worst) && pair(j, worst).disagrees());
+        let others: Vec<usize> = left.iter().copied().filter(|&j| j != worst && pair(j, worst).disagrees()).collect();
+        let share = others.iter().map(|&j| pair(j, worst).share()).sum::<f64>() / others.len() as f64;
+        let same = others.iter().all(|&j| !pair(j, worst).differs());
+        let factor = |j: &usize| pair(*j, worst).log_factor.map(|f| if *j < worst { f } else { -f });
+        let factors: Option<Vec<f64>> = others.iter().map(factor).collect();
+        let factor = factors.filter(|_| same).map(|f| (f.iter().sum::<f64>() / f.len() as f64).exp());
+        found.push(Disagreement { photograph: worst, or, share, factor });
+        left.retain(|&j| j != worst);
+    }
+}
+
+/// The linear value from which on nothing is compared: of a curve's upper end compression leaves little.
+fn top(sensor: &Sensor) -> f32 {
+    if sensor.is_curved() { 0.9 * sensor.range() } else { sensor.range() }
+}
+
+/// The shorter exposure first.
+fn compare(parts: &[[&Exposure; 2]], sensor: &Sensor, stride: usize, ratio: f32) -> Pair {
+    let compressed = sensor.is_compressed();
+    let tolerance = if compressed { COMPRESSED_TOLERANCE } else { TOLERANCE };
+    let top = top(sensor);
+    let mut sums = Pair::default();
+    each(parts, sensor, stride, |c, [y, z], [t, u]| {
+        let u = u * ratio;
+        let sd = |linear: f32| sensor.variance(linear, c).sqrt();
+        let mut bounded = |seen: f32, scale: f32| {
+            let least = top * scale.min(1.0);
+            if least > 2.0 * SIGMA * sd(least) {
+                sums.lit += 1;
+                sums.differ += u64::from(seen < least * (1.0 - 2.0 * tolerance) - SIGMA * sd(least));
+            }
+        };
+        match [y.is_finite(), z.is_finite()] {
+            [true, true] => {
+                // What the longer one says of the shorter.
+                let (scale, light) = (t / u, ((y + z) / (t + u)).max(0.0));
+                let noise = |y: f32, z: f32| sd(y).hypot(sd(z) * scale);
+                let most = y.max(z * scale);
+                if most > SIGMA * noise(0.0, 0.0) && light * u < top {
+                    sums.lit += 1;
+                    let off = (y - z * scale).abs();
+                    sums.differ += u64::from(off > SIGMA * noise(light * t, light * u) + tolerance * most);
+                }
+            }
+            // The one that saturates says how much the other has at least: all, where its time is the longer one.
+            [true, false] if z == f32::INFINITY => bounded(y, t / u),
+            [false, true] if y == f32::INFINITY => bounded(z, u / t),
+            _ => {}
+        }
+    });
+    sums
+}
+
+/// How much more light the second of two photographs has per stated time than the first.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Ratio {
+    pub median: f32,
+    samples: usize,
+}
+
+impl Ratio {
+    /// Five standard deviations of the median's logarithm, of samples whose noise is a sixth each at the most.
+    fn five_sd(&self) -> f64 {
+        5.0 * 1.25 * 2f64.sqrt() / f64::from(SIGMA) / (self.samples as f64).sqrt()
+    }
+}
+
+/// The median of the ratios of two photographs; `None` where too little is lit in both.
+pub(super) fn median_ratio(parts: &[[&Exposure; 2]], sensor: &Sensor, stride: usize) -> Option<Ratio> {
+    let top = top(sensor);
+    let mut ratios = Vec::new();
+    each(parts, sensor, stride, |c, [y, z], [t, u]| {
+        let light = (y + z) / (t + u);
+        let sd = |linear: f32| sensor.variance(linear, c).sqrt();
+        // Chosen by the light of both, on which a chance high of one hardly acts.
+        if light * t > SIGMA * sd(light * t)
+            && y > 0.0
+            && z > 0.0
+            && z < 0.9 * top
+            && y < 0.9 * top
+            && ratios.len() < RATIOS
+        {
+            ratios.push((z / u) / (y / t));
+        }
+    });
+    if ratios.len() < LEAST_SAMPLES as usize {
+        return None;
+    }
+    let middle = ratios.len() / 2;
+    let median = *ratios.select_nth_unstable_by(middle, f32::total_cmp).1;
+    Some(Ratio { median, samples: ratios.len() })
+}
+
+/// Calls `look` with channel, linear values and times of each sample.
+fn each(parts: &[[&Exposure; 2]], sensor: &Sensor, stride: usize, mut look: impl FnMut(usize, [f32; 2], [f32; 2])) {
+    let mut linear = [[0.0f32; BLOCK]; 2];
+    for part in parts {
+        let secs = part.map(|e| e.secs as f32);
+        let samples = part[0].samples.len().min(part[1].samples.len());
+        for first in (0..samples).step_by(BLOCK * stride) {
+            let len = BLOCK.min(samples - first);
+            for (y, e) in linear.iter_mut().zip(part) {
+                sensor.linearize(&e.samples, first, &mut y[..len]);
+            }
+            let [y, z] = &linear;
+            (0..len).for_each(|k| look(k % 3, [y[k], z[k]], secs));
+        }
+    }
+}
