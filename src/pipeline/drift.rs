@@ -96,13 +96,7 @@ fn drift_source(scene: &Scene<'_>) -> Result<DriftSource> {
     if !references.is_empty() {
         return Ok(DriftSource::Frame(references));
     }
-    let grid = &scene.capture.manifest.grid;
-    let middle = grid.dot_projector_px([grid.points[0] / 2, grid.points[1] / 2]);
-    let a = scene.registration.slab_from_projector.jacobian(middle);
-    let b = scene.registration.view.jacobian(scene.registration.slab_from_projector.map(middle));
-    let camera_from_projector = std::array::from_fn(|i| std::array::from_fn(|k| b[i][0] * a[0][k] + b[i][1] * a[1][k]));
-    let shape = DotShape::new(camera_from_projector, grid.dot_projector_px as f64)
-        .ok_or_else(|| Error::internal("dots have no shape in a registration that was accepted"))?;
+    let shape = dot_shape(scene)?;
     let dots = SampleDots { shape, dot_radius_px: scene.dot_radius_px() };
     let Some(eye_mm) = scene.registration.view.eye_mm() else { return Ok(DriftSource::Sample(dots, None)) };
     let mut pilots: Vec<usize> = scene.lattice().into_iter().filter(|&s| scene.dots(s).len() >= 2).collect();
@@ -122,6 +116,20 @@ fn drift_source(scene: &Scene<'_>) -> Result<DriftSource> {
     };
     let seen: Vec<Vec<Located>> = pilots.par_iter().map(seen).collect::<Result<_>>()?;
     Ok(DriftSource::Sample(dots, Some(Parallax::learn(&seen, eye_mm, scene.px_per_mm))))
+}
+
+/// The footprint of the capture's dots.
+///
+/// # Errors
+/// [`Error::Internal`] for a registration that maps dots to nothing.
+pub(super) fn dot_shape(scene: &Scene<'_>) -> Result<DotShape> {
+    let grid = &scene.capture.manifest.grid;
+    let middle = grid.dot_projector_px([grid.points[0] / 2, grid.points[1] / 2]);
+    let a = scene.registration.slab_from_projector.jacobian(middle);
+    let b = scene.registration.view.jacobian(scene.registration.slab_from_projector.map(middle));
+    let camera_from_projector = std::array::from_fn(|i| std::array::from_fn(|k| b[i][0] * a[0][k] + b[i][1] * a[1][k]));
+    DotShape::new(camera_from_projector, grid.dot_projector_px as f64)
+        .ok_or_else(|| Error::internal("dots have no shape in a registration that was accepted"))
 }
 
 /// How far dots of a shot are searched, px: further than half the way to the next, one would be taken for the other.

@@ -1,5 +1,6 @@
 //! The lattice shots: drift, windows, rows.
 
+use super::dots_seen::{DotSearch, DotSeen};
 use super::drift::Movements;
 use super::flicker::Flicker;
 use super::scene::{STILL, Scene, grown, overlap};
@@ -21,6 +22,8 @@ pub(super) struct ShotResult {
     pub(super) camera: Option<CameraMotion>,
     /// Relative variance that flicker leaves in each row.
     pub(super) flicker_variance: f64,
+    /// Where each of its dots was seen.
+    pub(super) seen: Vec<DotSeen>,
 }
 
 /// One dot of a shot, measured.
@@ -72,6 +75,7 @@ pub(super) fn extract(
     scene: &Scene<'_>,
     light: &LightCorrections,
     movements: &Movements,
+    search: &DotSearch,
     rows: &impl RowSink,
     progress: &Progress,
 ) -> Result<Vec<ShotResult>> {
@@ -82,7 +86,7 @@ pub(super) fn extract(
         .into_par_iter()
         .with_max_len(1)
         .map(|shot| {
-            let result = extract_shot(scene, light, shot, movements, rows)?;
+            let result = extract_shot(scene, light, shot, movements, search, rows)?;
             stage.advance(scene.photographs.brackets[shot].len());
             Ok(result)
         })
@@ -94,6 +98,7 @@ fn extract_shot(
     light: &LightCorrections,
     shot: usize,
     movements: &Movements,
+    search: &DotSearch,
     rows: &impl RowSink,
 ) -> Result<ShotResult> {
     let manifest = &scene.capture.manifest;
@@ -116,8 +121,9 @@ fn extract_shot(
     let flicker_variance = light.flicker.as_ref().map_or(0.0, |f| f.steady(scene, &mut references_seen, &mut windows));
     let drift = movements.drift(scene, shot, registration, &references_seen, &windows)?;
     let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
+    let seen = search.look(scene, shot, registration, drift, &windows);
 
-    let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance };
+    let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance, seen };
     // What all samples of a row have in common: the lamp, and the response curve's own error.
     let common_variance = flicker_variance + scene.photographs.sensor.curve().map_or(0.0, Curve::relative_variance);
     let mut weights = cell_weights(scene, windows.first().map_or(Sampling::WHOLE, Bracket::sampling));

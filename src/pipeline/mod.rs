@@ -2,10 +2,12 @@
 
 mod crosstalk;
 mod defects;
+mod dots_seen;
 mod drift;
 mod findings;
 mod flicker;
 mod lattice;
+mod looks;
 mod memory;
 mod noise;
 mod photographs;
@@ -237,7 +239,8 @@ fn build_rows(
     };
     let movements = Movements::prepare(&scene)?;
     let prepared = Instant::now();
-    let mut shots = lattice::extract(&scene, &light, &movements, rows, progress)?;
+    let mut shots = lattice::extract(&scene, &light, &movements, &dots_seen::DotSearch::new(&scene)?, rows, progress)?;
+    let seen = dots_seen::judge(&scene, &shots, options)?;
     let crosstalk = match options.keep_crosstalk {
         true => None,
         false => crosstalk::separate(&scene, &mut shots, rows, progress)?,
@@ -251,7 +254,10 @@ fn build_rows(
         light: &light,
     };
     let secs = BuildSecs { once: (prepared - before.start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
-    findings::summarize(&scene, &stages, &shots, crosstalk, secs)
+    let (mut header, mut report) = findings::summarize(&scene, &stages, &shots, crosstalk, secs)?;
+    header.warnings.extend(seen.iter().cloned());
+    report.warnings.extend(seen);
+    Ok((header, report))
 }
 
 #[cfg(test)]

@@ -67,7 +67,7 @@ pub(super) fn robust_mean(mut values: Vec<f64>) -> (f64, f64) {
     (kept.iter().sum::<f64>() / kept.len() as f64, scale)
 }
 
-pub(super) fn median(values: &mut [f64]) -> f64 {
+pub(crate) fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     let n = values.len();
     (values[(n - 1) / 2] + values[n / 2]) / 2.0

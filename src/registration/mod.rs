@@ -20,6 +20,7 @@ mod sharpness;
 pub use board::find_board;
 pub use camera_motion::{CameraMotion, RimPlace, RimSegment, camera_motion, locate_rim, rim_segments};
 pub use dot_fit::{DotShape, FoundDot};
+pub(crate) use drift::median;
 pub use drift::{Drift, measure_drift};
 pub use fit::{Observation, ViewFit, fit_homography, fit_view};
 pub use frame_marks::{FoundMark, FrameFit, marks_moved, register_frame};

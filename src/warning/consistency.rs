@@ -47,6 +47,26 @@ pub enum ConsistencyWarning {
         /// Relative standard deviation that explains them best, of those that were tried.
         relative_sd: f64,
     },
+    /// A lattice shot whose dots are not where its pattern puts them.
+    OtherPattern {
+        /// The first such shot.
+        shot: String,
+        /// What it looks like.
+        looks: String,
+        /// How many shots are so.
+        shots: usize,
+        /// Of how many.
+        of: usize,
+    },
+    /// All dots of the sample are off alike from where grid, reference dots and Gray code put them together.
+    DotsOffset {
+        /// The field of `capture.toml` that disagrees with the Gray code at the first shot.
+        field: String,
+        /// By how much, projector px.
+        offset_projector_px: [f64; 2],
+        /// Standard deviation per axis.
+        sd_projector_px: f64,
+    },
     /// Code values are not related to light as the rig says.
     ResponseCurve {
         /// `camera.response` of the rig.
@@ -96,6 +116,17 @@ impl fmt::Display for ConsistencyWarning {
                 f,
                 "photographs with the same exposure time differ in brightness from shot to shot by {:.0} % or more: no lamp flickers so much; times, lamp or patterns change",
                 100.0 * relative_sd
+            ),
+            Self::OtherPattern { shot, looks, shots, of } => {
+                write!(f, "the dots of shot \"{shot}\" are not where its pattern puts them: {looks}")?;
+                match shots {
+                    1 => Ok(()),
+                    n => write!(f, "; {n} of {of} lattice shots are out of step with the patterns"),
+                }
+            }
+            Self::DotsOffset { field, offset_projector_px: [x, y], sd_projector_px } => write!(
+                f,
+                "all dots are {x:+.2}, {y:+.2} projector px (± {sd_projector_px:.2}) from where [grid], [reference_dots] and Gray code put them together; the one that disagrees is {field}"
             ),
             Self::ResponseCurve { given, slope, encoding } => {
                 write!(

@@ -1,0 +1,286 @@
+//! Whether the dots of every lattice shot are where its pattern puts them: the sample's own dots against the reference dots and the Gray code.
+
+use super::BuildOptions;
+use super::drift::dot_shape;
+use super::lattice::ShotResult;
+use super::looks::looks;
+use super::scene::{STILL, Scene, overlap, square};
+use crate::geometry::Point;
+use crate::radiance::{Bracket, Radiance};
+use crate::registration::{Drift, Registration, SampleDots, median};
+use crate::{ConsistencyWarning, Result, Warning};
+
+/// Where a dot of the sample was seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum DotSeen {
+    /// Its core was found, this far (mm) from where pattern, registration and drift put it, with this variance (px²).
+    At { off_mm: Point, variance_px2: f64 },
+    /// There is no light in its window.
+    Dark,
+    /// There is light, and no dot's core.
+    Unclear,
+}
+
+/// How the dots of the sample are looked for.
+pub(super) struct DotSearch {
+    dots: SampleDots,
+    reach_px: f64,
+}
+
+/// The sharpest of the capture's dots lie this near to their places, camera px (docs/accuracy.md, "Geometry"): nearer is not told.
+const LEAST_PX: f64 = 0.12;
+/// An offset is told from so many standard deviations on.
+const SIGMA: f64 = 6.0;
+/// Dots that are off by more than this share of the distance of lit points are those of another pattern.
+const STEP_SHARE: f64 = 0.4;
+/// So near, in steps of the grid, a dot has to be to the place of another point to be taken for it.
+const NEAR_STEP: f64 = 0.25;
+/// From this offset on, projector px, rows would be off by more than any stated uncertainty.
+const REFUSED_PROJECTOR_PX: f64 = 0.5;
+/// Light leaves a sample seen obliquely below its place: by up to this depth, mm, times the tangent of the view.
+const DEEPEST_MM: f64 = 1.5;
+
+impl DotSearch {
+    pub(super) fn new(scene: &Scene<'_>) -> Result<Self> {
+        let dots = SampleDots { shape: dot_shape(scene)?, dot_radius_px: scene.dot_radius_px() };
+        let half = scene.capture.manifest.window.samples.map(|n| 0.5 * n as f64 * scene.cell_px);
+        Ok(Self { dots, reach_px: half[0].min(half[1]) })
+    }
+
+    /// Looks for the dots of a shot around where they should be, to half the way to the next.
+    pub(super) fn look(
+        &self,
+        scene: &Scene<'_>,
+        shot: usize,
+        registration: &Registration,
+        drift: Option<Drift>,
+        windows: &[Bracket],
+    ) -> Vec<DotSeen> {
+        let half = scene.shot_spacing(shot).map_or(f64::INFINITY, |s| 0.5 * s * scene.cell_px);
+        let search_px = half.min(self.reach_px);
+        let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
+        let size_px = scene.capture.rig.camera.size_px;
+        let look = |(&dot, bracket): (&[usize; 2], &Bracket)| {
+            let nominal = scene.nominal_mm(dot);
+            let expected = [nominal[0] + moved[0], nominal[1] + moved[1]];
+            let reach = search_px + self.dots.shape.radius_px() + 2.0;
+            let near = square(registration.view.camera_from_slab(expected), reach, size_px);
+            let Some(rect) = near.and_then(|near| overlap(near, bracket.rect())) else { return DotSeen::Dark };
+            let picture = scene.picture(bracket, rect, STILL);
+            match self.dots.locate(expected, &picture, registration, search_px) {
+                Some(found) => DotSeen::At { off_mm: found.moved_mm, variance_px2: found.variance_px2 },
+                None if is_dark(&picture) => DotSeen::Dark,
+                None => DotSeen::Unclear,
+            }
+        };
+        scene.dots(shot).iter().zip(windows).map(look).collect()
+    }
+}
+
+/// Whether no pixel is ten standard deviations above none.
+fn is_dark(picture: &Radiance) -> bool {
+    let variance = picture.luminance_variance();
+    let used = picture.used.as_chunks::<3>().0;
+    let lit = |((v, variance), used): ((f32, f32), &[u8; 3])| used.contains(&0) || v > 10.0 * variance.sqrt();
+    !picture.luminance().into_iter().zip(variance).zip(used).any(lit)
+}
+
+/// What is to be told of all shots together.
+///
+/// # Errors
+/// [`crate::Error::Contradiction`]; those of decoding.
+pub(super) fn judge(scene: &Scene<'_>, results: &[ShotResult], options: &BuildOptions) -> Result<Vec<Warning>> {
+    let mut warnings = Vec::new();
+    let Some(common) = Common::of(scene, results) else { return Ok(warnings) };
+    warnings.extend(other_patterns(scene, results, &common, options)?);
+    warnings.extend(common.offset(scene, results, options)?);
+    Ok(warnings)
+}
+
+/// What all dots of a capture are off by alike: an offset, and the depth from which their light comes.
+struct Common {
+    /// At the grid's middle, mm.
+    offset_mm: Point,
+    /// Standard deviation per axis, mm.
+    sd_mm: f64,
+    depth_mm: f64,
+    eye_mm: Option<[f64; 3]>,
+    /// Share of all dots that were found.
+    found: f64,
+}
+
+/// What is believed of the depth before it is seen, mm: that of most media.
+const DEPTH_SD_MM: f64 = 0.5;
+
+impl Common {
+    /// Least squares over all dots that were found, twice, those beyond three scaled deviations left out the second time. `None` for none.
+    fn of(scene: &Scene<'_>, results: &[ShotResult]) -> Option<Self> {
+        let eye_mm = scene.registration.view.eye_mm();
+        let mut seen: Vec<(Point, Point)> = Vec::new();
+        let mut all = 0;
+        for (result, shot) in results.iter().zip(scene.lattice()) {
+            for (at, &dot) in result.seen.iter().zip(scene.dots(shot)) {
+                all += 1;
+                if let DotSeen::At { off_mm, .. } = at {
+                    seen.push((tangent(eye_mm, scene.nominal_mm(dot)), *off_mm));
+                }
+            }
+        }
+        if seen.len() < 3 {
+            return None;
+        }
+        let mut common = Self { offset_mm: [0.0; 2], sd_mm: 0.0, depth_mm: 0.0, eye_mm, found: 0.0 };
+        common.offset_mm = [0, 1].map(|a| median(&mut seen.iter().map(|s| s.1[a]).collect::<Vec<_>>()));
+        for _ in 0..3 {
+            let left = |(t, off): &(Point, Point)| {
+                [0, 1].map(|a| off[a] - common.offset_mm[a] - common.depth_mm * t[a]).map(f64::abs)
+            };
+            let mut spread: Vec<f64> = seen.iter().flat_map(left).collect();
+            let spread = 1.4826 * median(&mut spread) + 1e-9;
+            let kept: Vec<_> = seen.iter().filter(|s| left(s).iter().all(|l| *l <= 3.0 * spread)).collect();
+            let n = kept.len() as f64;
+            let mean = |f: &dyn Fn(&(Point, Point)) -> f64| kept.iter().map(|s| f(s)).sum::<f64>() / n;
+            let (t, off) = ([0, 1].map(|a| mean(&|s| s.0[a])), [0, 1].map(|a| mean(&|s| s.1[a])));
+            let sums = kept.iter().flat_map(|s| [0, 1].map(|a| (s.0[a] - t[a], s.1[a] - off[a])));
+            let (mut square, mut product) = ((spread / DEPTH_SD_MM).powi(2), 0.0);
+            sums.for_each(|(t, m)| (square, product) = (square + t * t, product + t * m));
+            let depth_mm = (product / square).clamp(0.0, DEEPEST_MM);
+            let depth_sd = spread / square.sqrt();
+            common.offset_mm = [0, 1].map(|a| off[a] - depth_mm * t[a]);
+            common.sd_mm = (spread / n.sqrt()).hypot(depth_sd * t[0].hypot(t[1]));
+            common.depth_mm = depth_mm;
+        }
+        common.found = seen.len() as f64 / all as f64;
+        Some(common)
+    }
+
+    /// What a dot is off by beyond what all are.
+    fn left(&self, p: Point, off_mm: Point) -> Point {
+        let t = tangent(self.eye_mm, p);
+        [0, 1].map(|a| off_mm[a] - self.offset_mm[a] - self.depth_mm * t[a])
+    }
+
+    /// Grid, reference dots and Gray code that do not agree.
+    fn offset(&self, scene: &Scene<'_>, results: &[ShotResult], options: &BuildOptions) -> Result<Option<Warning>> {
+        let grid = &scene.capture.manifest.grid;
+        let middle = grid.dot_projector_px([grid.points[0] / 2, grid.points[1] / 2]);
+        let off_px = projector_px(scene, middle, self.offset_mm);
+        let length_mm = self.offset_mm[0].hypot(self.offset_mm[1]);
+        if length_mm * scene.px_per_mm < LEAST_PX || length_mm < SIGMA * self.sd_mm || self.found < 0.5 {
+            return Ok(None);
+        }
+        // Which of them moved: at the first shot the one that lies where the Gray code puts it is right.
+        let first = results.iter().find_map(|r| r.drift).map_or([0.0; 2], |d| d.slab_mm);
+        let dots = [0, 1].map(|a| first[a] + self.offset_mm[a]);
+        let culprit = match dots[0].hypot(dots[1]) < first[0].hypot(first[1]) {
+            true => "reference_dots",
+            false => "grid.origin_projector_px",
+        };
+        let finding = ConsistencyWarning::DotsOffset {
+            field: culprit.into(),
+            offset_projector_px: off_px,
+            sd_projector_px: self.sd_mm / length_mm * off_px[0].hypot(off_px[1]),
+        };
+        match off_px[0].hypot(off_px[1]) < REFUSED_PROJECTOR_PX {
+            true => Ok(Some(finding.into())),
+            false => options.refuse(finding).map(Some),
+        }
+    }
+}
+
+/// Tangent of the line of sight at `p`, towards the camera's foot, per depth.
+fn tangent(eye_mm: Option<[f64; 3]>, p: Point) -> Point {
+    eye_mm.map_or([0.0; 2], |eye| [0, 1].map(|a| (eye[a] - p[a]) / -eye[2]))
+}
+
+/// A displacement on the slab, mm, in projector px at a projector pixel.
+fn projector_px(scene: &Scene<'_>, at: Point, off_mm: Point) -> Point {
+    let [[a, b], [c, d]] = scene.registration.slab_from_projector.jacobian(at);
+    let det = a * d - b * c;
+    [(d * off_mm[0] - b * off_mm[1]) / det, (a * off_mm[1] - c * off_mm[0]) / det]
+}
+
+/// Shots whose dots are not those of their pattern.
+fn other_patterns(
+    scene: &Scene<'_>,
+    results: &[ShotResult],
+    common: &Common,
+    options: &BuildOptions,
+) -> Result<Option<Warning>> {
+    let lattice = scene.lattice();
+    let step_mm = step_mm(scene);
+    let mut wrong: Vec<usize> = Vec::new();
+    // Without dots on the frame, drift is what the dots themselves say: a step of it is looked for.
+    let on_frame = scene.capture.manifest.reference_dots.is_some();
+    let mut before: Option<Point> = None;
+    for (k, (result, &shot)) in results.iter().zip(&lattice).enumerate() {
+        let drift = result.drift.map_or([0.0; 2], |d| d.slab_mm);
+        let far = |(seen, &dot): (&DotSeen, &[usize; 2])| match seen {
+            DotSeen::At { off_mm, .. } => {
+                let left = common.left(scene.nominal_mm(dot), *off_mm);
+                let walked = before.filter(|_| !on_frame).map_or([0.0; 2], |b| [drift[0] - b[0], drift[1] - b[1]]);
+                (left[0] + walked[0]).hypot(left[1] + walked[1]) > STEP_SHARE * step_mm
+            }
+            // Where nearly all dots are seen, one that is not is not there.
+            DotSeen::Dark | DotSeen::Unclear => common.found > 0.8,
+        };
+        let off = result.seen.iter().zip(scene.dots(shot)).filter(|s| far((s.0, s.1))).count();
+        match 2 * off > result.seen.len() {
+            true => wrong.push(k),
+            false => before = result.drift.map(|d| d.slab_mm),
+        }
+    }
+    let Some(&first) = wrong.first() else { return Ok(None) };
+    let shows = shown(scene, results, common, &lattice, first);
+    let looks = match &shows {
+        Some(other) => format!("its dots are those of shot \"{other}\""),
+        None => {
+            let own = scene.photographs.merge_whole(lattice[first])?;
+            let beside = if first > 0 { lattice[first - 1] } else { lattice[(first + 1).min(lattice.len() - 1)] };
+            let expected = scene.photographs.merge_whole(beside)?;
+            let same = "its dots are elsewhere";
+            looks(scene.photographs, lattice[first], &own, &expected, same)?.unwrap_or_else(|| same.into())
+        }
+    };
+    let finding = ConsistencyWarning::OtherPattern {
+        shot: scene.photographs.name(lattice[first]).to_owned(),
+        looks,
+        shots: wrong.len(),
+        of: lattice.len(),
+    };
+    options.refuse(finding).map(Some)
+}
+
+/// The nearest shot whose pattern has all the dots that were seen in a shot.
+fn shown(scene: &Scene<'_>, results: &[ShotResult], common: &Common, lattice: &[usize], k: usize) -> Option<String> {
+    let near_mm = NEAR_STEP * step_mm(scene);
+    let dots = results[k].seen.iter().zip(scene.dots(lattice[k]));
+    let seen: Vec<Point> = dots
+        .filter_map(|(seen, &dot)| match seen {
+            DotSeen::At { off_mm, .. } => {
+                let (p, left) = (scene.nominal_mm(dot), common.left(scene.nominal_mm(dot), *off_mm));
+                Some([p[0] + left[0], p[1] + left[1]])
+            }
+            _ => None,
+        })
+        .collect();
+    let has = |shot: usize, p: &Point| {
+        let near = |&dot: &[usize; 2]| {
+            let q = scene.nominal_mm(dot);
+            (p[0] - q[0]).hypot(p[1] - q[1]) < near_mm
+        };
+        scene.dots(shot).iter().any(near)
+    };
+    let mut others: Vec<usize> = (0..lattice.len()).filter(|&j| j != k).collect();
+    others.sort_by_key(|&j| j.abs_diff(k));
+    let found = others.into_iter().find(|&j| !seen.is_empty() && seen.iter().all(|p| has(lattice[j], p)))?;
+    Some(scene.photographs.name(lattice[found]).to_owned())
+}
+
+/// The smaller distance of neighbouring lit points, mm.
+fn step_mm(scene: &Scene<'_>) -> f64 {
+    let grid = &scene.capture.manifest.grid;
+    let first = scene.nominal_mm([0, 0]);
+    let ends = [[1, 0], [0, 1]].map(|d| scene.registration.slab_from_projector.map(grid.dot_projector_px(d)));
+    ends.map(|e| (e[0] - first[0]).hypot(e[1] - first[1])).into_iter().fold(f64::INFINITY, f64::min)
+}
