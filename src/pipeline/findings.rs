@@ -11,7 +11,9 @@ use crate::geometry::Point;
 use crate::radiance::HotPixel;
 use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps};
 use crate::transport::{MatrixHeader, ShotRecord};
-use crate::{DriftJump, Error, RadianceWarning, RegistrationWarning, ResponseWarning, Result, Warning};
+use crate::{
+    ConsistencyWarning, DriftJump, Error, RadianceWarning, RegistrationWarning, ResponseWarning, Result, Warning,
+};
 use std::path::Path;
 
 /// A point spread that differs by this much over the board, px, leaves a few per cent of the peaks where it is not the mean's.
@@ -106,7 +108,8 @@ pub(super) fn summarize(
         warnings.push(RegistrationWarning::DriftFromLatticeDots.into());
     }
     let remaining = results.iter().map(|r| r.flicker_variance).sum::<f64>() / results.len().max(1) as f64;
-    warnings.extend(found.light.flicker.as_ref().map(|f| f.warning(remaining).into()));
+    warnings.extend(found.light.flicker.warning(remaining).map(Warning::from));
+    warnings.extend(lamp(results, &header).map(Warning::from));
     complete(scene, found.light, &mut header, &mut warnings);
     warnings.extend(crosstalk.as_ref().and_then(CrossTalk::warning).map(Warning::from));
     header.camera_px_per_mm = Some(full * scene.px_per_mm);
@@ -206,7 +209,7 @@ fn provenance(
         "noise": noise,
         "working_resolution": stages.working,
         "radiometry": stages.radiometry.record,
-        "flicker": stages.light.flicker.as_ref().map(|f| f.record(flicker_variance)),
+        "flicker": stages.light.flicker.record(flicker_variance),
         "registration": registration,
         "stray_light": serde_json::to_value(&stages.light.stray).map_err(Error::internal)?,
         "crosstalk": serde_json::to_value(crosstalk).map_err(Error::internal)?,
@@ -256,6 +259,14 @@ pub(super) fn unmeasured(m: &Manifest) -> MatrixHeader {
         warnings: vec![],
         provenance: serde_json::Value::Null,
     }
+}
+
+/// Shots under another level of the lamp.
+fn lamp(results: &[ShotResult], header: &MatrixHeader) -> Option<ConsistencyWarning> {
+    let off: Vec<(usize, [f64; 2])> = results.iter().enumerate().filter_map(|(k, r)| Some((k, r.lamp?))).collect();
+    let &(worst, [level, level_sd]) = off.iter().max_by(|a, b| a.1[0].ln().abs().total_cmp(&b.1[0].ln().abs()))?;
+    let shot = header.shots.get(worst)?.name.clone();
+    Some(ConsistencyWarning::LampLevel { shot, level, level_sd, shots: off.len() })
 }
 
 /// Shots before which the pattern has jumped.

@@ -1,25 +1,26 @@
 //! A lamp that flickers: how much, and what of it can be taken out.
 //!
-//! Three scales are measured, and only when the capture's stacks show flicker at all:
+//! Three scales are measured, the first only when the capture's stacks show flicker at all:
 //! - a photograph against the others of its stack, from the pixels that several measured (`radiance/exposures.rs`), drawn towards none by
 //!   the flicker of the whole capture;
-//! - a stack against the other stacks, from the light of the reference dots on the opaque frame;
-//! - the white reference against the Gray-code shots, each of which adds up with its inverse to the same white.
+//! - a stack against the other stacks, from the light of the reference dots on the opaque frame: drawn towards none by what shots differ by, or
+//!   as a whole where a shot is off by more than that;
+//! - the white reference against the Gray-code shots, each of which adds up with its inverse to the same white (`references.rs`).
 
 use super::scene::{STILL, Scene};
 use crate::capture::Rect;
 use crate::cholesky::solve;
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance, Sensor, evenly, stack_scales};
-use crate::registration::measure_drift;
+use crate::registration::{measure_drift, median};
 use crate::{RadianceWarning, Result};
 use rayon::prelude::*;
 
 /// Flicker of a capture.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Flicker {
-    /// Standard deviation of a photograph's light, relative.
-    sd: f64,
+    /// Standard deviation of a photograph's light, relative; `None` when the stacks show none.
+    sd: Option<f64>,
     level: Option<Level>,
     /// Relative variance that remains in the white reference.
     white_variance: f64,
@@ -44,18 +45,33 @@ const SHOTS: usize = 36;
 /// Samples of a shot that are looked at: more would not know the scales any better than they flicker.
 const SAMPLES: usize = 60_000;
 
+/// What flicker leaves of a shot, and what was done about its lamp.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Steadied {
+    /// Relative variance that remains, common to the shot's rows.
+    pub variance: f64,
+    /// The lamp's level over that of most shots and its standard deviation, where it is off by more than flicker and noise.
+    pub lamp: Option<[f64; 2]>,
+}
+
+/// A shot's light that is off by more standard deviations than this of what shots differ by, and by this share, is another level of the lamp.
+const LAMP_SIGMA: f64 = 6.0;
+const LEAST_LAMP: f64 = 0.01;
+
 /// A photograph that is off by more than this many standard deviations of the flicker is off by something else.
 const FLICKER_SIGMA: f64 = 5.0;
 
 impl Flicker {
-    /// Looks at the reference dots of some lattice shots; `None` when the stacks showed no flicker.
-    pub(super) fn measure(scene: &Scene<'_>, flicker_sd: Option<f64>) -> Result<Option<Self>> {
-        let Some(sd) = flicker_sd else { return Ok(None) };
+    /// Looks at the reference dots of some lattice shots.
+    ///
+    /// # Errors
+    /// Those of decoding.
+    pub(super) fn measure(scene: &Scene<'_>, sd: Option<f64>) -> Result<Self> {
         // Unknown, the white reference deviates as any photograph does.
-        let white_variance = scene.references.white_variance.unwrap_or(sd * sd);
+        let white_variance = sd.map_or(0.0, |sd| scene.references.white_variance.unwrap_or(sd * sd));
         let mut flicker = Self { sd, level: None, white_variance };
         if scene.reference_mm().is_empty() {
-            return Ok(Some(flicker));
+            return Ok(flicker);
         }
         let shots: Vec<usize> = evenly(&scene.lattice(), SHOTS).collect();
         let lights: Vec<Option<DotLight>> = shots
@@ -67,20 +83,23 @@ impl Flicker {
             })
             .collect::<Result<_>>()?;
         flicker.level = Level::of(&lights.into_iter().flatten().collect::<Vec<_>>());
-        Ok(Some(flicker))
+        Ok(flicker)
     }
 
-    /// Takes what can be taken out of a shot's exposure times; returns the relative variance that remains, common to its rows.
-    pub(super) fn steady(&self, scene: &Scene<'_>, references: &mut [Bracket], windows: &mut [Bracket]) -> f64 {
+    /// Takes what can be taken out of a shot's exposure times.
+    pub(super) fn steady(&self, scene: &Scene<'_>, references: &mut [Bracket], windows: &mut [Bracket]) -> Steadied {
         let both = references.iter_mut().chain(windows.iter_mut()).collect();
         let [common, own] = self.steady_stack(&scene.photographs.sensor, both);
         let light = self.level.as_ref().and_then(|level| Some((level, reference_light(scene, references)?)));
-        let found = light.and_then(|(level, light)| level.scale_of(&light));
-        let Some((log_level, left)) = found else { return common + own + self.white_variance };
+        let Some(found) = light.and_then(|(level, light)| level.scale_of(&light)) else {
+            return Steadied { variance: common + own + self.white_variance, lamp: None };
+        };
         for bracket in references.iter_mut().chain(windows) {
-            bracket.scale_secs(&vec![log_level.exp(); bracket.exposures().len()]);
+            bracket.scale_secs(&vec![found.log_level.exp(); bracket.exposures().len()]);
         }
-        left + own + self.white_variance
+        let own = if found.log_level == 0.0 { common + own } else { own };
+        let lamp = found.is_lamp.then(|| [found.log_level.exp(), found.variance.sqrt()]);
+        Steadied { variance: found.variance + own + self.white_variance, lamp }
     }
 
     /// Corrects the times of a stack's photographs against each other. Returns the relative variances that remain: one that all have in
@@ -89,13 +108,14 @@ impl Flicker {
         let samples: usize = brackets.iter().map(|b| 3 * b.rect().area()).sum();
         let parts: Vec<_> = brackets.iter().map(|b| b.exposures()).collect();
         let n = parts.first().map_or(1, |p| p.len());
-        let prior = self.sd * self.sd;
+        let Some(sd) = self.sd else { return [0.0; 2] };
+        let prior = sd * sd;
         let untouched = [prior / n as f64, prior * (1.0 - 1.0 / n as f64)];
         let scales = stack_scales(&parts, sensor, samples.div_ceil(SAMPLES));
         let found = scales.and_then(|s| shrink(&s.log_scale, &s.information, prior));
         let Some((log_scale, covariance)) = found else { return untouched };
         // Times or a response curve that are wrong differ alike in every stack: that is told elsewhere, and is no flicker.
-        if log_scale.iter().any(|s| s.abs() > FLICKER_SIGMA * self.sd) {
+        if log_scale.iter().any(|s| s.abs() > FLICKER_SIGMA * sd) {
             return untouched;
         }
         let factors: Vec<f64> = log_scale.iter().map(|s| s.exp()).collect();
@@ -105,9 +125,9 @@ impl Flicker {
         [common, (mean - common).max(0.0)]
     }
 
-    /// What to tell people, given the mean relative variance that remains.
-    pub(super) fn warning(&self, remaining: f64) -> RadianceWarning {
-        RadianceWarning::Flicker { relative_sd: self.sd, remaining_sd: remaining.sqrt() }
+    /// What to tell people, given the mean relative variance that remains; `None` without flicker.
+    pub(super) fn warning(&self, remaining: f64) -> Option<RadianceWarning> {
+        self.sd.map(|relative_sd| RadianceWarning::Flicker { relative_sd, remaining_sd: remaining.sqrt() })
     }
 
     /// For the provenance.
@@ -133,14 +153,24 @@ fn shrink(log_scale: &[f64], information: &[f64], prior: f64) -> Option<(Vec<f64
     Some((mean, covariance.concat()))
 }
 
+/// What is taken out of a shot.
+struct Scale {
+    log_level: f64,
+    /// Variance that remains.
+    variance: f64,
+    /// Whether it is another level of the lamp, and no flicker.
+    is_lamp: bool,
+}
+
 impl Level {
+    /// Medians over shots, so that a few that were lit otherwise do not count. `None` with fewer than four shots.
     fn of(lights: &[DotLight]) -> Option<Self> {
         let shots = lights.len();
         let mean: Vec<Option<f64>> = (0..lights.first()?.len())
             .map(|k| {
-                let all: Vec<f64> = lights.iter().filter_map(|l| l[k]).map(|[light, _]| light).collect();
+                let mut all: Vec<f64> = lights.iter().filter_map(|l| l[k]).map(|[light, _]| light).collect();
                 // A dot that some shots do not measure would give them another mean.
-                (all.len() == shots).then(|| all.iter().sum::<f64>() / shots as f64).filter(|m| *m > 0.0)
+                (all.len() == shots).then(|| median(&mut all)).filter(|m| *m > 0.0)
             })
             .collect();
         let mut level = Self { mean, variance: 0.0, mean_variance: 0.0 };
@@ -148,14 +178,17 @@ impl Level {
         if found.len() < 4 {
             return None;
         }
-        let n = found.len() as f64;
-        let spread = found.iter().map(|(level, _)| level * level).sum::<f64>() / (n - 1.0);
-        let noise = found.iter().map(|(_, variance)| variance).sum::<f64>() / n;
+        let scale = 1.4826 * median(&mut found.iter().map(|f| f.0.abs()).collect::<Vec<_>>());
+        let noise = found.iter().map(|(_, variance)| variance).sum::<f64>() / found.len() as f64;
+        let usual = LAMP_SIGMA * scale.max(noise.sqrt());
+        let kept: Vec<f64> = found.iter().map(|f| f.0).filter(|l| l.abs() <= usual).collect();
+        let n = kept.len() as f64;
+        let spread = kept.iter().map(|level| level * level).sum::<f64>() / (n - 1.0);
         // Significant: the spread of n shots is known to √(2/n) of itself.
         let excess = spread - noise;
         level.variance = if excess > 3.0 * noise * (2.0 / n).sqrt() { excess } else { 0.0 };
         level.mean_variance = spread / n;
-        (level.variance > 0.0).then_some(level)
+        Some(level)
     }
 
     /// Logarithm of a shot's light over the mean, and its variance.
@@ -170,11 +203,18 @@ impl Level {
         (bottom > 0.0).then(|| (top / bottom, 1.0 / bottom))
     }
 
-    /// The level of a shot, drawn towards none, and the variance that remains.
-    fn scale_of(&self, light: &DotLight) -> Option<(f64, f64)> {
+    /// The level of a shot: all of it where it is none of what shots usually differ by, else drawn towards none; `None` where shots do not differ.
+    fn scale_of(&self, light: &DotLight) -> Option<Scale> {
         let (level, variance) = self.measured(light)?;
+        let usual = (self.variance + variance + self.mean_variance).sqrt();
+        if level.abs() > (LAMP_SIGMA * usual).max(LEAST_LAMP) && level > -1.0 {
+            return Some(Scale { log_level: level.ln_1p(), variance: variance + self.mean_variance, is_lamp: true });
+        }
+        if self.variance == 0.0 {
+            return None;
+        }
         let share = self.variance / (self.variance + variance);
-        Some((share * level, share * variance + self.mean_variance))
+        Some(Scale { log_level: share * level, variance: share * variance + self.mean_variance, is_lamp: false })
     }
 }
 
@@ -263,9 +303,10 @@ mod tests {
         // f64.
         assert!((found - expected).abs() < 1e-12 && (variance * total - 1.0).abs() < 1e-12, "{found} {variance}");
         // Drawn towards none by its own variance of 8e-5 against that of shots, 4e-4.
-        let (scale, left) = level.scale_of(&seen).unwrap();
+        let found = level.scale_of(&seen).unwrap();
         let share = 4e-4 / (4e-4 + 8e-5);
-        assert!((scale - share * expected).abs() < 1e-12 && (left - (share * 8e-5 + 1e-5)).abs() < 1e-12);
+        assert!((found.log_level - share * expected).abs() < 1e-12 && !found.is_lamp);
+        assert!((found.variance - (share * 8e-5 + 1e-5)).abs() < 1e-12);
         assert!(level.measured(&vec![None; 4]).is_none());
         // A light without any noise does not rule alone for ever: 1e-12 of itself is left to it.
         let (_, variance) = level.measured(&vec![Some([100.0, 0.0]), None, None, None]).unwrap();

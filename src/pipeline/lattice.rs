@@ -2,7 +2,7 @@
 
 use super::dots_seen::{DotSearch, DotSeen};
 use super::drift::Movements;
-use super::flicker::Flicker;
+use super::flicker::{Flicker, Steadied};
 use super::scene::{STILL, Scene, grown, overlap};
 use super::sink::RowSink;
 use crate::capture::{Sampling, Window};
@@ -22,6 +22,8 @@ pub(super) struct ShotResult {
     pub(super) camera: Option<CameraMotion>,
     /// Relative variance that flicker leaves in each row.
     pub(super) flicker_variance: f64,
+    /// The lamp's level over that of most shots and its standard deviation, where it was taken out as no flicker.
+    pub(super) lamp: Option<[f64; 2]>,
     /// Where each of its dots was seen.
     pub(super) seen: Vec<DotSeen>,
 }
@@ -41,7 +43,7 @@ pub(super) struct LightCorrections {
     /// The camera's halo.
     pub(super) stray: StrayLight,
     /// The lamp's.
-    pub(super) flicker: Option<Flicker>,
+    pub(super) flicker: Flicker,
 }
 
 /// Refuses dots that the pattern puts beside the slab.
@@ -118,12 +120,12 @@ fn extract_shot(
     let camera = movements.camera_motion(scene, &windows.split_off(dots.len()));
     let camera_px = camera.filter(CameraMotion::is_sure).map_or(STILL, |m| m.camera_px);
     let registration = &scene.registration.moved(camera_px);
-    let flicker_variance = light.flicker.as_ref().map_or(0.0, |f| f.steady(scene, &mut references_seen, &mut windows));
+    let Steadied { variance: flicker_variance, lamp } = light.flicker.steady(scene, &mut references_seen, &mut windows);
     let drift = movements.drift(scene, shot, registration, &references_seen, &windows)?;
     let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
     let seen = search.look(scene, shot, registration, drift, &windows);
 
-    let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance, seen };
+    let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance, lamp, seen };
     // What all samples of a row have in common: the lamp, and the response curve's own error.
     let common_variance = flicker_variance + scene.photographs.sensor.curve().map_or(0.0, Curve::relative_variance);
     let mut weights = cell_weights(scene, windows.first().map_or(Sampling::WHOLE, Bracket::sampling));

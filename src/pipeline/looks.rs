@@ -54,6 +54,24 @@ pub(super) fn looks(
     Ok(best.filter(|b| b.0 > SAME).map(|b| b.1))
 }
 
+/// Which of some shots a picture shows, if any: the one that agrees best in the logarithm of its light.
+///
+/// # Errors
+/// Those of decoding.
+pub(super) fn shown_shot(photographs: &Photographs<'_>, own: &Radiance, shots: &[usize]) -> Result<Option<String>> {
+    let Some(levels) = Levels::of(own) else { return Ok(None) };
+    let seen = Picture::new(own, &levels);
+    let mut best = (SAME, None);
+    for &shot in shots {
+        let picture = Picture::new(&photographs.merge_some(shot, |_| true)?, &levels);
+        let r = seen.correlation(|x, y| picture.at(x, y));
+        if r > best.0 {
+            best = (r, Some(shot));
+        }
+    }
+    Ok(best.1.map(|shot| format!("it shows shot \"{}\"", photographs.name(shot))))
+}
+
 /// The range of light that a picture shows.
 struct Levels {
     low: f32,

@@ -230,17 +230,20 @@ fn build_rows(
 ) -> Result<(MatrixHeader, BuildReport)> {
     let radiometry = before.radiometry;
     let registered = register::register(photographs, progress)?;
-    let references = references::references(photographs, &registered, radiometry.flicker_sd, progress)?;
+    let mut references = references::references(photographs, &registered, radiometry.flicker_sd, options, progress)?;
+    let first = Scene::new(photographs, &registered, &references);
+    lattice::check_dots(&first)?;
+    let (stray, even) = stray::measure(&first, options, progress)?;
+    let cell_px = first.cell_px;
+    references.doubt_ambient(stray.even.unwrap_or(0.0), cell_px);
     let scene = Scene::new(photographs, &registered, &references);
-    lattice::check_dots(&scene)?;
-    let light = LightCorrections {
-        stray: stray::measure(&scene, progress)?,
-        flicker: Flicker::measure(&scene, radiometry.flicker_sd)?,
-    };
+    let light = LightCorrections { stray, flicker: Flicker::measure(&scene, radiometry.flicker_sd)? };
     let movements = Movements::prepare(&scene)?;
     let prepared = Instant::now();
     let mut shots = lattice::extract(&scene, &light, &movements, &dots_seen::DotSearch::new(&scene)?, rows, progress)?;
-    let seen = dots_seen::judge(&scene, &shots, options)?;
+    let mut seen = dots_seen::judge(&scene, &shots, options)?;
+    seen.extend(even);
+    seen.extend(references.warnings.iter().cloned());
     let crosstalk = match options.keep_crosstalk {
         true => None,
         false => crosstalk::separate(&scene, &mut shots, rows, progress)?,

@@ -1,12 +1,14 @@
 //! The shots that every lattice shot is measured against: black, and the white reference.
 
+use super::BuildOptions;
+use super::looks::shown_shot;
 use super::photographs::Photographs;
 use super::register::{Registered, SUM_STEP};
 use crate::capture::Pattern;
 use crate::progress::Progress;
 use crate::radiance::{HotPixel, Radiance, find_hot_pixels, mend};
 use crate::response::Irradiance;
-use crate::{Error, Result};
+use crate::{ConsistencyWarning, Error, Result, Warning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -22,6 +24,28 @@ pub(super) struct References {
     pub irradiance: Irradiance,
     /// Relative variance of the white reference's light that flicker leaves, when it was measured.
     pub white_variance: Option<f64>,
+    pub warnings: Vec<Warning>,
+}
+
+/// The level of the white reference over that of the Gray code is told when it is off by more than this and by so many of its standard
+/// deviations, and refused when it is off by more than a tenth.
+const LEAST_LEVEL: f64 = 0.01;
+const LEVEL_SIGMA: f64 = 6.0;
+const REFUSED_LEVEL: f64 = 0.1;
+/// A pixel of the sample's place that differs by more than this from the mean around is no part of an evenly lit white.
+const UNEVEN: f32 = 0.25;
+/// So many such pixels are dust; more are a pattern, or something in the way.
+const UNEVEN_SHARE: f64 = 0.03;
+/// The darkest twentieth of an evenly lit white has this share of the light of its brightest at the least.
+const DARKEST: f32 = 0.15;
+
+impl References {
+    /// Counts even light that black shots do not have to the uncertainty of the ambient light: `dn_per_sec`, the same error in all pixels of a
+    /// cell of `cell_px` a side, so many times what averaging them would leave.
+    pub(super) fn doubt_ambient(&mut self, dn_per_sec: f64, cell_px: f64) {
+        let added = (dn_per_sec * cell_px).powi(2) as f32;
+        self.ambient.variance.iter_mut().for_each(|v| *v += added);
+    }
 }
 
 /// Reads black and white.
@@ -32,8 +56,10 @@ pub(super) fn references(
     photographs: &Photographs<'_>,
     registered: &Registered,
     flicker_sd: Option<f64>,
+    options: &BuildOptions,
     progress: &Progress,
 ) -> Result<References> {
+    let mut warnings = Vec::new();
     let stage = progress.stage("reference", 3);
     let shots = [
         photographs.one(|p| matches!(p, Pattern::SampleBlack))?,
@@ -45,8 +71,25 @@ pub(super) fn references(
     let (Some(black), Some(mut white), Some(mut ambient)) = (merged.pop(), merged.pop(), merged.pop()) else {
         return Err(Error::internal("three shots merged to fewer"));
     };
-    let white_variance = flicker_sd.and_then(|_| steady_white(&registered.sums, &mut white, &black));
+    let level = white_level(&registered.sums, &white, &black);
+    if let Some(Level { mean, sd, .. }) = level {
+        let off = (1.0 / mean - 1.0).abs();
+        if off > LEAST_LEVEL.max(LEVEL_SIGMA * sd.max(flicker_sd.unwrap_or(0.0))) {
+            let shot = photographs.name(shots[1]).to_owned();
+            let finding = ConsistencyWarning::WhiteLevel { shot, level: 1.0 / mean, level_sd: sd };
+            warnings.push(if off > REFUSED_LEVEL { options.refuse(finding)? } else { finding.into() });
+        }
+    }
+    // A level that is off by more than a tenth is no flicker, and nothing is done about it.
+    let steadied =
+        level.filter(|l| (l.mean - 1.0).abs() < REFUSED_LEVEL && (flicker_sd.is_some() || !warnings.is_empty()));
+    if let Some(Level { mean, .. }) = steadied {
+        white.value.iter_mut().for_each(|v| *v *= mean as f32);
+        white.variance.iter_mut().for_each(|v| *v *= (mean * mean) as f32);
+    }
+    let white_variance = steadied.map(|l| l.variance_of_mean);
     white.subtract(&black);
+    warnings.extend(unevenness(photographs, registered, &white, shots[1], options)?);
     let hot = find_hot_pixels(&ambient);
     mend(&mut white, &hot);
     let cell_px = registered.registration.px_per_mm() * photographs.capture.manifest.window.pitch_mm;
@@ -57,14 +100,23 @@ pub(super) fn references(
         let values = ambient.variance.iter_mut().zip(&ambient.value);
         values.for_each(|(variance, value)| *variance += share as f32 * value * value);
     }
-    Ok(References { ambient, hot, irradiance, white_variance })
+    Ok(References { ambient, hot, irradiance, white_variance, warnings })
 }
 
-/// Scales the white reference to the lamp's mean over the Gray-code shots: each with its inverse adds up to white and black. Returns the
-/// relative variance that remains; `None`, and nothing done, with fewer than three such sums.
+/// The lamp's mean level over the Gray code, of that of the white reference.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Level {
+    mean: f64,
+    /// Of one pair of patterns.
+    sd: f64,
+    variance_of_mean: f64,
+}
+
+/// Gray-code patterns with their inverses over the white reference: each pair adds up to white and black. `None` with fewer than three
+/// pairs, and where they are not the white reference's at all.
 ///
 /// The median over pixels, so that those that some exposure did not measure do not matter.
-fn steady_white(sums: &[Vec<f32>], white: &mut Radiance, black: &Radiance) -> Option<f64> {
+fn white_level(sums: &[Vec<f32>], white: &Radiance, black: &Radiance) -> Option<Level> {
     let (light, dark) = (white.luminance(), black.luminance());
     let brightest = light.iter().copied().fold(0.0, f32::max);
     let lit: Vec<usize> = (0..light.len()).step_by(SUM_STEP).filter(|&p| light[p] > LIT_SHARE * brightest).collect();
@@ -79,14 +131,58 @@ fn steady_white(sums: &[Vec<f32>], white: &mut Radiance, black: &Radiance) -> Op
         return None;
     }
     let mean = ratios.iter().sum::<f64>() / n;
-    let variance = ratios.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / (n - 1.0) / n;
-    // A tenth is no flicker: something else differs.
-    if !((mean - 1.0).abs() < 0.1) {
-        return None;
+    let variance = ratios.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    (mean > 0.0).then(|| Level { mean, sd: variance.sqrt(), variance_of_mean: variance / n })
+}
+
+/// What is to be told of a white reference, without black, that is not evenly lit where the sample lies.
+fn unevenness(
+    photographs: &Photographs<'_>,
+    registered: &Registered,
+    white: &Radiance,
+    shot: usize,
+    options: &BuildOptions,
+) -> Result<Option<Warning>> {
+    let manifest = &photographs.capture.manifest;
+    let [w, h] = [white.rect.width, white.rect.height];
+    let (light, used) = (white.luminance(), white.used.as_chunks::<3>().0);
+    let cell_px = registered.registration.px_per_mm() * manifest.window.pitch_mm;
+    let reach = cell_px.round().clamp(2.0, 50.0) as usize;
+    // Its rim is blurred.
+    let margin_mm = 2.0 * reach as f64 / registered.registration.px_per_mm();
+    let inside = |x: usize, y: usize| {
+        let at = registered.registration.view.slab_from_camera([x as f64, y as f64]);
+        at.is_some_and(|p| (0..2).all(|a| p[a] > margin_mm && p[a] < manifest.slab.size_mm[a] - margin_mm))
+    };
+    let (mut all, mut uneven, mut levels) = (0usize, 0usize, Vec::new());
+    for y in (reach..h.saturating_sub(reach)).step_by(2) {
+        for x in (reach..w.saturating_sub(reach)).step_by(2) {
+            if used[y * w + x].contains(&0) || !inside(x, y) {
+                continue;
+            }
+            // The four pixels a cell away to each side, whose mean a slope does not move.
+            let around =
+                [[x - reach, y], [x + reach, y], [x, y - reach], [x, y + reach]].map(|[u, v]| light[v * w + u]);
+            let mean = around.iter().sum::<f32>() / 4.0;
+            all += 1;
+            uneven += usize::from((light[y * w + x] - mean).abs() > UNEVEN * mean.abs());
+            levels.push(light[y * w + x]);
+        }
     }
-    white.value.iter_mut().for_each(|v| *v *= mean as f32);
-    white.variance.iter_mut().for_each(|v| *v *= (mean * mean) as f32);
-    Some(variance)
+    if all < 100 {
+        return Ok(None);
+    }
+    let share = uneven as f64 / all as f64;
+    levels.sort_by(f32::total_cmp);
+    let dark = levels[all / 20] < DARKEST * levels[all - 1 - all / 20];
+    if share < UNEVEN_SHARE && !dark {
+        return Ok(None);
+    }
+    let codes = photographs.capture.shots(|p| matches!(p, Pattern::GrayCode { .. } | Pattern::Lattice { .. }));
+    let looks = shown_shot(photographs, white, &codes)?
+        .unwrap_or_else(|| "a pattern, or something in the way of the light".into());
+    let shot = photographs.name(shot).to_owned();
+    options.refuse(ConsistencyWarning::WhiteUneven { shot, looks, share }).map(Some)
 }
 
 #[cfg(test)]
@@ -108,36 +204,23 @@ mod tests {
         Radiance { rect, value, variance: vec![variance; 561], used: vec![1; 561] }
     }
 
-    /// What the lamp at `levels` makes of the sums of pattern and inverse.
-    fn steadied(levels: &[f32]) -> (Radiance, Option<f64>) {
+    /// What is found of a lamp that makes `levels` of the sums of pattern and inverse.
+    fn level(levels: &[f32]) -> Option<Level> {
         // White is seen with the black; a sum holds it twice.
         let sum = |level: &f32| {
             (0..187).step_by(SUM_STEP).map(|p| (light(p) * level + BLACK) * if p == 26 { 40.0 } else { 1.0 }).collect()
         };
         let sums: Vec<Vec<f32>> = levels.iter().map(sum).collect();
-        let mut white = picture(light, 2.0);
-        let variance = steady_white(&sums, &mut white, &picture(|_| BLACK, 1.0));
-        (white, variance)
+        white_level(&sums, &picture(light, 2.0), &picture(|_| BLACK, 1.0))
     }
 
     #[test]
-    fn the_white_reference_is_brought_to_the_lamps_mean_over_the_gray_code() {
-        let (white, variance) = steadied(&[1.02, 1.05, 0.99, 1.06]);
-        // Mean 1.03; of four deviations −1, 2, −4, 3 per cent, Σ² / 3 / 4. One pixel that is wrong in all of them is not the median's.
-        assert!((variance.unwrap() / (30e-4 / 12.0) - 1.0).abs() < 1e-3, "{variance:?}");
-        for (found, before) in white.value.iter().zip(picture(light, 2.0).value) {
-            // f32.
-            assert!((found / before - 1.03).abs() < 1e-5);
-        }
-        assert!(white.variance.iter().all(|v| (v / 2.0 - 1.03 * 1.03).abs() < 1e-5));
-    }
-
-    #[test]
-    fn fewer_than_three_sums_or_a_tenth_of_difference_leave_the_white_reference_as_it_is() {
-        for levels in [&[1.02f32, 1.05][..], &[1.2, 1.1, 1.15], &[0.85, 0.8, 0.9], &[]] {
-            let (white, variance) = steadied(levels);
-            assert_eq!((white, variance), (picture(light, 2.0), None), "{levels:?}");
-        }
-        assert!(steadied(&[1.09, 1.08, 1.1]).1.is_some());
+    fn the_level_of_the_white_reference_is_that_of_gray_code_patterns_with_their_inverses() {
+        let found = level(&[1.02, 1.05, 0.99, 1.06]).unwrap();
+        // Mean 1.03; of four deviations −1, 2, −4, 3 per cent, Σ² / 3. One pixel that is wrong in all of them is not the median's. f32.
+        assert!((found.mean - 1.03).abs() < 1e-5, "{found:?}");
+        assert!((found.sd.powi(2) / (30e-4 / 3.0) - 1.0).abs() < 1e-3, "{found:?}");
+        assert!((4.0 * found.variance_of_mean / found.sd.powi(2) - 1.0).abs() < 1e-9);
+        assert_eq!((level(&[1.02, 1.05]), level(&[])), (None, None), "fewer than three pairs");
     }
 }

@@ -44,12 +44,13 @@ pub(super) fn register(photographs: &Photographs<'_>, progress: &Progress) -> Re
     );
     let ((camera, choice, point_spread, warnings), pairs) = (camera?, pairs?);
     let sum = |p: &BitPair| p.pattern.iter().zip(&p.inverse).step_by(SUM_STEP).map(|(a, b)| a + b).collect();
-    let sums = pairs.iter().map(sum).collect();
     let first = codes[0];
     let rig = &photographs.capture.rig;
     // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
     let lens = Lens::ideal(rig.projector.lens_center_px(), rig.projector.size_px[0] as f64);
     let surface = stripe_surface(photographs, &codes)?;
+    // On the frame they are not of the white reference.
+    let sums = if matches!(surface, StripeSurface::White) { pairs.iter().map(sum).collect() } else { vec![] };
     let projector = register_projector(&pairs, rig.camera.size_px, &camera.view, surface, lens)
         .map_err(photographs.failed(first))?;
     let size_mm = photographs.capture.manifest.slab.size_mm;

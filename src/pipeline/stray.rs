@@ -1,10 +1,11 @@
 //! Looking for the camera's halo where no light falls: on the opaque frame.
 
+use super::BuildOptions;
 use super::scene::Scene;
-use crate::Result;
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Radiance, StrayLight, evenly};
+use crate::{ConsistencyWarning, Result, Warning};
 
 /// Lattice shots that are looked at.
 const SHOTS: usize = 4;
@@ -13,12 +14,25 @@ const RIM_PX: f64 = 4.0;
 /// Places of the mask are decided in squares of so many pixels.
 const MASK_PX: usize = 4;
 
+/// Even light that is a larger share of a dot's light in its window is told, and from the second on refused.
+const EVEN_TOLD: f64 = 1e-4;
+const EVEN_REFUSED: f64 = 0.01;
+/// A halo of more light than this is none that lenses have (half a per cent, five with a fingerprint).
+const LARGEST_HALO: f64 = 0.1;
+
 /// The halo in some lattice shots, spread over the sweep; nothing when the photographs show too little of the frame.
-pub(super) fn measure(scene: &Scene<'_>, progress: &Progress) -> Result<StrayLight> {
+///
+/// # Errors
+/// Those of decoding; [`crate::Error::Contradiction`] for light that is no halo.
+pub(super) fn measure(
+    scene: &Scene<'_>,
+    options: &BuildOptions,
+    progress: &Progress,
+) -> Result<(StrayLight, Option<Warning>)> {
     let lattice = scene.lattice();
     let dark = dark_pixels(scene);
     if !dark.contains(&true) {
-        return Ok(StrayLight::default());
+        return Ok((StrayLight::default(), None));
     }
     let stage = progress.stage("stray light", SHOTS.min(lattice.len()));
     let picture = |shot: usize| -> Result<Radiance> {
@@ -27,8 +41,32 @@ pub(super) fn measure(scene: &Scene<'_>, progress: &Progress) -> Result<StrayLig
         stage.advance(1);
         Ok(picture)
     };
-    let pictures: Vec<Radiance> = evenly(&lattice, SHOTS).map(picture).collect::<Result<_>>()?;
-    Ok(StrayLight::estimate(&pictures, &dark).unwrap_or_default())
+    let shots: Vec<usize> = evenly(&lattice, SHOTS).collect();
+    let pictures: Vec<Radiance> = shots.iter().map(|&s| picture(s)).collect::<Result<_>>()?;
+    let stray = StrayLight::estimate(&pictures, &dark).unwrap_or_default();
+    if let Some(dn_per_sec) = stray.even {
+        let window_px: f64 = scene.capture.manifest.window.samples.iter().map(|&n| n as f64 * scene.cell_px).product();
+        let dots: usize = shots.iter().map(|&s| scene.dots(s).len()).sum();
+        let light: f64 = pictures.iter().map(|p| sum_of_sample(p, &dark)).sum();
+        let share = dn_per_sec * window_px * dots as f64 / light.max(f64::MIN_POSITIVE);
+        let finding = ConsistencyWarning::AmbientChanged { dn_per_sec, share };
+        return match share.abs() {
+            s if s > EVEN_REFUSED => Ok((stray, Some(options.refuse(finding)?))),
+            s if s > EVEN_TOLD => Ok((stray, Some(finding.into()))),
+            _ => Ok((stray, None)),
+        };
+    }
+    if stray.share > LARGEST_HALO {
+        let finding = options.refuse(ConsistencyWarning::HaloImplausible { share: stray.share, most: LARGEST_HALO })?;
+        return Ok((StrayLight::default(), Some(finding)));
+    }
+    Ok((stray, None))
+}
+
+/// Light of the pixels that are not dark, luminance.
+fn sum_of_sample(picture: &Radiance, dark: &[bool]) -> f64 {
+    let light = picture.luminance();
+    light.iter().zip(dark).filter(|(_, dark)| !**dark).map(|(v, _)| f64::from(*v)).sum()
 }
 
 /// Pixels that see the frame or what is around it, away from its reference dots wherever they have drifted to.

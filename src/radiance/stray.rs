@@ -23,6 +23,9 @@ pub struct StrayLight {
     pub share: f64,
     /// Standard deviation of that share.
     pub share_sd: f64,
+    /// Light that is as bright everywhere and fits better than any halo, DN/s: no light of the dots, and not taken out.
+    #[serde(default)]
+    pub even: Option<f64>,
 }
 
 /// Radii that are tried, px: mixtures of neighbours stand for those between.
@@ -49,6 +52,7 @@ impl StrayLight {
     /// back, light that goes through the sample's sides.
     pub fn estimate(pictures: &[Radiance], dark: &[bool]) -> Option<Self> {
         let mut rows: Vec<Weighted> = Vec::new();
+        let mut weights: Vec<f64> = Vec::new();
         for picture in pictures {
             // The dark pixels' own noise, blurred, would look like a halo of theirs: their light is the halo's, and second order in it.
             let lit = lit_only(picture, dark);
@@ -63,17 +67,25 @@ impl StrayLight {
                 let weight = 1.0 / (variance + shape).sqrt();
                 if weight.is_finite() {
                     rows.push((std::array::from_fn(|k| weight * luminance(halos[k].at(at))), weight * seen));
+                    weights.push(weight);
                 }
             }
         }
+        let even = even_light(&rows, &weights);
+        let all = rows.clone();
         let (shares, sd) = fit_without_outliers(rows)?;
+        let halo = |row: &Weighted| row.0.iter().zip(&shares).map(|(h, s)| h * s).sum::<f64>() - row.1;
+        let left = all.iter().map(|row| bounded(halo(row))).sum::<f64>();
+        if let Some((even, _)) = even.filter(|(_, even_left)| *even_left < EVEN_GAIN * left) {
+            return Some(Self { even: Some(even), share_sd: sd, ..Self::default() });
+        }
         let share: f64 = shares.iter().sum();
         if !is_believed(share, sd) {
-            return Some(Self { halos: vec![], share: 0.0, share_sd: sd });
+            return Some(Self { share_sd: sd, ..Self::default() });
         }
         let halos = RADII_PX.iter().zip(shares).filter(|(_, s)| *s > 0.0);
         let halos = halos.map(|(&radius_px, share)| Halo { radius_px, share }).collect();
-        Some(Self { halos, share, share_sd: sd.max(SHAPE_SD * share) })
+        Some(Self { halos, share, share_sd: sd.max(SHAPE_SD * share), even: None })
     }
 
     /// Takes the halo out of the pictures of one shot, which together must hold nearly all of its light.
@@ -111,6 +123,37 @@ impl StrayLight {
             }
         }
     }
+}
+
+/// Even light has to leave less than this share of what the halo leaves, to be taken for what it is. A halo falls off with the distance
+/// from the dots, ambient light does not.
+const EVEN_GAIN: f64 = 0.7;
+
+/// A square that does not grow with what is something else.
+fn bounded(miss: f64) -> f64 {
+    (miss * miss).min(OUTLIER * OUTLIER)
+}
+
+/// The light that all blocks have in common, and what it leaves of them; `None` when it is not significant. Dark light that is less than none
+/// is even, too: `sample-black` had more.
+fn even_light(rows: &[Weighted], weights: &[f64]) -> Option<(f64, f64)> {
+    let mut even = 0.0;
+    for round in 0..4 {
+        let (mut top, mut bottom) = (0.0, 0.0);
+        for ((_, seen), w) in rows.iter().zip(weights) {
+            if round == 0 || (seen - even * w).abs() < OUTLIER {
+                (top, bottom) = (top + w * seen, bottom + w * w);
+            }
+        }
+        if !(bottom > 0.0) {
+            return None;
+        }
+        even = top / bottom;
+        if round == 3 && even.abs() < SIGNIFICANCE / bottom.sqrt() {
+            return None;
+        }
+    }
+    Some((even, rows.iter().zip(weights).map(|((_, seen), w)| bounded(seen - even * w)).sum()))
 }
 
 /// Whether a share of the light with this standard deviation is taken out: NaN is not.

@@ -67,6 +67,60 @@ pub enum ConsistencyWarning {
         /// Standard deviation per axis.
         sd_projector_px: f64,
     },
+    /// The lattice's photographs have even light that the black shot does not have, or the other way round.
+    AmbientChanged {
+        /// How much more they have, DN/s.
+        dn_per_sec: f64,
+        /// The same over a window, as a share of a dot's light in it.
+        share: f64,
+    },
+    /// A halo that no lens has.
+    HaloImplausible {
+        /// Its share of the light.
+        share: f64,
+        /// The largest that is believed.
+        most: f64,
+    },
+    /// A shot whose reference dots are brighter or darker than those of the others; it was corrected by that.
+    LampLevel {
+        /// The shot that is farthest off.
+        shot: String,
+        /// Its light over that of most shots.
+        level: f64,
+        /// Standard deviation of that.
+        level_sd: f64,
+        /// How many shots are off by more than flicker and noise.
+        shots: usize,
+    },
+    /// The white reference is brighter or darker than each Gray-code pattern and its inverse together.
+    WhiteLevel {
+        /// Its shot.
+        shot: String,
+        /// Its light over that of the sums, the median.
+        level: f64,
+        /// Standard deviation of the sums about each other.
+        level_sd: f64,
+    },
+    /// The white reference is not evenly lit.
+    WhiteUneven {
+        /// Its shot.
+        shot: String,
+        /// What it looks like.
+        looks: String,
+        /// Share of the pixels that differ from their surroundings by more than noise.
+        share: f64,
+    },
+    /// Code values end below the saturation of the rig.
+    ClipsBelow {
+        /// The first photograph in which they do.
+        file: String,
+        /// Where they pile up, DN.
+        code: f64,
+        /// The rig's `noise.saturation_dn`.
+        given: f64,
+        /// How many of the photographs that were looked at.
+        photographs: usize,
+    },
     /// Code values are not related to light as the rig says.
     ResponseCurve {
         /// `camera.response` of the rig.
@@ -128,6 +182,45 @@ impl fmt::Display for ConsistencyWarning {
                 f,
                 "all dots are {x:+.2}, {y:+.2} projector px (± {sd_projector_px:.2}) from where [grid], [reference_dots] and Gray code put them together; the one that disagrees is {field}"
             ),
+            Self::AmbientChanged { dn_per_sec, share } => write!(
+                f,
+                "the lattice's photographs have {dn_per_sec:.1} DN/s of even light {} sample-black ({:.1} % of a dot's light in its window): ambient light changed after it, or the lens was covered",
+                if *dn_per_sec > 0.0 { "more than" } else { "(less) than" },
+                100.0 * share
+            ),
+            Self::HaloImplausible { share, most } => write!(
+                f,
+                "{:.1} % of the light seems to be in a wide halo of the camera, no lens has more than {:.0} %: light falls on the frame, the black shot is wrong, or photographs clip",
+                100.0 * share,
+                100.0 * most
+            ),
+            Self::LampLevel { shot, level, level_sd, shots } => {
+                write!(
+                    f,
+                    "the reference dots of shot \"{shot}\" have {level:.3} (± {level_sd:.3}) times the light of most shots'"
+                )?;
+                match shots {
+                    1 => write!(f, ": the lamp changed; taken out")?,
+                    n => write!(f, ": the lamp changes; taken out of {}", count(*n, "shot"))?,
+                }
+                Ok(())
+            }
+            Self::WhiteLevel { shot, level, level_sd } => write!(
+                f,
+                "the white reference (shot \"{shot}\") has {level:.3} times the light (± {level_sd:.3}) that Gray-code patterns and their inverses have together: the lamp changed, or an exposure time is wrong"
+            ),
+            Self::WhiteUneven { shot, looks, share } => write!(
+                f,
+                "the white reference (shot \"{shot}\") is not even: {:.0} % of its pixels differ from their surroundings; {looks}",
+                100.0 * share
+            ),
+            Self::ClipsBelow { file, code, given, photographs } => {
+                write!(f, "code values pile up at {code} DN in {file}, noise.saturation_dn of rig.toml is {given} DN")?;
+                match photographs {
+                    1 => Ok(()),
+                    n => write!(f, "; so do those of {}", count(n - 1, "other photograph")),
+                }
+            }
             Self::ResponseCurve { given, slope, encoding } => {
                 write!(
                     f,
