@@ -129,6 +129,11 @@ impl Common {
         if seen.len() < 3 {
             return None;
         }
+        // Where some shots show another pattern, however many, the others tell where dots are.
+        let far_mm = STEP_SHARE * step_mm(scene);
+        let near: Vec<(Point, Point)> = seen.iter().filter(|(_, off)| off[0].hypot(off[1]) < far_mm).copied().collect();
+        let found = seen.len() as f64 / all as f64;
+        let seen = if near.len() >= 3.max(seen.len() / 20) { near } else { seen };
         let mut common = Self { offset_mm: [0.0; 2], sd_mm: 0.0, depth_mm: 0.0, eye_mm, found: 0.0 };
         common.offset_mm = [0, 1].map(|a| median(&mut seen.iter().map(|s| s.1[a]).collect::<Vec<_>>()));
         for _ in 0..3 {
@@ -150,7 +155,7 @@ impl Common {
             common.sd_mm = (spread / n.sqrt()).hypot(depth_sd * t[0].hypot(t[1]));
             common.depth_mm = depth_mm;
         }
-        common.found = seen.len() as f64 / all as f64;
+        common.found = found;
         Some(common)
     }
 

@@ -1,5 +1,6 @@
 //! How far the pattern of a lattice shot has moved: from dots on the frame, or without any from the dots on the sample.
 
+use super::looks::looks;
 use super::scene::{STILL, Scene, overlap, part, square};
 use crate::capture::Rect;
 use crate::geometry::Point;
@@ -200,7 +201,16 @@ fn lost(scene: &Scene<'_>, shot: usize, windows: &[Bracket], references: usize) 
         }
     }
     let reach = scene.drift_followed_px();
+    // Beside it the sweep looks as this shot should.
+    let lattice = scene.lattice();
+    let beside = lattice.iter().position(|&s| s == shot).and_then(|k| lattice.get(if k == 0 { 1 } else { k - 1 }));
+    let looks = || {
+        let (own, expected) =
+            (scene.photographs.merge_whole(shot).ok()?, scene.photographs.merge_whole(*beside?).ok()?);
+        looks(scene.photographs, shot, &own, &expected, "").ok()?.filter(|l| !l.is_empty())
+    };
+    let words = looks().map_or_else(String::new, |looks| format!("; {looks}"));
     scene.photographs.failed(shot)(format!(
-        "less than half of its {references} reference dots were found within {reach:.1} px of where the pattern puts them"
+        "less than half of its {references} reference dots were found within {reach:.1} px of where the pattern puts them{words}"
     ))
 }

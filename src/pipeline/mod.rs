@@ -205,9 +205,9 @@ fn measure_at(
     let noise = if radiometry.corrected { noise::find(&full.timed(&radiometry.brackets))? } else { noise };
     let stages = Before { noise: &noise, working, defects: &defects, radiometry: &radiometry, start };
     let built = build_rows(&photographs, &stages, options, rows, progress);
-    let ((mut header, mut report), finding) = strangers::with_findings(&photographs, options, built)?;
-    header.warnings.extend(finding.clone());
-    report.warnings.extend(finding);
+    let ((mut header, mut report), findings) = strangers::with_findings(&photographs, options, built)?;
+    header.warnings.extend(findings.iter().cloned());
+    report.warnings.extend(findings);
     Ok((header, report))
 }
 

@@ -1,10 +1,10 @@
 //! Reading the shots of a capture: decoded, merged, by the exposure times and the sensor that radiometry found.
 
 use super::radiometry::Radiometry;
-use crate::capture::{Camera, Capture, Pattern, Photograph, Rect, Reduction};
+use crate::capture::{Camera, Capture, Pattern, Photograph, Rect, Reduction, Samples};
 use crate::geometry::{CameraView, Homography, Lens};
 use crate::radiance::{
-    Bracket, Brightness, Exposure, Radiance, Sensor, decode_shot, disagreements, merge_keeping, merge_shot,
+    Bracket, Brightness, Exposure, Radiance, Sensor, decode_shot, disagreements, merge_keeping, merge_shot, pile_up,
 };
 use crate::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
@@ -24,6 +24,8 @@ pub(super) struct Photographs<'a> {
     hashes: Mutex<BTreeMap<PathBuf, blake3::Hash>>,
     /// Photographs that do not show what the others of their shot show, by shot and place in its bracket: left out from then on.
     strangers: Mutex<BTreeMap<[usize; 2], Stranger>>,
+    /// Where the code values of photographs pile up below saturation, DN, by shot and place.
+    piles: Mutex<BTreeMap<[usize; 2], f64>>,
 }
 
 /// A photograph that does not show what the others of its shot show.
@@ -95,6 +97,7 @@ impl<'a> Photographs<'a> {
             fine,
             hashes: Mutex::default(),
             strangers: Mutex::default(),
+            piles: Mutex::default(),
         }
     }
 
@@ -152,6 +155,12 @@ impl<'a> Photographs<'a> {
 
     /// Compares the photographs of a shot, those at the places `kept` of its bracket, in some rectangles; returns which of `kept` are to be left out.
     fn compare(&self, shot: usize, kept: &[usize], parts: &[&[Exposure]], sensor: &Sensor) -> Result<BTreeSet<usize>> {
+        for (j, &place) in kept.iter().enumerate() {
+            let own: Vec<&Samples> = parts.iter().map(|p| &p[j].samples).collect();
+            if let Some(code) = pile_up(&own, sensor) {
+                self.piles.lock().map_err(Error::internal)?.insert([shot, place], code);
+            }
+        }
         let samples: usize = parts.iter().filter_map(|p| p.first()).map(|e| e.samples.len()).sum();
         let log_scale: Vec<f64> = kept.iter().map(|&k| self.radiometry.unapplied_log_scale(shot, k)).collect();
         let brightness = Brightness { log_scale: &log_scale, tolerance: self.radiometry.brightness_tolerance() };
@@ -170,6 +179,11 @@ impl<'a> Photographs<'a> {
     /// Photographs that do not show what the others of their shot show, by shot and place in its bracket.
     pub(super) fn strangers(&self) -> Result<BTreeMap<[usize; 2], Stranger>> {
         Ok(self.strangers.lock().map_err(Error::internal)?.clone())
+    }
+
+    /// Where the code values of photographs pile up below saturation, DN, by shot and place in its bracket.
+    pub(super) fn piles(&self) -> Result<BTreeMap<[usize; 2], f64>> {
+        Ok(self.piles.lock().map_err(Error::internal)?.clone())
     }
 
     /// The picture of one photograph of a shot, or of all others.

@@ -135,14 +135,18 @@ pub(super) fn calibrate(
     // A photograph of something else would tell nonsense of times.
     let agreeing: Vec<&Stack> = stacks.iter().filter(|s| agrees(s, &sensor)).collect();
     // A wrong curve makes most disagree.
-    let stacks: Vec<&Stack> = if 2 * agreeing.len() > stacks.len() { agreeing } else { stacks.iter().collect() };
+    let agree = 2 * agreeing.len() > stacks.len();
+    let stacks: Vec<&Stack> = if agree { agreeing } else { stacks.iter().collect() };
     let scales: Vec<_> = stacks
         .par_iter()
         .filter_map(|&s| stack_scales(&[&s.exposures], &sensor, 1).map(|scales| (s, scales)))
         .collect();
     let mut fit = fit_exposures(&scales, settings.secs.len());
     fit.flicker_sd = fit.flicker_sd.filter(|sd| !file.is_compressed() || *sd > LEAST_COMPRESSED_FLICKER);
-    warnings.extend(judge(&fit, &settings, options, file, capture)?);
+    if !agree {
+        fit.flicker_sd = None;
+    }
+    warnings.extend(judge(&fit, agree, &settings, options, file, capture)?);
     let mut brackets = capture.brackets.clone();
     let mut corrected = false;
     let mut log_scales: Vec<Vec<f64>> =
@@ -341,6 +345,7 @@ pub(super) fn save_curve(capture: &Capture, sensor: &Sensor) -> Option<RadianceW
 
 fn judge(
     fit: &ExposureFit,
+    agree: bool,
     settings: &Settings,
     options: &BuildOptions,
     file: FileNoise,
@@ -360,6 +365,10 @@ fn judge(
             slope,
             encoding,
         })?);
+        return Ok(warnings);
+    }
+    if !agree {
+        // What the photographs of stacks show differs, not only how bright: that is told shot by shot.
         return Ok(warnings);
     }
     if let Some(relative_sd) = fit.flicker_sd.filter(|sd| *sd > 0.99 * MOST_FLICKER) {
@@ -492,7 +501,7 @@ mod tests {
                 flicker_sd: None,
             };
             let file = FileNoise { sixteen_bit: false, compression: [compression; 3] };
-            judge(&fit, &settings, &BuildOptions::default(), file)
+            judge(&fit, true, &settings, &BuildOptions::default(), file, &empty()).unwrap()
         };
         assert!(of([0.004, -0.004, 0.0], 1e-5, 0.0).is_empty());
         assert!(of([0.0, -0.02, 0.02], 0.01, 0.0).is_empty(), "two standard deviations");
@@ -509,7 +518,7 @@ mod tests {
         let fit =
             ExposureFit { log_scale: vec![0.9; 3], variance: vec![0.0; 3], group: vec![0, 1, 0], flicker_sd: None };
         let options = BuildOptions { exposure_from: ExposureFrom::Estimate, ..BuildOptions::default() };
-        let warnings = judge(&fit, &settings, &options, FileNoise::default());
+        let warnings = judge(&fit, true, &settings, &options, FileNoise::default(), &empty()).unwrap();
         let [RadianceWarning::ExposuresUnlinked { groups }] = &warnings[..] else { panic!("{warnings:?}") };
         assert_eq!(*groups, [vec![0.01, 0.16], vec![0.04]]);
     }

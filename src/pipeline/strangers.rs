@@ -7,6 +7,8 @@ use crate::capture::{Pattern, Samples};
 use crate::radiance::decode_spread;
 use crate::{ConsistencyWarning, Error, Result, Warning};
 
+/// Code values that pile up below this share of the rig's saturation do so for another reason than that saturation is stated a little high.
+const CLIPS_BELOW: f64 = 0.98;
 /// Of the shots of a kind that have such a photograph, more than this share are a fault of the set-up, not of a photograph.
 const SINGLE_SHARE: f64 = 0.2;
 
@@ -18,16 +20,31 @@ pub(super) fn with_findings<T>(
     photographs: &Photographs<'_>,
     options: &BuildOptions,
     done: Result<T>,
-) -> Result<(T, Option<Warning>)> {
+) -> Result<(T, Vec<Warning>)> {
     if done.as_ref().is_err_and(Error::is_internal) {
-        return done.map(|done| (done, None));
+        return done.map(|done| (done, vec![]));
     }
-    let finding = judge(photographs, options)?;
-    match (done, finding) {
-        (Ok(done), finding) => Ok((done, finding)),
-        (Err(error), Some(finding)) => Err(options.refuse(finding).err().unwrap_or(error)),
-        (Err(error), None) => Err(error),
+    // Clipping makes photographs disagree, and not the other way round.
+    let findings: Vec<Warning> = match clipping(photographs, options)? {
+        Some(clips) => vec![clips],
+        None => judge(photographs, options)?.into_iter().collect(),
+    };
+    match (done, findings.first()) {
+        (Ok(done), _) => Ok((done, findings)),
+        (Err(error @ Error::Contradiction { .. }), _) | (Err(error), None) => Err(error),
+        (Err(error), Some(finding)) => Err(options.refuse(finding.clone()).err().unwrap_or(error)),
     }
+}
+
+/// Photographs that clip below the saturation of the rig.
+fn clipping(photographs: &Photographs<'_>, options: &BuildOptions) -> Result<Option<Warning>> {
+    let piles = photographs.piles()?;
+    let given = photographs.capture.rig.noise.as_ref().map_or(f64::INFINITY, |n| n.saturation_dn);
+    // The rig's is a little below the largest code itself.
+    let below: Vec<_> = piles.iter().filter(|(_, code)| **code < CLIPS_BELOW * given).collect();
+    let Some(&(&[shot, place], &code)) = below.first() else { return Ok(None) };
+    let file = photographs.capture.name_of(&photographs.brackets[shot][place].path);
+    options.refuse(ConsistencyWarning::ClipsBelow { file, code, given, photographs: below.len() }).map(Some)
 }
 
 /// What to tell of them.

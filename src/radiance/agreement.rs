@@ -2,6 +2,7 @@
 
 use super::merge::BLOCK;
 use super::{Exposure, Sensor};
+use crate::capture::Samples;
 
 /// A photograph of a stack that does not show what the others show.
 #[derive(Debug, Clone, PartialEq)]
@@ -201,6 +202,54 @@ pub(super) fn median_ratio(parts: &[[&Exposure; 2]], sensor: &Sensor, stride: us
     let middle = ratios.len() / 2;
     let median = *ratios.select_nth_unstable_by(middle, f32::total_cmp).1;
     Some(Ratio { median, samples: ratios.len() })
+}
+
+/// A pile of equal code values holds as many at least as this, and so many times what the codes of the hundredth below it do on average.
+const LEAST_PILE: usize = 16;
+const PILE_GAIN: f64 = 8.0;
+/// Noise in which values do not pile up by themselves, DN.
+const LEAST_NOISE_DN: f32 = 0.25;
+
+/// The code value at which a photograph's values pile up below the saturation of the rig, DN: it clips there. `None` when it does not, and when
+/// its noise there is so small that values are equal anyway.
+///
+/// `parts` are rectangles of it. Means of blocks pile up where all pixels of a block clip. Not detected: where a response curve ends below.
+pub fn pile_up(parts: &[&Samples], sensor: &Sensor) -> Option<f64> {
+    let saturation = sensor.full_range() + sensor.black();
+    let mut top = f32::NEG_INFINITY;
+    let mut beyond = 0usize;
+    let look = |see: &mut dyn FnMut(f32)| {
+        for part in parts {
+            match part {
+                Samples::U8(v) => v.iter().for_each(|&c| see(f32::from(c))),
+                Samples::U16(v) => v.iter().for_each(|&c| see(f32::from(c))),
+                Samples::F32(v) => v.iter().for_each(|&c| see(c)),
+            }
+        }
+    };
+    look(&mut |c| match c >= saturation {
+        true => beyond += 1,
+        false => top = top.max(c),
+    });
+    let level = top - sensor.black();
+    // What saturates where the rig says does not end below; in the dark values are few and equal.
+    if sensor.is_curved()
+        || beyond >= LEAST_PILE
+        || !(level > 0.05 * sensor.full_range())
+        || sensor.variance(level, 1) < LEAST_NOISE_DN * LEAST_NOISE_DN
+    {
+        return None;
+    }
+    let (mut equal, mut near) = (0usize, 0usize);
+    look(&mut |c| {
+        equal += usize::from(c == top);
+        near += usize::from(c < top && c >= 0.99 * top);
+    });
+    let codes = match parts.first()? {
+        Samples::F32(_) => 1.0,
+        _ => f64::from(0.01 * top).max(1.0),
+    };
+    (equal >= LEAST_PILE && equal as f64 > PILE_GAIN * near as f64 / codes).then_some(f64::from(top))
 }
 
 /// Calls `look` with channel, linear values and times of each sample.

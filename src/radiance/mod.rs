@@ -14,7 +14,7 @@ mod sensor;
 mod shot;
 mod stray;
 
-pub use agreement::{Brightness, Disagreement, disagreements};
+pub use agreement::{Brightness, Disagreement, disagreements, pile_up};
 pub use curve::{Curve, CurveEstimate, CurveOptions, LightSum, estimate_curve};
 pub use exposures::{ExposureFit, MOST_FLICKER, Stack, StackScales, fit_exposures, pick_pixels, stack_scales};
 pub(crate) use exposures::{evenly, take};

@@ -131,6 +131,11 @@ impl Sensor {
         self.range()
     }
 
+    /// Code value without light.
+    pub(super) fn black(&self) -> f32 {
+        self.black
+    }
+
     /// Largest linear value that counts.
     pub(super) fn range(&self) -> f32 {
         self.saturation - self.black
