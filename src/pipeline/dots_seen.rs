@@ -37,8 +37,9 @@ const STEP_SHARE: f64 = 0.4;
 const NEAR_STEP: f64 = 0.25;
 /// From this offset on, projector px, rows would be off by more than any stated uncertainty.
 const REFUSED_PROJECTOR_PX: f64 = 0.5;
-/// Light leaves a sample seen obliquely below its place: by up to this depth, mm, times the tangent of the view.
-const DEEPEST_MM: f64 = 1.5;
+/// A sample that is seen obliquely shows its dots beside their places, as their light leaves it from below: from no deeper than this many
+/// radii of the half of a row's light (ketchup and chicken of docs/simulation.md: 2).
+const DEEPEST: f64 = 2.5;
 
 impl DotSearch {
     pub(super) fn new(scene: &Scene<'_>) -> Result<Self> {
@@ -97,72 +98,60 @@ pub(super) fn judge(scene: &Scene<'_>, results: &[ShotResult], options: &BuildOp
     Ok(warnings)
 }
 
-/// What all dots of a capture are off by alike: an offset, and the depth from which their light comes.
+/// What all dots of a capture are off by alike.
 struct Common {
-    /// At the grid's middle, mm.
+    /// Median, mm.
     offset_mm: Point,
+    /// The part of it that light from no depth explains, mm.
+    unexplained_mm: Point,
     /// Standard deviation per axis, mm.
     sd_mm: f64,
-    depth_mm: f64,
-    eye_mm: Option<[f64; 3]>,
     /// Share of all dots that were found.
     found: f64,
 }
 
-/// What is believed of the depth before it is seen, mm: that of most media.
-const DEPTH_SD_MM: f64 = 0.5;
-
 impl Common {
-    /// Least squares over all dots that were found, twice, those beyond three scaled deviations left out the second time. `None` for none.
+    /// `None` for fewer than three dots.
     fn of(scene: &Scene<'_>, results: &[ShotResult]) -> Option<Self> {
         let eye_mm = scene.registration.view.eye_mm();
+        // Where dots are seen, and the tangent of the line of sight per depth: towards the camera's foot.
         let mut seen: Vec<(Point, Point)> = Vec::new();
+        let mut depths: Vec<f64> = Vec::new();
         let mut all = 0;
         for (result, shot) in results.iter().zip(scene.lattice()) {
+            depths.extend(result.lit.iter().map(|l| l.half_light_mm));
             for (at, &dot) in result.seen.iter().zip(scene.dots(shot)) {
                 all += 1;
                 if let DotSeen::At { off_mm, .. } = at {
-                    seen.push((tangent(eye_mm, scene.nominal_mm(dot)), *off_mm));
+                    let p = scene.nominal_mm(dot);
+                    let tangent = eye_mm.map_or([0.0; 2], |eye| [0, 1].map(|a| (eye[a] - p[a]) / -eye[2]));
+                    seen.push((tangent, *off_mm));
                 }
             }
         }
-        if seen.len() < 3 {
+        if seen.len() < 3 || depths.is_empty() {
             return None;
         }
+        let found = seen.len() as f64 / all as f64;
         // Where some shots show another pattern, however many, the others tell where dots are.
         let far_mm = STEP_SHARE * step_mm(scene);
         let near: Vec<(Point, Point)> = seen.iter().filter(|(_, off)| off[0].hypot(off[1]) < far_mm).copied().collect();
-        let found = seen.len() as f64 / all as f64;
         let seen = if near.len() >= 3.max(seen.len() / 20) { near } else { seen };
-        let mut common = Self { offset_mm: [0.0; 2], sd_mm: 0.0, depth_mm: 0.0, eye_mm, found: 0.0 };
-        common.offset_mm = [0, 1].map(|a| median(&mut seen.iter().map(|s| s.1[a]).collect::<Vec<_>>()));
-        for _ in 0..3 {
-            let left = |(t, off): &(Point, Point)| {
-                [0, 1].map(|a| off[a] - common.offset_mm[a] - common.depth_mm * t[a]).map(f64::abs)
-            };
-            let mut spread: Vec<f64> = seen.iter().flat_map(left).collect();
-            let spread = 1.4826 * median(&mut spread) + 1e-9;
-            let kept: Vec<_> = seen.iter().filter(|s| left(s).iter().all(|l| *l <= 3.0 * spread)).collect();
-            let n = kept.len() as f64;
-            let mean = |f: &dyn Fn(&(Point, Point)) -> f64| kept.iter().map(|s| f(s)).sum::<f64>() / n;
-            let (t, off) = ([0, 1].map(|a| mean(&|s| s.0[a])), [0, 1].map(|a| mean(&|s| s.1[a])));
-            let sums = kept.iter().flat_map(|s| [0, 1].map(|a| (s.0[a] - t[a], s.1[a] - off[a])));
-            let (mut square, mut product) = ((spread / DEPTH_SD_MM).powi(2), 0.0);
-            sums.for_each(|(t, m)| (square, product) = (square + t * t, product + t * m));
-            let depth_mm = (product / square).clamp(0.0, DEEPEST_MM);
-            let depth_sd = spread / square.sqrt();
-            common.offset_mm = [0, 1].map(|a| off[a] - depth_mm * t[a]);
-            common.sd_mm = (spread / n.sqrt()).hypot(depth_sd * t[0].hypot(t[1]));
-            common.depth_mm = depth_mm;
-        }
-        common.found = found;
-        Some(common)
+        let middle = |of: &dyn Fn(&(Point, Point)) -> f64| median(&mut seen.iter().map(of).collect::<Vec<_>>());
+        let offset_mm = [0, 1].map(|a| middle(&|s| s.1[a]));
+        let tangent = [0, 1].map(|a| middle(&|s| s.0[a]));
+        let square = tangent[0].powi(2) + tangent[1].powi(2);
+        let depth = (offset_mm[0] * tangent[0] + offset_mm[1] * tangent[1]) / square.max(1e-12);
+        let depth = depth.clamp(0.0, DEEPEST * median(&mut depths));
+        let unexplained_mm = [0, 1].map(|a| offset_mm[a] - depth * tangent[a]);
+        let spread = [0, 1].map(|a| 1.4826 * middle(&|s| (s.1[a] - offset_mm[a]).abs()));
+        let sd_mm = scene.registration.position_sd_mm.hypot(spread[0].max(spread[1]) / (seen.len() as f64).sqrt());
+        Some(Self { offset_mm, unexplained_mm, sd_mm, found })
     }
 
     /// What a dot is off by beyond what all are.
-    fn left(&self, p: Point, off_mm: Point) -> Point {
-        let t = tangent(self.eye_mm, p);
-        [0, 1].map(|a| off_mm[a] - self.offset_mm[a] - self.depth_mm * t[a])
+    fn left(&self, off_mm: Point) -> Point {
+        [0, 1].map(|a| off_mm[a] - self.offset_mm[a])
     }
 
     /// Grid, reference dots and Gray code that do not agree.
@@ -170,7 +159,9 @@ impl Common {
         let grid = &scene.capture.manifest.grid;
         let middle = grid.dot_projector_px([grid.points[0] / 2, grid.points[1] / 2]);
         let off_px = projector_px(scene, middle, self.offset_mm);
-        let length_mm = self.offset_mm[0].hypot(self.offset_mm[1]);
+        let length_mm = self.unexplained_mm[0].hypot(self.unexplained_mm[1]);
+        let unexplained_px = projector_px(scene, middle, self.unexplained_mm);
+        let unexplained_px = unexplained_px[0].hypot(unexplained_px[1]);
         if length_mm * scene.px_per_mm < LEAST_PX || length_mm < SIGMA * self.sd_mm || self.found < 0.5 {
             return Ok(None);
         }
@@ -184,18 +175,13 @@ impl Common {
         let finding = ConsistencyWarning::DotsOffset {
             field: culprit.into(),
             offset_projector_px: off_px,
-            sd_projector_px: self.sd_mm / length_mm * off_px[0].hypot(off_px[1]),
+            sd_projector_px: self.sd_mm / length_mm * unexplained_px,
         };
-        match off_px[0].hypot(off_px[1]) < REFUSED_PROJECTOR_PX {
+        match unexplained_px < REFUSED_PROJECTOR_PX {
             true => Ok(Some(finding.into())),
             false => options.refuse(finding).map(Some),
         }
     }
-}
-
-/// Tangent of the line of sight at `p`, towards the camera's foot, per depth.
-fn tangent(eye_mm: Option<[f64; 3]>, p: Point) -> Point {
-    eye_mm.map_or([0.0; 2], |eye| [0, 1].map(|a| (eye[a] - p[a]) / -eye[2]))
 }
 
 /// A displacement on the slab, mm, in projector px at a projector pixel.
@@ -218,18 +204,18 @@ fn other_patterns(
     // Without dots on the frame, drift is what the dots themselves say: a step of it is looked for.
     let on_frame = scene.capture.manifest.reference_dots.is_some();
     let mut before: Option<Point> = None;
-    for (k, (result, &shot)) in results.iter().zip(&lattice).enumerate() {
+    for (k, result) in results.iter().enumerate() {
         let drift = result.drift.map_or([0.0; 2], |d| d.slab_mm);
-        let far = |(seen, &dot): (&DotSeen, &[usize; 2])| match seen {
+        let far = |seen: &DotSeen| match seen {
             DotSeen::At { off_mm, .. } => {
-                let left = common.left(scene.nominal_mm(dot), *off_mm);
+                let left = common.left(*off_mm);
                 let walked = before.filter(|_| !on_frame).map_or([0.0; 2], |b| [drift[0] - b[0], drift[1] - b[1]]);
                 (left[0] + walked[0]).hypot(left[1] + walked[1]) > STEP_SHARE * step_mm
             }
             // Where nearly all dots are seen, one that is not is not there.
             DotSeen::Dark | DotSeen::Unclear => common.found > 0.8,
         };
-        let off = result.seen.iter().zip(scene.dots(shot)).filter(|s| far((s.0, s.1))).count();
+        let off = result.seen.iter().filter(|s| far(s)).count();
         match 2 * off > result.seen.len() {
             true => wrong.push(k),
             false => before = result.drift.map(|d| d.slab_mm),
@@ -263,7 +249,7 @@ fn shown(scene: &Scene<'_>, results: &[ShotResult], common: &Common, lattice: &[
     let seen: Vec<Point> = dots
         .filter_map(|(seen, &dot)| match seen {
             DotSeen::At { off_mm, .. } => {
-                let (p, left) = (scene.nominal_mm(dot), common.left(scene.nominal_mm(dot), *off_mm));
+                let (p, left) = (scene.nominal_mm(dot), common.left(*off_mm));
                 Some([p[0] + left[0], p[1] + left[1]])
             }
             _ => None,

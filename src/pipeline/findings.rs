@@ -9,7 +9,7 @@ use super::{BuildReport, BuildSecs, CrossTalk, Overview, Working};
 use crate::capture::{Manifest, Pattern};
 use crate::geometry::Point;
 use crate::radiance::HotPixel;
-use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps};
+use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps, median};
 use crate::transport::{MatrixHeader, ShotRecord};
 use crate::{
     ConsistencyWarning, DriftJump, Error, RadianceWarning, RegistrationWarning, ResponseWarning, Result, Warning,
@@ -110,6 +110,7 @@ pub(super) fn summarize(
     let remaining = results.iter().map(|r| r.flicker_variance).sum::<f64>() / results.len().max(1) as f64;
     warnings.extend(found.light.flicker.warning(remaining).map(Warning::from));
     warnings.extend(lamp(results, &header).map(Warning::from));
+    warnings.extend(reference_dots(results, &header).into_iter().map(Warning::from));
     complete(scene, found.light, &mut header, &mut warnings);
     warnings.extend(crosstalk.as_ref().and_then(CrossTalk::warning).map(Warning::from));
     header.camera_px_per_mm = Some(full * scene.px_per_mm);
@@ -267,6 +268,38 @@ fn lamp(results: &[ShotResult], header: &MatrixHeader) -> Option<ConsistencyWarn
     let &(worst, [level, level_sd]) = off.iter().max_by(|a, b| a.1[0].ln().abs().total_cmp(&b.1[0].ln().abs()))?;
     let shot = header.shots.get(worst)?.name.clone();
     Some(ConsistencyWarning::LampLevel { shot, level, level_sd, shots: off.len() })
+}
+
+/// A shot whose dots are wider by more than this share of the usual, and by eight scaled deviations of what shots differ by, is blurred.
+const WIDER: f64 = 0.2;
+const SPREAD_SIGMA: f64 = 8.0;
+
+/// Shots whose reference dots differ from each other, in colour, or in width.
+fn reference_dots(results: &[ShotResult], header: &MatrixHeader) -> Vec<ConsistencyWarning> {
+    let mut warnings = Vec::new();
+    let name = |k: usize| header.shots.get(k).map_or_else(String::new, |s| s.name.clone());
+    let all = |of: &dyn Fn(&ShotResult) -> bool| (0..results.len()).filter(|&k| of(&results[k])).collect::<Vec<_>>();
+    let strange = all(&|r| r.dots_show.strange > 0);
+    if let Some(&first) = strange.first() {
+        let dots = results[first].dots_show.strange;
+        warnings.push(ConsistencyWarning::ReferenceDots { shot: name(first), dots, shots: strange.len() });
+    }
+    let coloured = all(&|r| r.dots_show.colour.is_some());
+    if let Some((&first, levels)) = coloured.first().and_then(|k| Some((k, results[*k].dots_show.colour?))) {
+        warnings.push(ConsistencyWarning::ColourChanges { shot: name(first), levels, shots: coloured.len() });
+    }
+    let mut spreads: Vec<f64> = results.iter().filter_map(|r| r.dots_show.spread_px2).collect();
+    let middle = median(&mut spreads);
+    let deviation = 1.4826 * median(&mut spreads.iter().map(|s| (s - middle).abs()).collect::<Vec<_>>());
+    let limit = middle + (WIDER * middle).max(SPREAD_SIGMA * deviation);
+    let wide = all(&|r| r.dots_show.spread_px2.is_some_and(|s| s > limit));
+    let widest = wide.iter().filter_map(|&k| results[k].dots_show.spread_px2).fold(0.0, f64::max);
+    if let Some(&first) = wide.first() {
+        // Of both axes.
+        let added_px = (0.5 * (widest - middle)).sqrt();
+        warnings.push(ConsistencyWarning::BlurChanges { shot: name(first), added_px, shots: wide.len() });
+    }
+    warnings
 }
 
 /// Shots before which the pattern has jumped.

@@ -52,11 +52,29 @@ pub(super) struct Steadied {
     pub variance: f64,
     /// The lamp's level over that of most shots and its standard deviation, where it is off by more than flicker and noise.
     pub lamp: Option<[f64; 2]>,
+    /// What the reference dots show besides.
+    pub dots: DotsShow,
+}
+
+/// What the reference dots of a shot show besides the lamp's level.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct DotsShow {
+    /// How many of them have another light than the others say.
+    pub strange: usize,
+    /// Light of R, G, B over that of most shots, where the channels differ.
+    pub colour: Option<[f64; 3]>,
+    /// Mean square distance of their light from their middle, px².
+    pub spread_px2: Option<f64>,
 }
 
 /// A shot's light that is off by more standard deviations than this of what shots differ by, and by this share, is another level of the lamp.
 const LAMP_SIGMA: f64 = 6.0;
 const LEAST_LAMP: f64 = 0.01;
+
+/// A reference dot that is off by more than this share and by `LAMP_SIGMA` from what the others of its shot say is covered, or dirty.
+const STRANGE_DOT: f64 = 0.1;
+/// Channels that differ by more than this share and by `LAMP_SIGMA` are of another white balance or order.
+const LEAST_COLOUR: f64 = 0.03;
 
 /// A photograph that is off by more than this many standard deviations of the flicker is off by something else.
 const FLICKER_SIGMA: f64 = 5.0;
@@ -79,7 +97,7 @@ impl Flicker {
             .map(|&shot| {
                 let mut seen = scene.photographs.decode(shot, &scene.reference_rects(shot)?)?;
                 flicker.steady_stack(&scene.photographs.sensor, seen.iter_mut().collect());
-                Ok(reference_light(scene, &seen))
+                Ok(reference_light(scene, &seen).map(|(light, _)| light))
             })
             .collect::<Result<_>>()?;
         flicker.level = Level::of(&lights.into_iter().flatten().collect::<Vec<_>>());
@@ -90,16 +108,21 @@ impl Flicker {
     pub(super) fn steady(&self, scene: &Scene<'_>, references: &mut [Bracket], windows: &mut [Bracket]) -> Steadied {
         let both = references.iter_mut().chain(windows.iter_mut()).collect();
         let [common, own] = self.steady_stack(&scene.photographs.sensor, both);
-        let light = self.level.as_ref().and_then(|level| Some((level, reference_light(scene, references)?)));
-        let Some(found) = light.and_then(|(level, light)| level.scale_of(&light)) else {
-            return Steadied { variance: common + own + self.white_variance, lamp: None };
+        let seen = reference_light(scene, references);
+        let mut dots = DotsShow { spread_px2: seen.as_ref().and_then(|s| s.1), ..DotsShow::default() };
+        let both = self.level.as_ref().zip(seen.as_ref());
+        if let Some((level, (light, _))) = both {
+            (dots.strange, dots.colour) = (level.strange(light), level.colour(light));
+        }
+        let Some(found) = both.and_then(|(level, (light, _))| level.scale_of(light)) else {
+            return Steadied { variance: common + own + self.white_variance, lamp: None, dots };
         };
         for bracket in references.iter_mut().chain(windows) {
             bracket.scale_secs(&vec![found.log_level.exp(); bracket.exposures().len()]);
         }
         let own = if found.log_level == 0.0 { common + own } else { own };
         let lamp = found.is_lamp.then(|| [found.log_level.exp(), found.variance.sqrt()]);
-        Steadied { variance: found.variance + own + self.white_variance, lamp }
+        Steadied { variance: found.variance + own + self.white_variance, lamp, dots }
     }
 
     /// Corrects the times of a stack's photographs against each other. Returns the relative variances that remain: one that all have in
@@ -191,16 +214,44 @@ impl Level {
         Some(level)
     }
 
-    /// Logarithm of a shot's light over the mean, and its variance.
+    /// A shot's light over the mean less one, and its variance; dots that the others contradict do not count.
     fn measured(&self, light: &DotLight) -> Option<(f64, f64)> {
-        let (mut top, mut bottom) = (0.0, 0.0);
-        for (mean, light) in self.mean.iter().zip(light) {
-            let (Some(mean), Some([light, variance])) = (mean, light) else { continue };
-            let weight = mean * mean / variance.max(1e-12 * mean * mean);
-            top += weight * (light / mean - 1.0);
-            bottom += weight;
-        }
-        (bottom > 0.0).then(|| (top / bottom, 1.0 / bottom))
+        let all = self.ratios(light);
+        let middle = median(&mut all.iter().flatten().map(|r| r.0).collect::<Vec<_>>());
+        mean(all.into_iter().flatten().filter(|r| !is_strange(*r, middle)))
+    }
+
+    /// Light of each dot and channel over the mean less one with its variance, `None` where it was not measured.
+    fn ratios(&self, light: &DotLight) -> Vec<Option<(f64, f64)>> {
+        let ratio = |(mean, light): (&Option<f64>, &Option<[f64; 2]>)| {
+            let (mean, [light, variance]) = ((*mean)?, (*light)?);
+            Some((light / mean - 1.0, variance.max(1e-12 * mean * mean) / (mean * mean)))
+        };
+        self.mean.iter().zip(light).map(ratio).collect()
+    }
+
+    /// How many dots are off from what the others of the shot say, in all channels that were measured.
+    fn strange(&self, light: &DotLight) -> usize {
+        let all = self.ratios(light);
+        let middle = median(&mut all.iter().flatten().map(|r| r.0).collect::<Vec<_>>());
+        let off = |dot: &&[Option<(f64, f64)>]| {
+            dot.iter().any(Option::is_some) && dot.iter().flatten().all(|r| is_strange(*r, middle))
+        };
+        all.chunks(3).filter(off).count()
+    }
+
+    /// Light of the channels over the mean, where they differ.
+    fn colour(&self, light: &DotLight) -> Option<[f64; 3]> {
+        let all = self.ratios(light);
+        let middle = |c: usize| median(&mut all.iter().skip(c).step_by(3).flatten().map(|r| r.0).collect::<Vec<_>>());
+        let channel = |c: usize| {
+            let own = all.iter().skip(c).step_by(3).flatten().copied();
+            mean(own.filter(|r| !is_strange(*r, middle(c))))
+        };
+        let [r, g, b] = [channel(0)?, channel(1)?, channel(2)?];
+        let differ =
+            |a: (f64, f64), b: (f64, f64)| (a.0 - b.0).abs() > LEAST_COLOUR.max(LAMP_SIGMA * (a.1 + b.1).sqrt());
+        (differ(r, g) || differ(g, b) || differ(r, b)).then_some([1.0 + r.0, 1.0 + g.0, 1.0 + b.0])
     }
 
     /// The level of a shot: all of it where it is none of what shots usually differ by, else drawn towards none; `None` where shots do not differ.
@@ -218,8 +269,19 @@ impl Level {
     }
 }
 
-/// Light of the reference dots where the drift has put them.
-fn reference_light(scene: &Scene<'_>, seen: &[Bracket]) -> Option<DotLight> {
+/// Whether a dot's light is not the others'.
+fn is_strange((ratio, variance): (f64, f64), middle: f64) -> bool {
+    (ratio - middle).abs() > (STRANGE_DOT * (1.0 + middle)).max(LAMP_SIGMA * variance.sqrt())
+}
+
+/// Mean by inverse variances, and its variance; `None` for nothing.
+fn mean(ratios: impl Iterator<Item = (f64, f64)>) -> Option<(f64, f64)> {
+    let (top, bottom) = ratios.fold((0.0, 0.0), |(top, bottom), (r, v)| (top + r / v, bottom + 1.0 / v));
+    (bottom > 0.0).then(|| (top / bottom, 1.0 / bottom))
+}
+
+/// Light of the reference dots where the drift has put them, and the mean square distance of it from their middles, px².
+fn reference_light(scene: &Scene<'_>, seen: &[Bracket]) -> Option<(DotLight, Option<f64>)> {
     let pictures: Vec<(Point, Radiance)> =
         scene.reference_mm().into_iter().zip(seen).map(|(p, b)| (p, scene.picture(b, b.rect(), STILL))).collect();
     let moved = measure_drift(&pictures, scene.registration, scene.dot_radius_px())?.slab_mm;
@@ -228,7 +290,32 @@ fn reference_light(scene: &Scene<'_>, seen: &[Bracket]) -> Option<DotLight> {
         let at = scene.registration.view.camera_from_slab([p[0] + moved[0], p[1] + moved[1]]);
         light_around(scene, picture, at, reach)
     };
-    Some(pictures.iter().flat_map(light).collect())
+    let mut spreads: Vec<f64> = pictures
+        .iter()
+        .filter_map(|(p, picture)| {
+            let at = scene.registration.view.camera_from_slab([p[0] + moved[0], p[1] + moved[1]]);
+            spread_around(picture, at, reach)
+        })
+        .collect();
+    let spread = (2 * spreads.len() > pictures.len()).then(|| median(&mut spreads));
+    Some((pictures.iter().flat_map(light).collect(), spread))
+}
+
+/// Mean square distance of the light within `reach` of a dot's middle from it, px²; `None` where some of it was not measured.
+fn spread_around(picture: &Radiance, at: Point, reach: f64) -> Option<f64> {
+    let Rect { x, y, width, .. } = picture.rect;
+    let light = picture.luminance();
+    let (mut sum, mut square) = (0.0, 0.0);
+    for (k, (v, used)) in light.iter().zip(picture.used.as_chunks::<3>().0).enumerate() {
+        let r = ((x + k % width) as f64 - at[0]).hypot((y + k / width) as f64 - at[1]);
+        if r <= reach {
+            if used.contains(&0) {
+                return None;
+            }
+            (sum, square) = (sum + f64::from(*v), square + f64::from(*v) * r * r);
+        }
+    }
+    (sum > 0.0).then(|| square / sum)
 }
 
 /// Light within a square of half side `reach`, its border pixels by their share, so that it does not jump when a dot moves.

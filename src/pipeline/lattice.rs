@@ -2,7 +2,7 @@
 
 use super::dots_seen::{DotSearch, DotSeen};
 use super::drift::Movements;
-use super::flicker::{Flicker, Steadied};
+use super::flicker::{DotsShow, Flicker, Steadied};
 use super::scene::{STILL, Scene, grown, overlap};
 use super::sink::RowSink;
 use crate::capture::{Sampling, Window};
@@ -24,6 +24,8 @@ pub(super) struct ShotResult {
     pub(super) flicker_variance: f64,
     /// The lamp's level over that of most shots and its standard deviation, where it was taken out as no flicker.
     pub(super) lamp: Option<[f64; 2]>,
+    /// What its reference dots show besides.
+    pub(super) dots_show: DotsShow,
     /// Where each of its dots was seen.
     pub(super) seen: Vec<DotSeen>,
 }
@@ -36,6 +38,8 @@ pub(super) struct LitPoint {
     pub(super) findings: RowFindings,
     /// The largest of the channels.
     pub(super) albedo: f64,
+    /// Radius around the dot within which half of the window's light leaves, mm.
+    pub(super) half_light_mm: f64,
 }
 
 /// What the light of the lattice shots is corrected by.
@@ -84,15 +88,60 @@ pub(super) fn extract(
     let shots = scene.lattice();
     let photographs = shots.iter().map(|&s| scene.photographs.brackets[s].len()).sum();
     let stage = progress.stage("extract", photographs);
-    shots
-        .into_par_iter()
+    let mut results: Vec<ShotResult> = shots
+        .par_iter()
         .with_max_len(1)
-        .map(|shot| {
-            let result = extract_shot(scene, light, shot, movements, search, rows)?;
+        .map(|&shot| {
+            let result = extract_shot(scene, light, shot, movements, Camera::Measured, search, rows)?;
             stage.advance(scene.photographs.brackets[shot].len());
             Ok(result)
         })
-        .collect()
+        .collect::<Result<_>>()?;
+    for k in unlikely_movements(&results) {
+        results[k] = extract_shot(scene, light, shots[k], movements, Camera::Still, search, rows)?;
+    }
+    Ok(results)
+}
+
+/// What is believed of the camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Camera {
+    /// It has moved as the rim of the sample says.
+    Measured,
+    /// It stands still.
+    Still,
+}
+
+/// A movement that leaves the reference dots this share of it from where the shots beside have them is one of the camera: it moves dots and rim alike.
+const UNLIKELY: f64 = 0.4;
+
+/// Shots whose camera seems to have moved, and whose reference dots were where they are in the shots before and after but for that: the rim
+/// was mistaken, as a sample that is pushed and returns is less likely.
+fn unlikely_movements(results: &[ShotResult]) -> Vec<usize> {
+    let camera = |r: &ShotResult| r.camera.filter(CameraMotion::is_sure).map_or(STILL, |m| m.camera_px);
+    let unlikely = |k: &usize| {
+        let own = camera(&results[*k]);
+        if own == STILL {
+            return false;
+        }
+        let beside: Vec<usize> =
+            [k.checked_sub(1), Some(k + 1)].into_iter().flatten().filter(|j| *j < results.len()).collect();
+        let known = |j: &usize| results[*j].drift.map(|d| (d.camera_px, camera(&results[*j])));
+        let (Some(drift), Some(others)) = (results[*k].drift, beside.iter().map(known).collect::<Option<Vec<_>>>())
+        else {
+            return false;
+        };
+        let n = others.len().max(1) as f64;
+        let mean = |of: &dyn Fn(&(Point, Point)) -> f64| others.iter().map(of).sum::<f64>() / n;
+        // How far the dots are from where they should be, the camera moved and not.
+        let off = |moved: Point| {
+            let a = |a: usize| drift.camera_px[a] + moved[a] - mean(&|o| o.0[a]);
+            a(0).hypot(a(1))
+        };
+        let alone = (0..2).map(|a| own[a] - mean(&|o| o.1[a])).fold(0.0, f64::hypot);
+        alone > 0.5 * own[0].hypot(own[1]) && off(own) < UNLIKELY * off(STILL)
+    };
+    (0..results.len()).filter(unlikely).collect()
 }
 
 fn extract_shot(
@@ -100,6 +149,7 @@ fn extract_shot(
     light: &LightCorrections,
     shot: usize,
     movements: &Movements,
+    believed: Camera,
     search: &DotSearch,
     rows: &impl RowSink,
 ) -> Result<ShotResult> {
@@ -117,15 +167,17 @@ fn extract_shot(
     rects.extend(movements.rim_rects());
     let mut references_seen = scene.photographs.decode(shot, &rects)?;
     let mut windows = references_seen.split_off(references);
-    let camera = movements.camera_motion(scene, &windows.split_off(dots.len()));
+    let rims = windows.split_off(dots.len());
+    let camera = (believed == Camera::Measured).then(|| movements.camera_motion(scene, &rims)).flatten();
     let camera_px = camera.filter(CameraMotion::is_sure).map_or(STILL, |m| m.camera_px);
     let registration = &scene.registration.moved(camera_px);
-    let Steadied { variance: flicker_variance, lamp } = light.flicker.steady(scene, &mut references_seen, &mut windows);
+    let Steadied { variance: flicker_variance, lamp, dots: dots_show } =
+        light.flicker.steady(scene, &mut references_seen, &mut windows);
     let drift = movements.drift(scene, shot, registration, &references_seen, &windows)?;
     let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
     let seen = search.look(scene, shot, registration, drift, &windows);
 
-    let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance, lamp, seen };
+    let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance, lamp, dots_show, seen };
     // What all samples of a row have in common: the lamp, and the response curve's own error.
     let common_variance = flicker_variance + scene.photographs.sensor.curve().map_or(0.0, Curve::relative_variance);
     let mut weights = cell_weights(scene, windows.first().map_or(Sampling::WHOLE, Bracket::sampling));
@@ -165,7 +217,8 @@ fn extract_shot(
         scene.check_peak(shot, dot, center, &picture)?;
         rows.put(manifest.grid.row_index(dot), &row)?;
         let albedo = albedo(&row, &manifest.window);
-        result.lit.push(LitPoint { dot, center_mm: center, flux: lit.flux.value, findings, albedo });
+        let half_light_mm = half_light_mm(&row, &manifest.window);
+        result.lit.push(LitPoint { dot, center_mm: center, flux: lit.flux.value, findings, albedo, half_light_mm });
     }
     Ok(result)
 }
@@ -199,6 +252,28 @@ fn lit_dot(scene: &Scene<'_>, shot: usize, dot: [usize; 2], center: Point, drift
 pub(super) fn albedo(row: &Row, window: &Window) -> f64 {
     let sums = (0..3).map(|c| row.response.iter().skip(c).step_by(3).map(|&r| f64::from(r)).sum::<f64>());
     sums.fold(0.0, f64::max) * window.pitch_mm.powi(2)
+}
+
+/// The radius around the middle of a row's window within which half of its light leaves, mm; 0 for no light.
+fn half_light_mm(row: &Row, window: &Window) -> f64 {
+    let [nx, ny] = window.samples;
+    let mut cells: Vec<(f64, f64)> = (0..nx * ny)
+        .map(|k| {
+            let d = [k % nx, k / nx].map(|v| v as f64);
+            let r = (d[0] - (nx / 2) as f64).hypot(d[1] - (ny / 2) as f64);
+            let light: f32 = row.response[3 * k..3 * k + 3].iter().sum();
+            (r * window.pitch_mm, f64::from(light).max(0.0))
+        })
+        .collect();
+    cells.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * cells.iter().map(|c| c.1).sum::<f64>();
+    let mut sum = 0.0;
+    // A cell's own light is spread over half its width.
+    let found = cells.iter().find(|(_, light)| {
+        sum += light;
+        sum >= half
+    });
+    found.filter(|_| half > 0.0).map_or(0.0, |(r, _)| r.max(0.5 * window.pitch_mm))
 }
 
 #[cfg(test)]

@@ -229,7 +229,7 @@ fn build_rows(
     progress: &Progress,
 ) -> Result<(MatrixHeader, BuildReport)> {
     let radiometry = before.radiometry;
-    let registered = register::register(photographs, progress)?;
+    let registered = register::register(photographs, options, progress)?;
     let mut references = references::references(photographs, &registered, radiometry.flicker_sd, options, progress)?;
     let first = Scene::new(photographs, &registered, &references);
     lattice::check_dots(&first)?;

@@ -1,8 +1,8 @@
 //! The sensor's noise: the rig's, checked against the photographs, or theirs when the rig has none.
 
 use crate::capture::{Capture, Noise, Pattern, Photograph, Rect, ResponseCurve, Samples, Sampling};
-use crate::radiance::{DarkLevels, NoiseEstimate, black_level, blocks, fit, saturation};
-use crate::{Error, RadianceWarning, Result};
+use crate::radiance::{DarkLevels, NoiseEstimate, black_level, blocks, channel_gains, fit, saturation};
+use crate::{ConsistencyWarning, Error, RadianceWarning, Result, Warning};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -13,7 +13,7 @@ pub(super) struct FoundNoise {
     /// What the photographs say; `None` when the rig says it and they cannot be asked.
     pub(super) estimate: Option<NoiseEstimate>,
     pub(super) from_rig: bool,
-    pub(super) warnings: Vec<RadianceWarning>,
+    pub(super) warnings: Vec<Warning>,
 }
 
 /// Gray-code shots whose stripes are widest that are taken, of the patterns and of the inverses: two pairs of each.
@@ -24,6 +24,8 @@ const BRIGHT_SHOTS: usize = 6;
 const DOUBT_SD: f64 = 5.0;
 /// … and by so much: gain and read noise, of the estimate; black, of the read noise in DN.
 const DOUBT_GAIN: f64 = 0.1;
+/// Gains of two channels that differ by this share were multiplied: photosites under different filters are alike.
+const DOUBT_CHANNEL: f64 = 0.15;
 const DOUBT_READ: f64 = 0.25;
 const DOUBT_BLACK: f64 = 0.25;
 /// Code values that carry noise of less than this are as good as without, DN.
@@ -51,16 +53,20 @@ pub(super) fn find(capture: &Capture) -> Result<FoundNoise> {
                 return Err(missing("no [noise], and camera.response is not linear".into()));
             }
             let estimate = estimate(capture, None)?.map_err(|reason| missing(format!("no [noise], and {reason}")))?;
-            let warnings = vec![RadianceWarning::NoiseEstimated {
-                gain_dn_per_electron: estimate.noise.gain_dn_per_electron,
-                gain_sd: estimate.gain_sd,
-                read_noise_electrons: estimate.noise.read_noise_electrons,
-                read_noise_sd: estimate.read_noise_sd,
-                black_dn: estimate.noise.black_dn,
-                black_sd: estimate.black_sd,
-                saturation_dn: estimate.noise.saturation_dn,
-                saturation_seen: estimate.saturation_seen,
-            }];
+            let mut warnings: Vec<Warning> = vec![
+                RadianceWarning::NoiseEstimated {
+                    gain_dn_per_electron: estimate.noise.gain_dn_per_electron,
+                    gain_sd: estimate.gain_sd,
+                    read_noise_electrons: estimate.noise.read_noise_electrons,
+                    read_noise_sd: estimate.read_noise_sd,
+                    black_dn: estimate.noise.black_dn,
+                    black_sd: estimate.black_sd,
+                    saturation_dn: estimate.noise.saturation_dn,
+                    saturation_seen: estimate.saturation_seen,
+                }
+                .into(),
+            ];
+            warnings.extend(gains_differ(&estimate));
             Ok(FoundNoise { noise: estimate.noise.clone(), estimate: Some(estimate), from_rig: false, warnings })
         }
     }
@@ -93,7 +99,9 @@ fn estimate(capture: &Capture, saturation_dn: Option<f64>) -> Result<std::result
     };
     let grids = pairs(capture).par_iter().map(grid).collect::<Result<Vec<_>>>()?;
     let rounding = if reader.unit_dn.is_some() { 0.0 } else { 1.0 / 12.0 };
+    let gains = channel_gains(&grids, black, saturation, rounding);
     Ok(fit(&grids, black, saturation, rounding).map(|mut found| {
+        found.channel_gains = gains.map(|all| all.map(|gain| gain.map(|v| v * unit_dn)));
         found.noise.black_dn *= unit_dn;
         found.noise.saturation_dn *= unit_dn;
         found.noise.gain_dn_per_electron *= unit_dn;
@@ -287,7 +295,7 @@ fn sums(samples: &Samples, saturation_dn: f64) -> (f64, f64, f64) {
 }
 
 /// Where a rig's figures and the photographs' cannot both be right.
-fn disagreements(given: &Noise, found: &NoiseEstimate) -> Vec<RadianceWarning> {
+fn disagreements(given: &Noise, found: &NoiseEstimate) -> Vec<Warning> {
     let measured = &found.noise;
     let range = given.saturation_dn - given.black_dn;
     // Of floating point a code value may be all there is.
@@ -312,14 +320,23 @@ fn disagreements(given: &Noise, found: &NoiseEstimate) -> Vec<RadianceWarning> {
     ];
     let doubted =
         figures.into_iter().filter(|(_, given, found, sd, least)| (given - found).abs() > (DOUBT_SD * sd).max(*least));
-    doubted
-        .map(|(field, given, found, sd, _)| RadianceWarning::NoiseDisagrees {
-            field: field.to_owned(),
-            given,
-            found,
-            sd,
-        })
-        .collect()
+    let told = |(field, given, found, sd, _): (&str, f64, f64, f64, f64)| {
+        RadianceWarning::NoiseDisagrees { field: field.to_owned(), given, found, sd }.into()
+    };
+    // Gains that differ from channel to channel make one of them all no gain.
+    match gains_differ(found) {
+        Some(differ) => vec![differ],
+        None => doubted.map(told).collect(),
+    }
+}
+
+/// Gains of the channels that no single gain explains.
+fn gains_differ(found: &NoiseEstimate) -> Option<Warning> {
+    let gains = found.channel_gains?;
+    let gain_sd = gains.iter().map(|g| g[1]).fold(0.0, f64::max);
+    let (low, high) = gains.iter().fold((f64::INFINITY, 0.0f64), |(l, h), g| (l.min(g[0]), h.max(g[0])));
+    let differ = high - low > (DOUBT_SD * 2f64.sqrt() * gain_sd).max(DOUBT_CHANNEL * low);
+    differ.then(|| ConsistencyWarning::ChannelGains { gains: gains.map(|g| g[0]), gain_sd }.into())
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Slab, camera and projector related to each other: by the board or the frame's marks, and by the Gray code.
 
+use super::BuildOptions;
 use super::photographs::Photographs;
 use crate::capture::{Board, Pattern, Surface};
 use crate::geometry::{CameraView, Lens, Point};
@@ -9,7 +10,7 @@ use crate::registration::{
     BitPair, FrameFit, LensChoice, LensTrial, Pairs, PointSpread, Registration, StripeSurface, ViewFit, find_board,
     fit_lens_of_views, marks_moved, measure_point_spread, register_frame, register_projector,
 };
-use crate::{Error, RegistrationWarning, Result};
+use crate::{ConsistencyWarning, Error, RegistrationWarning, Result, Warning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -20,7 +21,7 @@ pub(super) struct Registered {
     pub registration: Registration,
     /// Light of each Gray-code pattern and its inverse together, every [`SUM_STEP`]th pixel: white, but for the lamp.
     pub sums: Vec<Vec<f32>>,
-    pub warnings: Vec<RegistrationWarning>,
+    pub warnings: Vec<Warning>,
 }
 
 /// A few thousand pixels tell the lamp's change to a hundredth of a per cent.
@@ -30,7 +31,11 @@ pub(super) const SUM_STEP: usize = 13;
 ///
 /// # Errors
 /// [`Error::Registration`] naming the shot; those of decoding.
-pub(super) fn register(photographs: &Photographs<'_>, progress: &Progress) -> Result<Registered> {
+pub(super) fn register(
+    photographs: &Photographs<'_>,
+    options: &BuildOptions,
+    progress: &Progress,
+) -> Result<Registered> {
     let codes = photographs.capture.shots(|p| matches!(p, Pattern::GrayCode { .. }));
     let stage = progress.stage("register", 1 + codes.len());
     // Finding the board's corners runs on one core: the other decodes stripes meanwhile.
@@ -43,6 +48,8 @@ pub(super) fn register(photographs: &Photographs<'_>, progress: &Progress) -> Re
         || bit_pairs(photographs, &codes, &stage),
     );
     let ((camera, choice, point_spread, warnings), pairs) = (camera?, pairs?);
+    let mut warnings: Vec<Warning> = warnings.into_iter().map(Warning::from).collect();
+    warnings.extend(mirrored(photographs, &camera.view, options)?);
     let sum = |p: &BitPair| p.pattern.iter().zip(&p.inverse).step_by(SUM_STEP).map(|(a, b)| a + b).collect();
     let first = codes[0];
     let rig = &photographs.capture.rig;
@@ -57,6 +64,18 @@ pub(super) fn register(photographs: &Photographs<'_>, progress: &Progress) -> Re
     Registration::new(&camera, choice, point_spread, &projector, size_mm)
         .map(|registration| Registered { registration, sums, warnings })
         .ok_or_else(|| photographs.failed(first)("the projector's map cannot be inverted".into()))
+}
+
+/// A slab whose axes are those of a mirror.
+fn mirrored(photographs: &Photographs<'_>, view: &CameraView, options: &BuildOptions) -> Result<Option<Warning>> {
+    let size_mm = photographs.capture.manifest.slab.size_mm;
+    let [[a, b], [c, d]] = view.jacobian(size_mm.map(|s| 0.5 * s));
+    if a * d - b * c > 0.0 {
+        return Ok(None);
+    }
+    let shot = photographs.capture.shots(|p| matches!(p, Pattern::Board | Pattern::Frame)).first().copied();
+    let shot = shot.map_or_else(String::new, |s| photographs.name(s).to_owned());
+    options.refuse(ConsistencyWarning::MirroredSlab { shot }).map(Some)
 }
 
 /// The board gives a plane, the frame's marks the plane as the sample really lies; the lens is fitted to all of them together, and to

@@ -20,7 +20,9 @@ pub use exposures::{ExposureFit, MOST_FLICKER, Stack, StackScales, fit_exposures
 pub(crate) use exposures::{evenly, take};
 pub use hot_pixels::{HotPixel, find_hot_pixels, mend};
 pub use merge::{Exposure, Radiance, merge};
-pub use noise::{Block, BlockGrid, DarkLevels, NoiseEstimate, black_level, blocks, clipping_code, fit, saturation};
+pub use noise::{
+    Block, BlockGrid, DarkLevels, NoiseEstimate, black_level, blocks, channel_gains, clipping_code, fit, saturation,
+};
 pub use sensor::{FileNoise, Sensor};
 pub use shot::{Bracket, decode_shot, decode_spread, merge_keeping, merge_shot};
 pub use stray::{Halo, StrayLight};

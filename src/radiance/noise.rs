@@ -34,6 +34,9 @@ pub struct NoiseEstimate {
     pub saturation_seen: bool,
     /// Blocks of pixels that the gain comes from.
     pub blocks: usize,
+    /// Gain of R, G, B alone and its standard deviation, DN per electron ([`channel_gains`]); `None` when it was not asked for.
+    #[serde(default)]
+    pub channel_gains: Option<[[f64; 2]; 3]>,
 }
 
 /// Mean and variance of a block of pixels that two photographs show alike.
@@ -94,6 +97,29 @@ pub fn blocks(
 pub struct BlockGrid {
     size: [usize; 2],
     blocks: Vec<Option<Block>>,
+}
+
+impl BlockGrid {
+    /// The blocks of one channel in the place of all three.
+    fn channel(&self, channel: usize) -> Self {
+        let blocks = self.blocks.chunks(3).flat_map(|b| [b[channel]; 3]).collect();
+        Self { size: self.size, blocks }
+    }
+}
+
+/// Gain of each channel and its standard deviation, DN per electron; the arguments are those of [`fit`]. `None` where one has too few blocks.
+pub fn channel_gains(
+    grids: &[BlockGrid],
+    black: (f64, f64),
+    saturation: (f64, bool),
+    rounding: f64,
+) -> Option<[[f64; 2]; 3]> {
+    let gain = |c: usize| {
+        let own: Vec<BlockGrid> = grids.iter().map(|g| g.channel(c)).collect();
+        // Each block counts three times.
+        fit(&own, black, saturation, rounding).ok().map(|e| [e.noise.gain_dn_per_electron, 3f64.sqrt() * e.gain_sd])
+    };
+    Some([gain(0)?, gain(1)?, gain(2)?])
 }
 
 /// `pixel` gives both code values of pixel i, row by row.
@@ -234,7 +260,9 @@ pub fn fit(
         read_noise_electrons: read,
     };
     let (gain_sd, black_sd) = (vgg.sqrt(), black.1);
-    Ok(NoiseEstimate { noise, gain_sd, read_noise_sd, black_sd, saturation_seen: saturation.1, blocks: line.blocks })
+    let blocks = line.blocks;
+    let saturation_seen = saturation.1;
+    Ok(NoiseEstimate { noise, gain_sd, read_noise_sd, black_sd, saturation_seen, blocks, channel_gains: None })
 }
 
 /// Variance over level above black.

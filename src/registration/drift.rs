@@ -67,9 +67,13 @@ pub(super) fn robust_mean(mut values: Vec<f64>) -> (f64, f64) {
     (kept.iter().sum::<f64>() / kept.len() as f64, scale)
 }
 
+/// The middle of some values; 0 for none.
 pub(crate) fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     let n = values.len();
+    if n == 0 {
+        return 0.0;
+    }
     (values[(n - 1) / 2] + values[n / 2]) / 2.0
 }
 

@@ -92,6 +92,45 @@ pub enum ConsistencyWarning {
         /// How many shots are off by more than flicker and noise.
         shots: usize,
     },
+    /// Reference dots of a shot whose light is not what the others of the shot say.
+    ReferenceDots {
+        /// The first such shot.
+        shot: String,
+        /// How many of its dots.
+        dots: usize,
+        /// How many shots have such dots.
+        shots: usize,
+    },
+    /// The reference dots of a shot have another colour than those of most shots.
+    ColourChanges {
+        /// The first such shot.
+        shot: String,
+        /// Light of R, G, B over that of most shots.
+        levels: [f64; 3],
+        /// How many shots.
+        shots: usize,
+    },
+    /// The reference dots of a shot are wider than those of most shots.
+    BlurChanges {
+        /// The first such shot.
+        shot: String,
+        /// Standard deviation of the blur that explains the widest, besides the usual, camera px.
+        added_px: f64,
+        /// How many shots.
+        shots: usize,
+    },
+    /// The sensor's gain differs from channel to channel.
+    ChannelGains {
+        /// DN per electron of R, G, B.
+        gains: [f64; 3],
+        /// Largest standard deviation of these.
+        gain_sd: f64,
+    },
+    /// The slab's axes are mirrored in the picture.
+    MirroredSlab {
+        /// What shows the axes: the shot of board or frame.
+        shot: String,
+    },
     /// The white reference is brighter or darker than each Gray-code pattern and its inverse together.
     WhiteLevel {
         /// Its shot.
@@ -205,6 +244,37 @@ impl fmt::Display for ConsistencyWarning {
                 }
                 Ok(())
             }
+            Self::ReferenceDots { shot, dots, shots } => {
+                write!(
+                    f,
+                    "{} of shot \"{shot}\" {} not the light that the others of the shot say: something is in the way, or on the frame",
+                    count(*dots, "reference dot"),
+                    if *dots == 1 { "has" } else { "have" }
+                )?;
+                if *shots > 1 { write!(f, "; so in {}", count(shots - 1, "other shot")) } else { Ok(()) }
+            }
+            Self::ColourChanges { shot, levels: [r, g, b], shots } => {
+                write!(
+                    f,
+                    "the reference dots of shot \"{shot}\" have another colour: R, G, B {r:.3}, {g:.3}, {b:.3} times those of most shots: white balance, order of channels or the lamp's colour changed"
+                )?;
+                if *shots > 1 { write!(f, "; so in {}", count(shots - 1, "other shot")) } else { Ok(()) }
+            }
+            Self::BlurChanges { shot, added_px, shots } => {
+                write!(
+                    f,
+                    "the reference dots of shot \"{shot}\" are wider than those of most shots, by a blur of {added_px:.2} px: focus changed, or something moved while the shutter was open"
+                )?;
+                if *shots > 1 { write!(f, "; so in {}", count(shots - 1, "other shot")) } else { Ok(()) }
+            }
+            Self::ChannelGains { gains: [r, g, b], gain_sd } => write!(
+                f,
+                "noise says that R, G, B have {r:.4}, {g:.4}, {b:.4} DN per electron (± {gain_sd:.4}): files were multiplied by a white balance; stated variances are those of one gain"
+            ),
+            Self::MirroredSlab { shot } => write!(
+                f,
+                "the slab's axes are mirrored in the picture of shot \"{shot}\": x to the right must go with y down, as the camera sees the sample; the board is turned by 90°, or its corners or marks are listed in another order"
+            ),
             Self::WhiteLevel { shot, level, level_sd } => write!(
                 f,
                 "the white reference (shot \"{shot}\") has {level:.3} times the light (± {level_sd:.3}) that Gray-code patterns and their inverses have together: the lamp changed, or an exposure time is wrong"
