@@ -78,6 +78,7 @@ impl Capture {
             Which::At(_) if all.len() < 3 => all[..1].to_vec(),
             Which::At(share) => vec![all[inner(share)]],
             Which::From(share) => all[inner(share)..].to_vec(),
+            Which::FinestInverse => vec![self.chosen_shots(kinds, Which::Finest)[0] + 1],
             Which::Finest => {
                 let stripes = |k: &&usize| self.shots[**k].plain_stripes.clone().map(|(axis, bit)| (bit, axis));
                 let finest = all.iter().filter(|k| stripes(k).is_some()).min_by_key(stripes);
@@ -101,9 +102,10 @@ impl Capture {
         self.chosen_shots(&selection.of, selection.which).into_iter().flat_map(exposures).collect()
     }
 
-    /// The shot of the same kind before this one.
-    pub(crate) fn before(&self, shot: usize) -> Option<usize> {
-        (0..shot).rev().find(|&k| self.shots[k].kind == self.shots[shot].kind)
+    /// The shot of the same kind before this one, or after it.
+    pub(crate) fn beside(&self, shot: usize, after: bool) -> Option<usize> {
+        let alike = |&k: &usize| self.shots[k].kind == self.shots[shot].kind;
+        if after { (shot + 1..self.shots.len()).find(alike) } else { (0..shot).rev().find(alike) }
     }
 
     /// DN above black; where it is saturated, what the shorter exposures of the shot say.

@@ -1,15 +1,34 @@
-//! The two files of data: mistakes.toml and captures.toml, as docs/testing.md describes them.
+//! The data: mistakes/*.toml and captures.toml, as docs/testing.md describes them.
 
 use serde::Deserialize;
 use std::collections::BTreeMap;
+
+/// The files of mistakes, in the order of the table.
+const FILES: [(&str, &str); 7] = [
+    ("stack", include_str!("mistakes/stack.toml")),
+    ("times", include_str!("mistakes/times.toml")),
+    ("patterns", include_str!("mistakes/patterns.toml")),
+    ("light", include_str!("mistakes/light.toml")),
+    ("references", include_str!("mistakes/references.toml")),
+    ("figures", include_str!("mistakes/figures.toml")),
+    ("settings", include_str!("mistakes/settings.toml")),
+];
 
 pub(crate) fn mistakes() -> Vec<Mistake> {
     #[derive(Deserialize)]
     #[serde(deny_unknown_fields)]
     struct File {
+        kind: String,
         mistake: Vec<Mistake>,
     }
-    toml::from_str::<File>(include_str!("mistakes.toml")).unwrap_or_else(|e| panic!("mistakes.toml: {e}")).mistake
+    let read = |(name, text): (&'static str, &str)| {
+        let file: File = toml::from_str(text).unwrap_or_else(|e| panic!("mistakes/{name}.toml: {e}"));
+        file.mistake.into_iter().map(move |mut mistake| {
+            (mistake.kind, mistake.file) = (file.kind.clone(), name.to_owned());
+            mistake
+        })
+    };
+    FILES.into_iter().flat_map(read).collect()
 }
 
 pub(crate) fn captures() -> Captures {
@@ -55,7 +74,12 @@ pub(crate) struct UntouchedCapture {
 #[serde(deny_unknown_fields)]
 pub(crate) struct Mistake {
     pub id: String,
+    /// Of its file.
+    #[serde(skip)]
     pub kind: String,
+    /// Name of its file.
+    #[serde(skip)]
+    pub file: String,
     pub meaning: String,
     /// Made one after another.
     #[serde(default)]
@@ -119,6 +143,8 @@ pub(crate) enum Which {
     From(f64),
     /// The columns' finest Gray code.
     Finest,
+    /// The shot after it.
+    FinestInverse,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
@@ -169,9 +195,11 @@ pub(crate) enum Operation {
         which: Which,
         share: Option<f64>,
     },
-    /// The light of the shot before: all of it, or a share.
+    /// The light of the shot before (`ahead`: after): all of it, or a share.
     Delay {
         share: f64,
+        #[serde(default)]
+        ahead: bool,
     },
     /// Changes places with the photographs of another shot of the same kind.
     Exchange {
@@ -199,9 +227,9 @@ pub(crate) enum Operation {
     Clip {
         share: f64,
     },
-    /// Code values are this many DN of the linear signal higher.
+    /// The signal is higher by this share of the sensor's range.
     Offset {
-        dn: f64,
+        share: f64,
     },
     /// Each channel times a factor.
     Balance {
@@ -254,6 +282,9 @@ pub(crate) struct Edit {
     /// The two numbers of a list change places.
     #[serde(default)]
     pub exchange: bool,
+    /// Those of every list of a list.
+    #[serde(default, rename = "exchange-each")]
+    pub exchange_each: bool,
     #[serde(default)]
     pub remove: bool,
 }

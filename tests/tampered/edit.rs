@@ -27,6 +27,9 @@ pub(crate) fn apply(capture: &mut Capture, edit: &Edit) {
     if let Some(times) = &edit.times {
         each_number(&mut table[name], &mut |k, v| v * times[k % times.len()]);
     }
+    if edit.exchange_each {
+        table[name].as_array_mut().unwrap().iter_mut().for_each(|each| each.as_array_mut().unwrap().swap(0, 1));
+    }
     if edit.exchange {
         table[name].as_array_mut().unwrap().swap(0, 1);
     }

@@ -1,6 +1,6 @@
 //! Mistakes that laboratories make, made in simulated captures: what does the program say, and how wrong is its matrix?
 //!
-//! The mistakes are data, mistakes.toml; so are the captures, captures.toml. docs/testing.md says how to add one. Variables of the environment:
+//! The mistakes are data, mistakes/; so are the captures, captures.toml. docs/testing.md says how to add one. Variables of the environment:
 //! `MISTAKE` and `CAPTURE` choose by parts of names, with commas between them; `ACQUIRE` names another program; `KEEP` a folder where
 //! the captures stay; `WRITE=1` writes docs/tampered.md and the lines `today`.
 
@@ -63,7 +63,11 @@ fn every_mistake_ends_no_worse_than_stated() {
         runs.iter().for_each(|r| println!("## {} in {}: {}\n{}", r.mistake.id, r.capture, r.outcome, r.built.stderr));
     }
     if std::env::var_os("WRITE").is_some() {
-        table::write_today(&page("tests/tampered/mistakes.toml"), &runs);
+        let mut files: Vec<&str> = chosen.iter().map(|m| m.file.as_str()).collect();
+        files.dedup();
+        for file in files {
+            table::write_today(&page(&format!("tests/tampered/mistakes/{file}.toml")), &runs);
+        }
         if chosen.len() == mistakes.len() && untouched.len() == captures.tampered.len() {
             table::write_between(&page("docs/tampered.md"), "outcomes", &table);
         }

@@ -66,10 +66,10 @@ impl Run<'_> {
         let (id, capture, outcome) = (&self.mistake.id, self.capture, self.outcome);
         let said: Vec<&str> = self.built.messages.iter().map(|m| m.text.as_str()).collect();
         let told = match self.mistake.today.get(capture) {
-            None => Err("mistakes.toml states none".to_owned()),
+            None => Err("the data state none".to_owned()),
             Some(name) => match Outcome::of_name(name) {
-                None => Err(format!("mistakes.toml states {name}, which is no outcome")),
-                Some(stated) if outcome.rank() > stated.rank() => Err(format!("mistakes.toml states {name}")),
+                None => Err(format!("the data state {name}, which is no outcome")),
+                Some(stated) if outcome.rank() > stated.rank() => Err(format!("the data state {name}")),
                 Some(_) => Ok(()),
             },
         };

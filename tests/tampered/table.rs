@@ -1,4 +1,4 @@
-//! The outcomes as Markdown, and as the lines `today` of mistakes.toml.
+//! The outcomes as Markdown, and as the lines `today` of mistakes/.
 
 use crate::data::Mistake;
 use crate::grade::Outcome;
@@ -70,7 +70,7 @@ pub(crate) fn write_between(page: &Path, name: &str, text: &str) {
     std::fs::write(page, format!("{before}{start}{text}{end}{after}")).unwrap();
 }
 
-/// Writes the outcomes into the lines `today` of mistakes.toml; those that were not run stay.
+/// Writes the outcomes into the lines `today` of a file of mistakes; those that were not run stay.
 pub(crate) fn write_today(page: &Path, runs: &[Run]) {
     let text = std::fs::read_to_string(page).unwrap();
     let mut id = String::new();

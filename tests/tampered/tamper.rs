@@ -40,9 +40,13 @@ pub(crate) fn tamper(capture: &mut Capture, mistake: &Mistake) -> Touched {
 fn make(capture: &mut Capture, step: &Step, generator: &mut Pcg64) -> Vec<Place> {
     let mut chosen = capture.chosen(&step.on);
     match &step.operation {
-        Operation::Delay { share } => {
-            chosen.retain(|&(shot, _)| capture.before(shot).is_some());
-            delay(capture, &chosen, *share, generator);
+        &Operation::Delay { share, ahead } => {
+            chosen.retain(|&(shot, _)| capture.beside(shot, ahead).is_some());
+            // Each finds the one beside it as it was.
+            let order: Vec<Place> = if ahead { chosen.clone() } else { chosen.iter().rev().copied().collect() };
+            for place in order {
+                delay(capture, place, (share, ahead), &chosen, generator);
+            }
         }
         Operation::Exchange { with } => {
             let others = capture.chosen_shots(&step.on.of, *with);
@@ -97,22 +101,18 @@ fn make(capture: &mut Capture, step: &Step, generator: &mut Pcg64) -> Vec<Place>
     chosen
 }
 
-/// From the last to the first, so that each finds the one before as it was.
-fn delay(capture: &Capture, chosen: &[Place], share: f64, generator: &mut Pcg64) {
-    for &(shot, exposure) in chosen.iter().rev() {
-        let source = capture.before(shot).unwrap();
-        let source = (source, exposure.min(capture.shots[source].photographs.len() - 1));
-        if share < 1.0 {
-            let (here, there) = (capture.light((shot, exposure)), capture.light(source));
-            let parts = here.iter().zip(&there).map(|(h, t)| (vec![(1.0 - share, *h), (share, *t)], 0.0));
-            optics::write_light(capture, (shot, exposure), parts, generator);
-            continue;
-        }
-        let (from, mut to) = (capture.read(source), capture.read((shot, exposure)));
-        // Where the picture stays at its own place too there are two of one pattern, each with noise of its own.
-        to.codes = if chosen.contains(&source) { from.codes } else { again(capture, &from, generator) };
-        to.write(&capture.path((shot, exposure)));
+/// The light of the shot beside this one. Where that stays as it is there are two of one pattern, each with noise of its own.
+fn delay(capture: &Capture, place: Place, (share, ahead): (f64, bool), chosen: &[Place], generator: &mut Pcg64) {
+    let shot = capture.beside(place.0, ahead).unwrap();
+    let source = (shot, place.1.min(capture.shots[shot].photographs.len() - 1));
+    if share < 1.0 {
+        let (here, there) = (capture.light(place), capture.light(source));
+        let parts = here.iter().zip(&there).map(|(h, t)| (vec![(1.0 - share, *h), (share, *t)], 0.0));
+        return optics::write_light(capture, place, parts, generator);
     }
+    let (from, mut to) = (capture.read(source), capture.read(place));
+    to.codes = if chosen.contains(&source) { from.codes } else { again(capture, &from, generator) };
+    to.write(&capture.path(place));
 }
 
 /// The same scene photographed once more: some noise of its own, so that no two pictures are equal.
@@ -163,7 +163,8 @@ fn of_files(capture: &Capture, operation: &Operation, chosen: &[Place]) -> bool 
             let limit = sensor.code(share * sensor.range());
             each(&|p| p.codes.iter_mut().for_each(|c| *c = (*c).min(limit)));
         }
-        Operation::Offset { dn } => {
+        Operation::Offset { share } => {
+            let dn = share * sensor.range();
             each(&|p| p.codes.iter_mut().for_each(|c| *c = sensor.code(sensor.light(*c) + dn)));
         }
         Operation::Bits { left } => {
