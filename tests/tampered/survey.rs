@@ -1,6 +1,6 @@
 //! Captures in which nobody made a mistake: does the program accuse anybody?
 
-use crate::data::{UntouchedCapture, captures};
+use crate::data::{Captures, UntouchedCapture, captures};
 use crate::grade::pattern;
 use crate::program::{self, Built};
 use crate::runs::{in_turn, notes};
@@ -29,10 +29,12 @@ fn accusations(capture: &UntouchedCapture, built: &Built) -> Vec<String> {
     said
 }
 
-/// The captures that are accused, with what is said, and how many were built.
-fn accused(chosen: &dyn Fn(&UntouchedCapture) -> bool) -> (Vec<(String, Vec<String>)>, usize) {
-    let captures = captures();
-    let notes = notes(&captures);
+/// A capture and what is said against it.
+type Accused<'a> = (&'a UntouchedCapture, Vec<String>);
+
+/// The captures that are accused, and how many were built.
+fn accused(captures: &Captures, chosen: impl Fn(&UntouchedCapture) -> bool) -> (Vec<Accused<'_>>, usize) {
+    let notes = notes(captures);
     let list: Vec<&UntouchedCapture> = captures.untouched.iter().filter(|c| chosen(c)).collect();
     let folder = tempfile::tempdir().unwrap();
     let found = in_turn(list.len(), |k| {
@@ -42,7 +44,7 @@ fn accused(chosen: &dyn Fn(&UntouchedCapture) -> bool) -> (Vec<(String, Vec<Stri
         let built = program::build(&dir, &notes);
         std::fs::remove_dir_all(&dir).unwrap();
         assert!(matches!(built.status, 0 | 1), "{}: {}", list[k].simulate, built.stderr);
-        (list[k].simulate.clone(), accusations(list[k], &built))
+        (list[k], accusations(list[k], &built))
     });
     let count = found.len();
     (found.into_iter().filter(|(_, said)| !said.is_empty()).collect(), count)
@@ -59,30 +61,37 @@ fn joined(base: &str, own: &str) -> String {
     kept.chain(own.iter().cloned()).map(|g| format!("--{g} ")).collect()
 }
 
-#[test]
-fn a_few_untouched_captures_are_not_accused() {
-    let (accused, _) = accused(&|c| c.fast);
-    assert!(accused.is_empty(), "{accused:#?}");
+/// Fails with those that were not accused when the data were written.
+fn hold(accused: &[Accused]) {
+    let new: Vec<String> = accused.iter().filter(|(c, _)| !c.accused_today).map(line).collect();
+    assert!(new.is_empty(), "{}", new.concat());
+}
+
+fn line((capture, said): &Accused) -> String {
+    format!("- `{}`: {}\n", capture.simulate, said.join(" · "))
 }
 
 #[test]
-#[ignore = "slow: more than sixty captures, two minutes"]
+fn a_few_untouched_captures_are_not_accused() {
+    hold(&accused(&captures(), |c| c.fast).0);
+}
+
+#[test]
+#[ignore = "slow: more than eighty captures, some minutes"]
 fn untouched_captures_are_not_accused() {
-    let (accused, count) = accused(&|c| asked("CAPTURE", &c.simulate));
+    let captures = captures();
+    let (accused, count) = accused(&captures, |c| asked("CAPTURE", &c.simulate));
     let [low, high] = interval(accused.len(), count).map(|share| 100.0 * share);
     let rate = 100.0 * accused.len() as f64 / count as f64;
-    let mut text = format!(
-        "{} of {count} untouched captures are accused: {rate:.1} % (95 %: {low:.1} to {high:.1} %).\n\n",
-        accused.len()
-    );
-    for (options, said) in &accused {
-        text += &format!("- `{options}`: {}\n", said.join(" · "));
-    }
+    let found = accused.len();
+    let mut text =
+        format!("{found} of {count} untouched captures are accused: {rate:.1} % (95 %: {low:.1} to {high:.1} %).\n\n");
+    accused.iter().for_each(|each| text += &line(each));
     println!("{text}");
     if std::env::var_os("WRITE").is_some() && std::env::var_os("CAPTURE").is_none() {
         table::write_between(&page("docs/tampered.md"), "false alarms", &text);
     }
-    assert!(accused.is_empty(), "{text}");
+    hold(&accused);
 }
 
 #[test]
