@@ -60,6 +60,6 @@ pub mod cli;
 
 pub use error::{Error, Result};
 pub use warning::{
-    CaptureWarning, ConsistencyWarning, DriftJump, FactorWarning, RadianceWarning, RegistrationWarning,
-    ResponseWarning, SimulateWarning, Warning,
+    Bound, CaptureWarning, CheckWarning, ConsistencyWarning, Culprit, Done, DriftJump, FactorWarning, FindingRecord,
+    RadianceWarning, RegistrationWarning, ResponseWarning, Severity, SimulateWarning, Topic, Warning,
 };

@@ -31,10 +31,15 @@ fn check(dir: &Path, more: &[&str]) -> (i32, serde_json::Value) {
     (status, object)
 }
 
-/// The findings of one kind.
+/// The figures of the findings of one kind, and their severity beside them.
 fn found(object: &serde_json::Value, kind: &str) -> Vec<serde_json::Value> {
-    let findings = object["findings"].as_array().unwrap();
-    findings.iter().filter(|f| f["finding"] == kind).cloned().collect()
+    let of_kind = object["findings"].as_array().unwrap().iter().filter(|f| f["id"] == kind);
+    let figures = of_kind.map(|f| {
+        let mut figures = f["figures"].clone();
+        figures["severity"] = f["severity"].clone();
+        figures
+    });
+    figures.collect()
 }
 
 fn edit_manifest(dir: &Path, change: impl Fn(&mut Manifest)) {
@@ -80,7 +85,7 @@ fn a_good_capture_would_build_and_its_figures_are_those_of_the_bench() {
     assert_eq!((status, object["would_build"].as_bool()), (0, Some(true)));
     let findings = object["findings"].as_array().unwrap();
     assert_eq!(findings.len(), 1, "{findings:?}");
-    assert_eq!(findings[0]["warning"]["warning"], "cross-talk");
+    assert_eq!(findings[0]["id"], "cross-talk");
     let figures = &object["figures"];
     let files = std::fs::read_dir(original().join("photos")).unwrap().count() as u64;
     assert_eq!((figures["photographs"].as_u64(), figures["lattice_shots"].as_u64()), (Some(files), Some(9)));
@@ -229,7 +234,7 @@ fn points_that_no_shot_lights_are_counted() {
         m.shots.remove(shot);
     });
     let (_, object) = check(&dir, &[]);
-    assert_eq!(found(&object, "unlit-points")[0]["points"], 6);
+    assert_eq!(found(&object, "unlit-points")[0]["rows"], 6);
     assert_eq!(found(&object, "unlit-points").len(), 1);
 }
 

@@ -45,7 +45,7 @@ pub(super) fn read(path: &Path, name: &str, warnings: &mut Vec<CaptureWarning>) 
     let parsed = exif::Reader::new().continue_on_error(true).read_from_container(&mut file).or_else(|e| {
         e.distill_partial_result(|errors| {
             let reason = errors.first().map(ToString::to_string).unwrap_or_default();
-            warnings.push(CaptureWarning::DamagedExif { file: name.to_owned(), reason });
+            warnings.push(CaptureWarning::DamagedExif { file: name.to_owned(), reason, photographs: 1 });
         })
     });
     // No EXIF in this file, or a container that carries none (EXR).

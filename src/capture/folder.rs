@@ -3,6 +3,7 @@
 use super::exif::{self, ExifExposure, ExposureFrom};
 use super::manifest::{LEAST_SECS, MOST_SECS};
 use super::{Manifest, Pattern, Photograph, Rig};
+use crate::warning::bounds::EXPOSURE_TOLERANCE;
 use crate::{CaptureWarning, Error, Result, geometry::Point};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -24,8 +25,8 @@ pub struct Capture {
     pub warnings: Vec<CaptureWarning>,
 }
 
-/// Two sources of one exposure time may differ by rounding to nominal values (1/30 for 1/32) before it is worth a word.
-const EXPOSURE_TOLERANCE: f64 = 0.07;
+/// Exposure times that are off by the same factor, to this, are off by one cause.
+const SAME_RATIO: f64 = 0.01;
 
 impl Capture {
     /// The name of a file as capture.toml gives it.
@@ -106,19 +107,19 @@ struct Head {
 
 /// Adds findings; the same one of many photographs is said once, with their number.
 fn gather(warnings: &mut Vec<CaptureWarning>, found: &mut Vec<CaptureWarning>) {
+    use CaptureWarning::{DamagedExif, ExposureDisagrees, UnusableExif};
     for new in found.drain(..) {
         let known = warnings.iter_mut().find_map(|old| match (old, &new) {
-            (CaptureWarning::UnusableExif { tag, photographs, .. }, CaptureWarning::UnusableExif { tag: new, .. })
-                if tag == new =>
+            (DamagedExif { photographs, .. }, DamagedExif { .. }) => Some(photographs),
+            (UnusableExif { tag, photographs, .. }, UnusableExif { tag: new, .. }) if tag == new => Some(photographs),
+            (
+                ExposureDisagrees { used_secs, other_secs, other, photographs, .. },
+                ExposureDisagrees { used_secs: new_used, other_secs: new_secs, other: new_other, .. },
+            ) if other == new_other
+                && ((new_secs * *used_secs) / (*other_secs * new_used) - 1.0).abs() < SAME_RATIO =>
             {
                 Some(photographs)
             }
-            (
-                CaptureWarning::ExposureDisagrees { used_secs, other_secs, other, photographs, .. },
-                CaptureWarning::ExposureDisagrees {
-                    used_secs: new_used, other_secs: new_secs, other: new_other, ..
-                },
-            ) if (&*used_secs, &*other_secs, &*other) == (new_used, new_secs, new_other) => Some(photographs),
             _ => None,
         });
         match known {
@@ -372,6 +373,11 @@ mod tests {
             other: other.into(),
             photographs: 1,
         };
+        let damaged = |file: &str| CaptureWarning::DamagedExif {
+            file: file.into(),
+            reason: format!("of {file}"),
+            photographs: 1,
+        };
         let mut warnings = vec![tag("a", "FNumber")];
         let mut found = vec![
             tag("b", "FNumber"),
@@ -382,7 +388,9 @@ mod tests {
             secs("d", 0.5, 0.125, "EXIF"),
             secs("e", 0.25, 0.25, "EXIF"),
             secs("f", 0.5, 0.25, "APEX"),
-            secs("g", 0.5, 0.25, "EXIF"),
+            secs("g", 0.1, 0.0501, "EXIF"),
+            damaged("b"),
+            damaged("c"),
         ];
         gather(&mut warnings, &mut found);
         assert!(found.is_empty());
@@ -390,11 +398,12 @@ mod tests {
             .iter()
             .map(|w| match w {
                 CaptureWarning::UnusableExif { photographs, .. }
+                | CaptureWarning::DamagedExif { photographs, .. }
                 | CaptureWarning::ExposureDisagrees { photographs, .. } => *photographs,
                 other => panic!("{other}"),
             })
             .collect();
-        assert_eq!(numbers, [3, 1, 3, 1, 1, 1]);
+        assert_eq!(numbers, [3, 1, 3, 1, 1, 1, 2]);
     }
 
     /// A photograph of 3 × 2 px that tells both times.

@@ -1,8 +1,8 @@
 //! What files, their heads and EXIF tell: nothing is decoded.
 
-use super::Finding;
-use crate::Error;
 use crate::capture::{CameraSettings, Manifest, Pattern, Photograph, Rig};
+use crate::warning::bounds::SAME_EXPOSURE;
+use crate::{CheckWarning, Error};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::io::{Read, Seek, SeekFrom};
@@ -19,11 +19,24 @@ pub(super) struct Head {
     settings: Option<CameraSettings>,
     /// Size of the file.
     pub bytes: u64,
-    finding: Option<Finding>,
+    finding: Option<CheckWarning>,
 }
 
-/// Nominal exposure times differ by rounding (1/30 for 1/32), those of neighbouring third stops by a quarter.
-const SAME_EXPOSURE: f64 = 0.1;
+impl Head {
+    /// Whether EXIF tells any of the settings that should stay.
+    pub(super) fn has_settings(&self) -> bool {
+        let any = |s: &CameraSettings| {
+            let chosen = s.automatic_exposure.is_some() || s.automatic_white_balance.is_some();
+            chosen || s.iso.is_some() || s.f_number.is_some() || s.focal_mm.is_some()
+        };
+        self.settings.as_ref().is_some_and(any)
+    }
+
+    /// When it was taken, by the camera's clock.
+    pub(super) fn taken_secs(&self) -> Option<f64> {
+        self.settings.as_ref().and_then(|s| s.taken_secs)
+    }
+}
 
 /// The heads of all photographs, in the order of `capture.toml`.
 pub(super) fn read(dir: &Path, manifest: &Manifest, rig: &Rig) -> Vec<Head> {
@@ -45,7 +58,7 @@ pub(super) fn read(dir: &Path, manifest: &Manifest, rig: &Rig) -> Vec<Head> {
             let exposure_secs = entry.exposure_secs.or(settings.as_ref().and_then(|s| s.exposure_secs));
             let mut finding = look(&photograph, &entry.file, rig.camera.size_px);
             if finding.is_none() && exposure_secs.is_none() {
-                finding = Some(Finding::NoExposure { file: entry.file.clone() });
+                finding = Some(CheckWarning::NoExposure { file: entry.file.clone() });
             }
             let bytes = std::fs::metadata(&path).map_or(0, |m| m.len());
             Head { shot, file: entry.file.clone(), exposure_secs, settings, bytes, finding }
@@ -53,16 +66,16 @@ pub(super) fn read(dir: &Path, manifest: &Manifest, rig: &Rig) -> Vec<Head> {
         .collect()
 }
 
-fn look(photograph: &Photograph, file: &str, expected_px: [usize; 2]) -> Option<Finding> {
+fn look(photograph: &Photograph, file: &str, expected_px: [usize; 2]) -> Option<CheckWarning> {
     let (file, shot) = (file.to_owned(), photograph.shot.clone());
     match photograph.size_px() {
-        Err(Error::MissingPhotograph { .. }) => Some(Finding::MissingPhotograph { file, shot }),
-        Err(Error::BrokenPhotograph { reason, .. }) => Some(Finding::BrokenPhotograph { file, shot, reason }),
-        Err(e) => Some(Finding::BrokenPhotograph { file, shot, reason: e.to_string() }),
-        Ok(found_px) if found_px != expected_px => Some(Finding::WrongSize { file, expected_px, found_px }),
+        Err(Error::MissingPhotograph { .. }) => Some(CheckWarning::MissingPhotograph { file, shot }),
+        Err(Error::BrokenPhotograph { reason, .. }) => Some(CheckWarning::BrokenPhotograph { file, shot, reason }),
+        Err(e) => Some(CheckWarning::BrokenPhotograph { file, shot, reason: e.to_string() }),
+        Ok(found_px) if found_px != expected_px => Some(CheckWarning::WrongSize { file, expected_px, found_px }),
         Ok(_) => {
             let reason = cut_short(&photograph.path).err()?;
-            Some(Finding::BrokenPhotograph { file, shot, reason })
+            Some(CheckWarning::BrokenPhotograph { file, shot, reason })
         }
     }
 }
@@ -115,22 +128,22 @@ fn contains_end_chunk(file: &mut std::fs::File) -> bool {
 }
 
 /// What the heads say together.
-pub(super) fn findings(heads: &[Head], manifest: &Manifest) -> Vec<Finding> {
-    let mut found: Vec<Finding> = heads.iter().filter_map(|h| h.finding.clone()).collect();
-    let present = || heads.iter().filter(|h| !matches!(h.finding, Some(Finding::MissingPhotograph { .. })));
+pub(super) fn findings(heads: &[Head], manifest: &Manifest) -> Vec<CheckWarning> {
+    let mut found: Vec<CheckWarning> = heads.iter().filter_map(|h| h.finding.clone()).collect();
+    let present = || heads.iter().filter(|h| !matches!(h.finding, Some(CheckWarning::MissingPhotograph { .. })));
     let without: Vec<&Head> = present().filter(|h| h.settings.is_none()).collect();
     if let Some(first) = without.first() {
-        found.push(Finding::NoExif { file: first.file.clone(), photographs: without.len() });
+        found.push(CheckWarning::NoExif { file: first.file.clone(), photographs: without.len() });
     }
     let known: Vec<(&Head, &CameraSettings)> = present().filter_map(|h| Some((h, h.settings.as_ref()?))).collect();
     let automatic: Vec<_> = known.iter().filter_map(|(h, s)| Some((h, s.automatic_exposure.as_ref()?))).collect();
     if let Some((head, program)) = automatic.first() {
         let (file, program) = (head.file.clone(), (*program).clone());
-        found.push(Finding::AutomaticExposure { file, photographs: automatic.len(), program });
+        found.push(CheckWarning::AutomaticExposure { file, photographs: automatic.len(), program });
     }
     let balance: Vec<_> = known.iter().filter(|(_, s)| s.automatic_white_balance == Some(true)).collect();
     if let Some((head, _)) = balance.first() {
-        found.push(Finding::AutomaticWhiteBalance { file: head.file.clone(), photographs: balance.len() });
+        found.push(CheckWarning::AutomaticWhiteBalance { file: head.file.clone(), photographs: balance.len() });
     }
     let decimal = |v: Option<f64>| v.map(|v| format!("{}", (v * 100.0).round() / 100.0));
     type Read<'a> = &'a dyn Fn(&CameraSettings) -> Option<String>;
@@ -150,13 +163,13 @@ fn changes(
     setting: &str,
     known: &[(&Head, &CameraSettings)],
     read: &dyn Fn(&CameraSettings) -> Option<String>,
-) -> Option<Finding> {
+) -> Option<CheckWarning> {
     let values: Vec<(&Head, String)> = known.iter().filter_map(|(h, s)| Some((*h, read(s)?))).collect();
     let expected = most(values.iter().map(|(_, v)| v))?;
     let mut others = values.iter().filter(|(_, v)| *v != expected);
     let (head, found) = others.next()?;
     let (setting, file, found) = (setting.to_owned(), head.file.clone(), found.clone());
-    Some(Finding::SettingChanges { setting, file, photographs: 1 + others.count(), expected, found })
+    Some(CheckWarning::SettingChanges { setting, file, photographs: 1 + others.count(), expected, found })
 }
 
 /// The value that occurs most often; of equals the first in order.
@@ -185,7 +198,7 @@ fn usual_bracket(brackets: &BTreeMap<usize, Vec<f64>>) -> Option<Vec<f64>> {
     Some(most(keys.iter())?.into_iter().map(f64::from_bits).collect())
 }
 
-fn bracket_differs(heads: &[Head], manifest: &Manifest) -> Option<Finding> {
+fn bracket_differs(heads: &[Head], manifest: &Manifest) -> Option<CheckWarning> {
     let brackets = lattice_brackets(heads, manifest);
     let expected = usual_bracket(&brackets)?;
     let same = |b: &[f64]| {
@@ -194,7 +207,7 @@ fn bracket_differs(heads: &[Head], manifest: &Manifest) -> Option<Finding> {
     let mut others = brackets.iter().filter(|(_, b)| !same(b));
     let (&shot, found_secs) = others.next()?;
     let shot = manifest.shots[shot].name.clone();
-    Some(Finding::BracketDiffers {
+    Some(CheckWarning::BracketDiffers {
         shot,
         shots: 1 + others.count(),
         found_secs: found_secs.clone(),
@@ -203,11 +216,10 @@ fn bracket_differs(heads: &[Head], manifest: &Manifest) -> Option<Finding> {
 }
 
 /// Shots that begin before an earlier one of the manifest has ended, by the camera's clock.
-fn out_of_order(heads: &[Head], manifest: &Manifest) -> Option<Finding> {
-    let time = |h: &Head| h.settings.as_ref().and_then(|s| s.taken_secs);
+fn out_of_order(heads: &[Head], manifest: &Manifest) -> Option<CheckWarning> {
     let mut spans: BTreeMap<usize, [(f64, &Head); 2]> = BTreeMap::new();
     for head in heads {
-        let Some(t) = time(head) else { continue };
+        let Some(t) = head.taken_secs() else { continue };
         let [first, last] = spans.entry(head.shot).or_insert([(t, head); 2]);
         if t < first.0 {
             *first = (t, head);
@@ -227,7 +239,7 @@ fn out_of_order(heads: &[Head], manifest: &Manifest) -> Option<Finding> {
         latest = latest.filter(|l| l.0 > end.0).or(Some(end));
     }
     let (file, after_file) = first?;
-    Some(Finding::OutOfOrder { file, after_file, shots, lattice })
+    Some(CheckWarning::OutOfOrder { file, after_file, shots, lattice })
 }
 
 /// The exposures of most lattice shots, s, shortest first.

@@ -6,22 +6,22 @@
 //! Not found: what only an unsampled lattice shot shows (lost reference dots, saturated dots), damage in the middle of a file,
 //! and all that `docs/captures.md` lists as what the program does not find.
 
-mod finding;
 mod heads;
 mod pixels;
 mod text;
 
-pub use finding::{Finding, Severity, Topic};
+pub use crate::warning::{Severity, Topic};
 pub use text::table;
 
 use crate::capture::{Capture, Manifest, Pattern, Reduction, ResponseCurve, Rig};
 use crate::pipeline::{BuildOptions, BuildReport, BuildSecs, try_build};
 use crate::progress::Progress;
 use crate::radiance::Sensor;
-use crate::{CaptureWarning, Error, ResponseWarning, Result, Warning};
+use crate::warning::bounds::{BLUR_SHARE, DRIFT_SHARE};
+use crate::{CaptureWarning, CheckWarning, Error, FindingRecord, ResponseWarning, Result, Warning};
 use pixels::Pictures;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Settings of [`check`].
 #[derive(Debug, Clone)]
@@ -43,6 +43,10 @@ impl Default for CheckOptions {
 pub struct Figures {
     /// Photographs that `capture.toml` names.
     pub photographs: usize,
+    /// Those of them whose EXIF tells ISO, aperture, focal length or mode.
+    pub photographs_with_settings: usize,
+    /// Those that say when they were taken.
+    pub photographs_with_time: usize,
     /// Bytes of those that are there.
     pub photograph_bytes: u64,
     /// Shots.
@@ -78,20 +82,19 @@ pub struct Figures {
 }
 
 /// What [`check`] found.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct CheckReport {
     /// The capture's name, when its manifest can be read.
     pub name: Option<String>,
     /// What was measured.
     pub figures: Figures,
     /// What was found, worst first.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Warning>,
     /// What `build-matrix` would stop with; `None` when nothing is known that would stop it.
     pub stopped_by: Option<Error>,
+    /// The same among the findings.
+    refusal: Option<Warning>,
 }
-
-/// Blur over more than this share of an outgoing sample (as a standard deviation) spreads much of the peak into its neighbours.
-const BLUR_SHARE: f64 = 1.0 / 3.0;
 
 /// Checks the capture in `dir`. What is wrong with it is in the report.
 ///
@@ -102,16 +105,18 @@ pub fn check(dir: &Path, options: &CheckOptions, progress: &Progress) -> Result<
         let (expected, found) = ("at least 1".into(), "0".into());
         return Err(Error::Setting { setting: "lattice_shots", expected, found });
     }
-    let mut report = CheckReport { name: None, figures: Figures::default(), findings: Vec::new(), stopped_by: None };
+    let mut report = CheckReport::default();
     let done = report.look(dir, options, progress);
     if let Err(error) = done {
         if error.is_internal() {
             return Err(error);
         }
-        report.stop(error);
+        report.stop(error, dir);
     }
     report.stop_at_files(dir);
-    report.findings.sort_by_key(|f| std::cmp::Reverse(f.severity()));
+    let mut findings = std::mem::take(&mut report.findings);
+    findings.sort_by_key(|f| std::cmp::Reverse(report.record(f).severity));
+    report.findings = findings;
     Ok(report)
 }
 
@@ -124,26 +129,31 @@ impl CheckReport {
         self.stopped_by.is_none()
     }
 
-    /// One object for programs: `would_build`, `reason`, `figures`, `findings` with `severity` and `topic`.
+    /// What all findings have, of one of [`Self::findings`]: that which would stop the build is an error.
+    pub fn record(&self, finding: &Warning) -> FindingRecord {
+        match self.refusal.as_ref() == Some(finding) {
+            true => finding.record().refused(),
+            false => finding.record(),
+        }
+    }
+
+    /// One object for programs: `would_build`, `reason`, `figures`, and `findings` as [`FindingRecord`]s with their own `figures`.
     ///
     /// # Errors
     /// [`Error::Internal`].
     pub fn json(&self) -> Result<serde_json::Value> {
-        let finding = |f: &Finding| {
-            let mut object = serde_json::to_value(f)?;
-            object["severity"] = serde_json::to_value(f.severity())?;
-            object["topic"] = serde_json::to_value(f.topic())?;
-            object["message"] = f.to_string().into();
-            Ok(object)
-        };
-        let findings: serde_json::Result<Vec<serde_json::Value>> = self.findings.iter().map(finding).collect();
+        let findings: Result<Vec<_>> = self.findings.iter().map(|f| self.record(f).with_figures(f)).collect();
         Ok(serde_json::json!({
             "name": self.name,
             "would_build": self.would_build(),
             "reason": self.stopped_by.as_ref().map(ToString::to_string),
             "figures": serde_json::to_value(&self.figures).map_err(Error::internal)?,
-            "findings": findings.map_err(Error::internal)?,
+            "findings": findings?,
         }))
+    }
+
+    fn found(&mut self, finding: impl Into<Warning>) {
+        self.findings.push(finding.into());
     }
 
     fn look(&mut self, dir: &Path, options: &CheckOptions, progress: &Progress) -> Result<()> {
@@ -158,7 +168,7 @@ impl CheckReport {
             stage.advance(1);
         }
         let capture = Capture::open_with(dir, calibration, options.build.exposure_from)
-            .inspect_err(|_| self.findings.push(Finding::NotLookedAt))?;
+            .inspect_err(|_| self.found(CheckWarning::NotLookedAt))?;
         self.warned(capture.warnings.iter().cloned().map(Warning::from));
         let sample = sampled(&capture, options.lattice_shots);
         self.figures.lattice_shots_looked_at = sample.shots(is_lattice).len();
@@ -172,17 +182,19 @@ impl CheckReport {
     fn heads(&mut self, dir: &Path, manifest: &Manifest, rig: &Rig) {
         self.name = Some(manifest.name.clone());
         let heads = heads::read(dir, manifest, rig);
-        self.findings.extend(heads::findings(&heads, manifest));
+        self.findings.extend(heads::findings(&heads, manifest).into_iter().map(Warning::from));
         let lit: std::collections::BTreeSet<[usize; 2]> =
             manifest.shots.iter().flat_map(|s| dots(&s.pattern)).copied().collect();
         let points = manifest.grid.len();
         if lit.len() < points {
-            self.findings.push(Finding::UnlitPoints { points: points - lit.len(), of: points });
+            self.found(ResponseWarning::UnlitPoints { rows: points - lit.len() });
         }
         // Response and variance in four bytes each, validity in one, three channels.
         let row_bytes = 27 * manifest.window.samples[0] * manifest.window.samples[1];
         self.figures = Figures {
             photographs: heads.len(),
+            photographs_with_settings: heads.iter().filter(|h| h.has_settings()).count(),
+            photographs_with_time: heads.iter().filter(|h| h.taken_secs().is_some()).count(),
             photograph_bytes: heads.iter().map(|h| h.bytes).sum(),
             shots: manifest.shots.len(),
             lattice_shots: manifest.shots.iter().filter(|s| is_lattice(&s.pattern)).count(),
@@ -196,7 +208,7 @@ impl CheckReport {
 
     /// Warnings of the pipeline that say more than what was found already.
     fn warned(&mut self, warnings: impl IntoIterator<Item = Warning>) {
-        let changes = self.findings.iter().any(|f| matches!(f, Finding::SettingChanges { .. }));
+        let changes = self.findings.iter().any(|f| matches!(f, Warning::Check(CheckWarning::SettingChanges { .. })));
         for warning in warnings {
             let known = match warning {
                 // Of a sample, every other point is unlit.
@@ -204,9 +216,8 @@ impl CheckReport {
                 Warning::Capture(CaptureWarning::ApertureOrIsoChanges { .. }) => changes,
                 _ => false,
             };
-            let finding = Finding::Warned { warning };
-            if !known && !self.findings.contains(&finding) {
-                self.findings.push(finding);
+            if !known && !self.findings.contains(&warning) {
+                self.findings.push(warning);
             }
         }
     }
@@ -233,12 +244,12 @@ impl CheckReport {
             tried.map(|t| &t.noise).or(sample.rig.noise.as_ref()).map_or(f64::INFINITY, |n| n.saturation_dn);
         let reduced = sample.reduced(&Reduction { factor, saturation_dn, left_out: Default::default() });
         let pictures = Pictures::new(&reduced, sensor);
-        self.findings.extend(pictures.stills(tried)?);
+        self.findings.extend(pictures.stills(tried)?.into_iter().map(Warning::from));
         stage.advance(1);
         let Some(tried) = tried else { return Ok(()) };
         self.warned(tried.warnings.iter().cloned());
         let dots = pictures.lattice(tried)?;
-        self.findings.extend(dots.findings());
+        self.findings.extend(dots.findings().into_iter().map(Warning::from));
         (self.figures.dots_looked_at, self.figures.dark_share) = (dots.looked_at, dots.dark_share());
         stage.advance(1);
 
@@ -251,7 +262,7 @@ impl CheckReport {
         self.figures.sample_px = Some(sample_px);
         self.figures.psf_px = tried.registration.point_spread.map(|p| full * p.psf_px);
         if let Some(psf_px) = self.figures.psf_px.filter(|psf| *psf > BLUR_SHARE * sample_px) {
-            self.findings.push(Finding::Blurred { psf_px, sample_px });
+            self.found(CheckWarning::Blurred { psf_px, sample_px });
         }
         stage.advance(1);
         Ok(())
@@ -263,8 +274,8 @@ impl CheckReport {
         let drift_px = length(shot);
         self.figures.drift_most_px = Some(drift_px);
         let most_px = tried.drift_followed_px;
-        if drift_px > 0.5 * most_px {
-            self.findings.push(Finding::LargeDrift { shot: shot.name.clone(), drift_px, most_px });
+        if drift_px > DRIFT_SHARE * most_px {
+            self.found(CheckWarning::LargeDrift { shot: shot.name.clone(), drift_px, most_px });
         }
     }
 
@@ -275,18 +286,15 @@ impl CheckReport {
         self.figures.build_secs = Some(secs.once + more * secs.lattice);
     }
 
-    fn stop(&mut self, error: Error) {
-        let told = matches!(
-            error,
-            Error::MissingPhotograph { .. }
-                | Error::BrokenPhotograph { .. }
-                | Error::NoExposure { .. }
-                | Error::PhotographSize { .. }
-        );
-        let errors = self.findings.iter().any(|f| f.severity() == Severity::Error);
-        if !(told && errors) {
-            self.findings.push(Finding::WouldNotBuild { reason: error.to_string(), topic: topic_of(&error) });
+    fn stop(&mut self, error: Error, dir: &Path) {
+        let refusal = Warning::refusal(&error, dir);
+        // The files' heads may have told it before, in other words.
+        let same = |f: &&Warning| f.id() == refusal.id() && f.record().culprit == refusal.record().culprit;
+        let known = self.findings.iter().find(same).cloned();
+        if known.is_none() {
+            self.findings.push(refusal.clone());
         }
+        self.refusal = Some(known.unwrap_or(refusal));
         self.stopped_by.get_or_insert(error);
     }
 
@@ -296,25 +304,17 @@ impl CheckReport {
             return;
         }
         let error = self.findings.iter().find_map(|f| match f {
-            Finding::BrokenPhotograph { file, shot, reason } => {
+            Warning::Check(CheckWarning::BrokenPhotograph { file, shot, reason }) => {
                 Some(Error::BrokenPhotograph { path: dir.join(file), shot: shot.clone(), reason: reason.clone() })
             }
-            Finding::MissingPhotograph { file, shot } => {
-                Some(Error::MissingPhotograph { path: PathBuf::from(dir).join(file), shot: shot.clone() })
+            Warning::Check(CheckWarning::MissingPhotograph { file, shot }) => {
+                Some(Error::MissingPhotograph { path: dir.join(file), shot: shot.clone() })
             }
             _ => None,
         });
-        self.stopped_by = error;
-    }
-}
-
-fn topic_of(error: &Error) -> Topic {
-    match error {
-        Error::Registration { .. } => Topic::Registration,
-        Error::DotSaturated { .. } => Topic::Light,
-        Error::DotOutsideSlab { .. } => Topic::Dots,
-        Error::NoExposure { .. } | Error::SameExposure { .. } => Topic::Exposures,
-        _ => Topic::Files,
+        if let Some(error) = error {
+            self.stop(error, dir);
+        }
     }
 }
 

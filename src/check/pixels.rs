@@ -1,19 +1,15 @@
 //! What the pixels of a few shots tell: saturation, darkness, dots that are not there.
 
-use super::Finding;
-use crate::Result;
 use crate::capture::{Capture, Pattern, Photograph, Rect};
 use crate::geometry::Point;
 use crate::pipeline::BuildReport;
 use crate::radiance::{Radiance, Sensor, merge_shot};
+use crate::warning::bounds::{DARK_SHARE, SATURATED_SHARE};
+use crate::{CheckWarning, Result};
 use rayon::prelude::*;
 
-/// More saturated pixels than this in the shortest exposure are more than hot ones.
-const SATURATED_SHARE: f64 = 1e-3;
 /// A pixel is black when its light is less than so many standard deviations.
 const BLACK_SIGMA: f32 = 2.0;
-/// Half of a window without light is worth a word.
-const DARK_SHARE: f64 = 0.5;
 /// A dot is there when it is so many times brighter than what surrounds it …
 const DOT_CONTRAST: f64 = 1.2;
 /// … by so many standard deviations.
@@ -48,7 +44,7 @@ impl<'a> Pictures<'a> {
     }
 
     /// Saturation of the shots without dots, over the slab when it is known where that is, else over the whole picture.
-    pub(super) fn stills(&self, report: Option<&BuildReport>) -> Result<Vec<Finding>> {
+    pub(super) fn stills(&self, report: Option<&BuildReport>) -> Result<Vec<CheckWarning>> {
         let region = report.map_or(self.whole, |r| bounds(&r.overview.slab_px, self.whole));
         let mut found = Vec::new();
         for shot in self.capture.shots(|p| matches!(p, Pattern::Board | Pattern::ReferenceWhite)) {
@@ -56,12 +52,12 @@ impl<'a> Pictures<'a> {
             let shortest = self.merged(&bracket[..1])?;
             let share = share(&shortest, region, |used, _, _| used == 0);
             if share > SATURATED_SHARE {
-                found.push(Finding::Saturated { shot: name.clone(), share });
+                found.push(CheckWarning::Saturated { shot: name.clone(), share });
             }
             let longest = self.merged(&bracket[bracket.len() - 1..])?;
             let share = self::share(&longest, region, black);
             if share > DARK_SHARE {
-                found.push(Finding::Dark { shot: name.clone(), share });
+                found.push(CheckWarning::Dark { shot: name.clone(), share });
             }
         }
         Ok(found)
@@ -125,17 +121,17 @@ impl<'a> Pictures<'a> {
 }
 
 impl SeenDots {
-    pub(super) fn findings(&self) -> Vec<Finding> {
+    pub(super) fn findings(&self) -> Vec<CheckWarning> {
         let (of, mut found) = (self.looked_at, Vec::new());
         if let Some(shot) = self.saturated.first() {
-            found.push(Finding::SaturatedDots { shot: shot.clone(), dots: self.saturated.len(), of });
+            found.push(CheckWarning::SaturatedDots { shot: shot.clone(), dots: self.saturated.len(), of });
         }
         if let Some((shot, dot)) = self.dead.first() {
-            found.push(Finding::DeadDots { shot: shot.clone(), dot: *dot, dots: self.dead.len(), of });
+            found.push(CheckWarning::DeadDots { shot: shot.clone(), dot: *dot, dots: self.dead.len(), of });
         }
         let darkest = self.dark.iter().max_by(|a, b| a.1.total_cmp(&b.1));
         if let Some((shot, share)) = darkest.filter(|d| d.1 > DARK_SHARE) {
-            found.push(Finding::Dark { shot: shot.clone(), share: *share });
+            found.push(CheckWarning::Dark { shot: shot.clone(), share: *share });
         }
         found
     }

@@ -2,8 +2,8 @@ use super::{Context, options};
 use crate::pipeline::{BuildReport, build_matrix};
 use crate::simulate::TRUTH_MATRIX;
 use crate::words::count;
-use crate::{Error, Result};
-use std::path::PathBuf;
+use crate::{Error, Result, Warning};
+use std::path::{Path, PathBuf};
 
 /// Photographs to the matrix R_d(x_i, x_o).
 ///
@@ -14,7 +14,10 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Examples:
   acquire build-matrix captures/
-  acquire build-matrix captures/ --calibration lab/rig-3 --out slab.rd.zarr")]
+  acquire build-matrix captures/ --calibration lab/rig-3 --out slab.rd.zarr
+  acquire build-matrix captures/ --json | jq -r '.findings[] | .severity + \": \" + .seen'
+
+docs/findings.md lists what may be found, and what to do about it.")]
 pub(super) struct Args {
     /// Folder of capture.toml.
     capture: PathBuf,
@@ -23,6 +26,9 @@ pub(super) struct Args {
     /// Where the matrix goes; an older one there is replaced.
     #[arg(long, short, value_name = "X.rd.zarr", default_value = "matrix.rd.zarr")]
     out: PathBuf,
+    /// Print one JSON object: what was measured, and the findings; of a capture that is refused, why.
+    #[arg(long)]
+    json: bool,
 }
 
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
@@ -32,8 +38,12 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
         let expected = "another path than the simulated capture's truth".into();
         return Err(Error::Setting { setting: "out", expected, found: args.out.display().to_string() });
     }
-    let report = build_matrix(&args.capture, &args.build.into(), &args.out, &context.progress)?;
-    report.warnings.iter().cloned().for_each(|w| context.warn(w));
+    let built = build_matrix(&args.capture, &args.build.into(), &args.out, &context.progress);
+    if args.json {
+        super::print(&json(&built, &args.capture, &args.out)?)?;
+    }
+    let report = built?;
+    context.tell(&report.warnings);
     context.done(summary(&report));
     let stages: Vec<_> = context.progress.timings().iter().map(|t| format!("{} {:.2} s", t.stage, t.secs)).collect();
     context.done(stages.join(", "));
@@ -41,10 +51,26 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     Ok(())
 }
 
+/// `built`, `reason`, `figures` and `findings`, as `check --json` has them.
+fn json(built: &Result<BuildReport>, capture: &Path, out: &Path) -> Result<String> {
+    let object = match built {
+        Ok(report) => {
+            let findings: Result<Vec<_>> = report.warnings.iter().map(Warning::json).collect();
+            let figures = report.figures()?;
+            serde_json::json!({ "built": true, "reason": null, "matrix": out, "figures": figures, "findings": findings? })
+        }
+        Err(error) => {
+            let refusal = Warning::refusal(error, capture);
+            let finding = refusal.record().refused().with_figures(&refusal)?;
+            serde_json::json!({ "built": false, "reason": error.to_string(), "findings": [finding] })
+        }
+    };
+    serde_json::to_string_pretty(&object).map_err(Error::internal)
+}
+
 /// One line that says what was measured.
 pub(super) fn summary(report: &BuildReport) -> String {
-    let drift = report.shots.iter().map(|s| s.drift_px[0].powi(2) + s.drift_px[1].powi(2)).sum::<f64>();
-    let drift_rms = (drift / (2 * report.shots.len().max(1)) as f64).sqrt();
+    let drift_rms = report.drift_rms_px();
     let r = &report.registration;
     let working = match (report.working.factor, report.working.px_per_sample) {
         (2.., Some(px)) => {

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 Examples:
   acquire check captures/
   acquire check captures/ --calibration lab/rig-3 --lattice-shots 32
-  acquire check captures/ --json | jq -r '.findings[] | .severity + \": \" + .message'
+  acquire check captures/ --json | jq -r '.findings[] | .severity + \": \" + .seen'
 
 Each topic is good, look (it builds, but needs a look) or bad. Exit status 1 when build-matrix would fail, 0 otherwise.")]
 pub(super) struct Args {
@@ -36,7 +36,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
         false => table(&report, out.is_terminal() && std::env::var_os("NO_COLOR").is_none()),
     };
     super::print(&text)?;
-    let warnings = report.findings.iter().filter(|f| f.severity() == Severity::Warning).count();
+    let warnings = report.findings.iter().filter(|f| report.record(f).severity == Severity::Warning).count();
     let figures = &report.figures;
     let sample = format!("{} of {}", figures.lattice_shots_looked_at, count(figures.lattice_shots, "lattice shot"));
     match report.stopped_by {

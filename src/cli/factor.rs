@@ -140,7 +140,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let stored = factor_and_store(&reader, &options, &storage, &context.progress)?;
     write_whole(&out, &stored.file)?;
     let factored = &stored.factored;
-    factored.warnings.iter().cloned().for_each(|w| context.warn(w));
+    context.tell(&factored.warnings);
     let how = match precision {
         Precision::F32 => String::new(),
         Precision::F16 => format!(", stored as f16 in {} bytes, {}", stored.bytes, in_all(&stored)),

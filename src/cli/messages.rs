@@ -1,6 +1,6 @@
 //! What the terminal shows of errors and warnings: options as they are typed, and what to try.
 
-use crate::{ConsistencyWarning, Error, RadianceWarning, SimulateWarning, Warning};
+use crate::{ConsistencyWarning, Error, RadianceWarning, Severity, SimulateWarning, Warning};
 
 /// An error in one line.
 pub(super) fn text(error: &Error) -> String {
@@ -57,10 +57,13 @@ pub(super) fn hint(error: &Error) -> Option<String> {
             "compare plan.toml with the photographs around the one that is named; remove doubled ones, shoot missing ones again"
         }
         Error::Contradiction { finding } => {
-            if matches!(**finding, Warning::Consistency(ConsistencyWarning::ExposureTimes { .. })) {
-                return Some("correct exposure_secs in capture.toml, or measure the times from the photographs: --exposure-from estimate".into());
-            }
-            return finding.id().ok().map(|id| format!("to build all the same, --accept {id}"));
+            let accept = format!("to build all the same, --accept {}", finding.id());
+            return Some(match **finding {
+                Warning::Consistency(ConsistencyWarning::ExposureTimes { .. }) => format!(
+                    "correct exposure_secs in capture.toml, or measure the times from the photographs: --exposure-from estimate; {accept}"
+                ),
+                _ => accept,
+            });
         }
         Error::WouldNotBuild { reason } => return hint(reason),
         Error::BrokenMatrix { .. } => {
@@ -80,8 +83,26 @@ pub(super) fn hint(error: &Error) -> Option<String> {
     Some(hint.to_owned())
 }
 
+/// Findings in one line each, worst first. Many of one kind are one line, which says the first and how many more there are.
+pub(super) fn told(findings: &[Warning]) -> Vec<(Severity, String)> {
+    let mut kinds: Vec<(&Warning, usize)> = Vec::new();
+    for finding in findings {
+        match kinds.iter_mut().find(|(first, _)| first.id() == finding.id()) {
+            Some((_, more)) => *more += 1,
+            None => kinds.push((finding, 0)),
+        }
+    }
+    kinds.sort_by_key(|(finding, _)| std::cmp::Reverse(finding.severity()));
+    let line = |(finding, more): &(&Warning, usize)| {
+        let more = if *more > 0 { format!("; {more} more of this kind") } else { String::new() };
+        let advice = advice(finding).map(|advice| format!("; {advice}")).unwrap_or_default();
+        (finding.severity(), one_line(&format!("{finding}{more}{advice}")))
+    };
+    kinds.iter().map(line).collect()
+}
+
 /// What might be done about a warning with the options of this program.
-pub(super) fn advice(warning: &Warning) -> Option<&'static str> {
+fn advice(warning: &Warning) -> Option<&'static str> {
     match warning {
         Warning::Radiance(RadianceWarning::ExposureRatios { .. }) => {
             Some("use --exposure-from estimate, or check camera.response in rig.toml")
@@ -100,6 +121,42 @@ mod tests {
     #[test]
     fn a_message_is_one_line() {
         assert_eq!(one_line("a:  b\n\n  c\n"), "a:  b c");
+    }
+
+    #[test]
+    fn many_findings_of_one_kind_are_one_line_under_the_word_of_their_severity() {
+        let dark = |medium: &str, channel| SimulateWarning::DiffusionTooDark {
+            medium: medium.into(),
+            channel,
+            reduced_scattering_per_mm: 0.5,
+            absorption_per_mm: 2.0,
+        };
+        let findings = [
+            RadianceWarning::Flicker { relative_sd: 0.01, remaining_sd: 0.001 }.into(),
+            dark("ink", 'R').into(),
+            dark("ink", 'G').into(),
+            dark("soot", 'B').into(),
+        ];
+        let told = told(&findings);
+        assert_eq!(told.iter().map(|t| t.0.name()).collect::<Vec<_>>(), ["warning", "note"]);
+        assert!(told[0].1.starts_with("ink, R: ") && told[0].1.ends_with("; 2 more of this kind; use --transport mc"));
+    }
+
+    #[test]
+    fn a_contradiction_hints_at_its_name_on_the_page_of_findings() {
+        let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/findings.md")).unwrap();
+        let contradictions = crate::warning::samples::written();
+        let contradictions =
+            contradictions.into_iter().map(|(w, _)| w).filter(|w| matches!(w, Warning::Consistency(_)));
+        let mut any = false;
+        for finding in contradictions {
+            any = true;
+            let id = finding.id();
+            assert!(page.lines().any(|l| l.starts_with(&format!("| `{id}` |"))), "{id} is not on the page");
+            let hint = hint(&Error::Contradiction { finding: Box::new(finding) });
+            assert!(hint.unwrap().contains(&format!("--accept {id}")));
+        }
+        assert!(any);
     }
 
     #[test]

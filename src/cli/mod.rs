@@ -15,7 +15,7 @@ mod simulate;
 mod tradeoff;
 mod values;
 
-use crate::{Error, Result, progress::Progress};
+use crate::{Error, Result, Severity, progress::Progress};
 use clap::{Parser, Subcommand};
 use std::io::Write;
 use std::path::Path;
@@ -27,7 +27,7 @@ use std::process::ExitCode;
 struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// No progress bars and no closing line; warnings and errors stay.
+    /// No progress bars, notes and closing line; warnings and errors stay.
     #[arg(long, short, global = true)]
     quiet: bool,
     /// Number of threads [default: one per core].
@@ -77,11 +77,14 @@ impl Context {
         }
     }
 
-    /// A finding that does not stop the work.
-    fn warn(&self, warning: impl Into<crate::Warning>) {
-        let warning = warning.into();
-        let advice = messages::advice(&warning).map(|advice| format!("; {advice}"));
-        self.progress.say(format_args!("warning: {warning}{}", advice.unwrap_or_default()));
+    /// Findings that did not stop the work, each kind once; notes are for those who want to hear all.
+    fn tell<W: Clone + Into<crate::Warning>>(&self, findings: &[W]) {
+        let findings: Vec<crate::Warning> = findings.iter().cloned().map(Into::into).collect();
+        for (severity, line) in messages::told(&findings) {
+            if severity > Severity::Note || !self.quiet {
+                self.progress.say(format_args!("{}: {line}", severity.name()));
+            }
+        }
     }
 }
 

@@ -54,7 +54,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let at = |name: &str| folder.join(name);
 
     let build = build_matrix(&args.capture, &args.build.into(), &at(MATRIX), &context.progress)?;
-    build.warnings.iter().cloned().for_each(|w| context.warn(w));
+    context.tell(&build.warnings);
     context.done(super::build_matrix::summary(&build));
 
     let matrix = MatrixReader::open(&at(MATRIX))?;

@@ -63,9 +63,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     options.switch(args.only.as_deref(), &args.with, &args.without)?;
     let start = std::time::Instant::now();
     let summary = simulate::simulate(&options, &args.dir, &context.progress)?;
-    for warning in summary.warnings.iter().cloned() {
-        context.warn(warning);
-    }
+    context.tell(&summary.warnings);
     let (dir, secs) = (args.dir.display(), start.elapsed().as_secs_f64());
     let noise = summary.photon_noise.map_or(String::new(), |noise| format!(" (photon noise {:.2} %)", 100.0 * noise));
     if options.truth_only {

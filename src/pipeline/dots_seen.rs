@@ -8,6 +8,7 @@ use super::scene::{STILL, Scene, overlap, square};
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
 use crate::registration::{Drift, Registration, SampleDots, median};
+use crate::warning::bounds::REFUSED_PROJECTOR_PX;
 use crate::{ConsistencyWarning, Result, Warning};
 
 /// Where a dot of the sample was seen.
@@ -35,8 +36,6 @@ const SIGMA: f64 = 6.0;
 const STEP_SHARE: f64 = 0.4;
 /// So near, in steps of the grid, a dot has to be to the place of another point to be taken for it.
 const NEAR_STEP: f64 = 0.25;
-/// From this offset on, projector px, rows would be off by more than any stated uncertainty.
-const REFUSED_PROJECTOR_PX: f64 = 0.5;
 /// A sample that is seen obliquely shows its dots beside their places, as their light leaves it from below: from no deeper than this many
 /// radii of the half of a row's light (ketchup and chicken of docs/simulation.md: 2).
 const DEEPEST: f64 = 2.5;

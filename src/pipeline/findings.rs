@@ -11,18 +11,11 @@ use crate::geometry::Point;
 use crate::radiance::HotPixel;
 use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps, median};
 use crate::transport::{MatrixHeader, ShotRecord};
+use crate::warning::bounds::{LARGEST_ALBEDO, SPREAD_VARIES_PX, STRAY_TOLD, STRONG_BLUR_PX};
 use crate::{
     ConsistencyWarning, DriftJump, Error, RadianceWarning, RegistrationWarning, ResponseWarning, Result, Warning,
 };
 use std::path::Path;
-
-/// A point spread that differs by this much over the board, px, leaves a few per cent of the peaks where it is not the mean's.
-const SPREAD_VARIES_PX: f64 = 0.1;
-
-/// From this blur on a sharp dot's peak is known to two per cent and worse at 3 px a sample (docs/accuracy.md).
-const STRONG_BLUR_PX: f64 = 0.9;
-/// A halo of this share is worth a word: an ordinary lens has about half a per cent.
-const STRAY_TOLD: f64 = 0.005;
 
 /// What the stages before the lattice shots found.
 pub(super) struct Stages<'a> {
@@ -75,7 +68,7 @@ pub(super) fn summarize(
         if result.drift.is_none() {
             unmeasured.get_or_insert((name.clone(), 0)).1 += 1;
         }
-        bright.extend(result.lit.iter().map(|l| l.albedo).filter(|a| *a > 1.0));
+        bright.extend(result.lit.iter().map(|l| l.albedo).filter(|a| *a > LARGEST_ALBEDO));
         let sd_mm = scene.registration.position_sd_mm.hypot(result.drift.map_or(0.0, |d| d.sd_px / scene.px_per_mm));
         for lit in &result.lit {
             let row = capture.manifest.grid.row_index(lit.dot);
@@ -243,6 +236,35 @@ fn overview(scene: &Scene<'_>, header: &MatrixHeader) -> Result<Overview> {
         reference_dots_px: scene.reference_mm().into_iter().map(camera).collect(),
         slab_px: [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(camera),
     })
+}
+
+impl BuildReport {
+    /// RMS of the shots' drift per axis, camera px.
+    pub fn drift_rms_px(&self) -> f64 {
+        let sum: f64 = self.shots.iter().map(|s| s.drift_px[0].powi(2) + s.drift_px[1].powi(2)).sum();
+        (sum / (2 * self.shots.len().max(1)) as f64).sqrt()
+    }
+
+    /// What was measured, for programs; names and units are those of `check`'s figures where both have them.
+    ///
+    /// # Errors
+    /// [`Error::Internal`].
+    pub fn figures(&self) -> Result<serde_json::Value> {
+        Ok(serde_json::json!({
+            "photographs": self.photographs,
+            "lattice_shots": self.shots.len(),
+            "points": self.points,
+            "window": self.window,
+            "camera_rms_px": self.registration.camera_rms_px,
+            "projector_rms_px": self.registration.projector_rms_px,
+            "psf_px": self.registration.point_spread.map(|p| self.working.factor as f64 * p.psf_px),
+            "drift_rms_px": self.drift_rms_px(),
+            "noise": serde_json::to_value(&self.noise).map_err(Error::internal)?,
+            "working_resolution": serde_json::to_value(self.working).map_err(Error::internal)?,
+            "crosstalk": serde_json::to_value(&self.crosstalk).map_err(Error::internal)?,
+            "secs": self.secs.once + self.secs.lattice,
+        }))
+    }
 }
 
 /// The header before any row is measured.

@@ -2,6 +2,7 @@
 
 use crate::capture::{Capture, Noise, Pattern, Photograph, Rect, ResponseCurve, Samples, Sampling};
 use crate::radiance::{DarkLevels, NoiseEstimate, black_level, blocks, channel_gains, fit, saturation};
+use crate::warning::bounds::DOUBT_SD;
 use crate::{ConsistencyWarning, Error, RadianceWarning, Result, Warning};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -20,9 +21,7 @@ pub(super) struct FoundNoise {
 const SHOTS: usize = 4;
 /// Lattice shots whose longest exposure is searched for clipped photosites.
 const BRIGHT_SHOTS: usize = 6;
-/// A rig's figure is doubted when it is off by so many standard deviations …
-const DOUBT_SD: f64 = 5.0;
-/// … and by so much: gain and read noise, of the estimate; black, of the read noise in DN.
+/// A rig's figure is doubted when it is off by [`DOUBT_SD`] standard deviations and by so much: gain and read noise, of the estimate; black, of the read noise in DN.
 const DOUBT_GAIN: f64 = 0.1;
 /// Gains of two channels that differ by this share were multiplied: photosites under different filters are alike.
 const DOUBT_CHANNEL: f64 = 0.15;

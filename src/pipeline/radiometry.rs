@@ -10,6 +10,7 @@ use crate::radiance::{
     Bracket, Brightness, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, MOST_FLICKER, Sensor,
     Stack, decode_spread, disagreements, estimate_curve, evenly, fit_exposures, pick_pixels, stack_scales, take,
 };
+use crate::warning::bounds::{REFUSED_SLOPE, REFUSED_TIME, TIME_SIGMA, TIME_TOLERANCE};
 use crate::{ConsistencyWarning, Error, RadianceWarning, Result, Warning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -44,21 +45,14 @@ const LOOKS: [usize; 2] = [8, 16];
 const BITS_PER_AXIS: usize = 6;
 /// Pixels of a light sum, half of them on edges.
 const SUM_PIXELS: usize = 6000;
-/// A measured time is worth a word when it differs by more than this and by more than three standard deviations.
-const TIME_TOLERANCE: f64 = 0.005;
-/// Compressed dark parts mislead by half a per cent and more: there by more than this.
+/// Compressed dark parts mislead by half a per cent and more: a measured time is worth a word there when it differs by more than this.
 const COMPRESSED_TIME_TOLERANCE: f64 = 0.015;
-const TIME_SIGMA: f64 = 3.0;
 /// The brightness of a photograph that is off by more is a mistake, in files in proportion to light and in others. A shutter of a good camera
 /// repeats to a per cent; an unknown curve's error is of some.
 const LINEAR_TOLERANCE: f64 = 0.05;
 const CURVE_TOLERANCE: f64 = 0.15;
 /// The same in standard deviations of the flicker.
 const FLICKER_SIGMA: f64 = 6.0;
-/// A time that is off by more is none that a camera rounded (1/30 for 1/32 is 6 %): a matrix that rests on it would be wrong.
-const REFUSED_TIME: f64 = 0.15;
-/// A slope of ln(actual) over ln(nominal) that is off by more is a response curve: times that are wrong one by one have none.
-const REFUSED_SLOPE: f64 = 0.1;
 /// Compression scatters the scales of photographs by a tenth of a per cent: only more than this is flicker of the lamp.
 const LEAST_COMPRESSED_FLICKER: f64 = 0.002;
 /// How far nominal times are trusted while the curve is estimated (standard deviation of the logarithm): a rounded 1/30 for 1/32 is off by

@@ -10,6 +10,7 @@ use crate::registration::{
     BitPair, FrameFit, LensChoice, LensTrial, Pairs, PointSpread, Registration, StripeSurface, ViewFit, find_board,
     fit_lens_of_views, marks_moved, measure_point_spread, register_frame, register_projector,
 };
+use crate::warning::bounds::{BOARD_ELSEWHERE_PX, FRAME_MOVED_PX, MOVED_SIGMA};
 use crate::{ConsistencyWarning, Error, RegistrationWarning, Result, Warning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -115,7 +116,7 @@ fn camera_view(
             }
             Some(before) => {
                 let moved = marks_moved(before, &found);
-                let beyond = |(m, sd): &(Point, f64)| m[0].hypot(m[1]) > (5.0 * sd).max(0.05);
+                let beyond = |(m, sd): &(Point, f64)| m[0].hypot(m[1]) > (MOVED_SIGMA * sd).max(FRAME_MOVED_PX);
                 let scale = fine.scale();
                 let told = |(moved_px, sd_px): (Point, f64)| RegistrationWarning::FrameMoved {
                     shot: name,
@@ -163,7 +164,7 @@ fn board_elsewhere(photographs: &Photographs<'_>, board: &CameraView, frame: &Vi
         (a[0] - b[0]).hypot(a[1] - b[1])
     };
     let largest_px = [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(off).into_iter().fold(0.0, f64::max);
-    (largest_px > (5.0 * frame.sd_px).max(0.2))
+    (largest_px > (MOVED_SIGMA * frame.sd_px).max(BOARD_ELSEWHERE_PX))
         .then_some(RegistrationWarning::BoardElsewhere { largest_px: photographs.fine.scale() * largest_px })
 }
 

@@ -2,8 +2,8 @@
 
 use super::text::{bytes, escape, seconds, significant};
 use super::{Comparison, Files, ReportInput, figures, maps, row_pictures};
-use crate::Result;
 use crate::words::count;
+use crate::{FactorWarning, FindingRecord, Result, Warning};
 use std::fmt::Write;
 
 /// Name, what it is, how its number is written.
@@ -28,6 +28,9 @@ const MEASURES: [Measure; 15] = [
     ("entries", "numbers compared", whole),
 ];
 
+/// Culprits of a finding that are named.
+const NAMED: usize = 5;
+
 /// The whole page; the pictures that it embeds are also put into `files`.
 pub(super) fn html(input: &ReportInput, files: &mut Files) -> Result<String> {
     let mut out = format!(
@@ -37,7 +40,7 @@ pub(super) fn html(input: &ReportInput, files: &mut Files) -> Result<String> {
         include_str!("page.css")
     );
     head(&mut out, input);
-    warnings(&mut out, input);
+    findings(&mut out, input);
     photograph(&mut out, input, files)?;
     drift(&mut out, input, files);
     if !input.survey.rows.is_empty() {
@@ -93,16 +96,28 @@ fn head(out: &mut String, input: &ReportInput) {
     out.push_str("</dl>");
 }
 
-fn warnings(out: &mut String, input: &ReportInput) {
-    let of_matrix = input.matrix.warnings.iter().map(ToString::to_string);
-    let all: Vec<_> = of_matrix.chain(input.warnings.iter().map(ToString::to_string)).collect();
+/// Findings, worst first, each with what it is put down to and what was done.
+fn findings(out: &mut String, input: &ReportInput) {
+    let of_matrix = input.matrix.warnings.iter().map(Warning::record);
+    let mut all: Vec<_> = of_matrix.chain(input.warnings.iter().map(FactorWarning::record)).collect();
     if all.is_empty() {
         return;
     }
-    let findings = count(all.len(), "finding");
-    let _ = write!(out, "<section class=\"warnings\"><b>{findings} about this measurement</b><ul>");
-    for warning in all {
-        let _ = write!(out, "<li>{}</li>", escape(&warning));
+    all.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
+    let number = count(all.len(), "finding");
+    let _ = write!(out, "<section class=\"warnings\"><b>{number} about this measurement</b><ul>");
+    for FindingRecord { id, severity, seen, culprit, done, .. } in all {
+        let culprit: Vec<String> = culprit.iter().take(NAMED).map(ToString::to_string).collect();
+        let culprit = if culprit.is_empty() { String::new() } else { format!("; {}", culprit.join(", ")) };
+        let _ = write!(
+            out,
+            "<li class=\"{0}\"><b>{0}</b>: {1} <small><code>{2}</code>{3}; {4}</small></li>",
+            severity.name(),
+            escape(&seen),
+            escape(&id),
+            escape(&culprit),
+            done.name()
+        );
     }
     out.push_str("</ul></section>");
 }

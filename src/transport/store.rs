@@ -10,10 +10,10 @@
 //! | `dx`, `dy` f64 | dx; dy | offset of the cell's centre from the lit point, mm |
 //! | `shot` i32 | y_i, x_i | number of the shot that lit it, an index into the attribute `shots` |
 //!
-//! Everything else is in the group's attributes, see [`MatrixHeader`].
+//! Everything else is in the group's attributes, see [`MatrixHeader`]; `findings` are the records ([`FindingRecord`]) of `warnings`, one for one.
 
 use super::positioned;
-use crate::{Error, Result, Warning, geometry::Point, output::ScratchFolder};
+use crate::{Error, FindingRecord, Result, Warning, geometry::Point, output::ScratchFolder};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
@@ -283,6 +283,9 @@ impl MatrixWriter {
         if let serde_json::Value::Object(fields) = serde_json::to_value(header)? {
             attributes.extend(fields);
         }
+        // What `warnings` say, as other programs may want it; not read again.
+        let findings: Vec<FindingRecord> = header.warnings.iter().map(Warning::record).collect();
+        attributes.insert("findings".into(), serde_json::to_value(findings)?);
         zarrs::group::GroupBuilder::new().attributes(attributes).build(store.clone(), "/")?.store_metadata()?;
         self.write_coordinates(&store)?;
 

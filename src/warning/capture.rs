@@ -1,5 +1,7 @@
 //! What reading a capture finds: exposure times, EXIF, settings.
 
+use super::bounds::EXPOSURE_TOLERANCE;
+use super::record::catalogue;
 use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -32,10 +34,13 @@ pub enum CaptureWarning {
     },
     /// An odd EXIF block that could only be read in part.
     DamagedExif {
-        /// The photograph.
+        /// The first such photograph.
         file: String,
-        /// The reader's message.
+        /// The reader's message about it.
         reason: String,
+        /// How many photographs.
+        #[serde(default)]
+        photographs: usize,
     },
     /// An EXIF field whose value cannot be (0/0, an overflow, an absurd time); it is not used.
     UnusableExif {
@@ -61,7 +66,10 @@ impl fmt::Display for CaptureWarning {
                 f,
                 "{file}: aperture or ISO differs from the first photograph's; its radiance is scaled by {factor:.4}"
             ),
-            Self::DamagedExif { file, reason } => write!(f, "{file}: EXIF is damaged and was read in part: {reason}"),
+            Self::DamagedExif { file, reason, photographs } => {
+                write!(f, "{file}: EXIF is damaged and was read in part: {reason}")?;
+                if *photographs > 1 { write!(f, " (in {photographs} photographs)") } else { Ok(()) }
+            }
             Self::UnusableExif { file, tag, found, photographs } => write!(
                 f,
                 "{file}: EXIF {tag} is {found}, an impossible value; it is ignored (in {})",
@@ -70,3 +78,13 @@ impl fmt::Display for CaptureWarning {
         }
     }
 }
+
+catalogue!(CaptureWarning {
+    Self::ExposureDisagrees { file, used_secs, .. } => "exposure-disagrees", Warning, Exposures, LeftOut,
+        vec![photograph(file)], bound("other_secs", used_secs * (1.0 + EXPOSURE_TOLERANCE), "s");
+    Self::ApertureOrIsoChanges { file, .. } => "aperture-or-iso-changes", Warning, Settings, Corrected,
+        vec![photograph(file)], bound("factor", 1.0, "");
+    Self::DamagedExif { file, .. } => "damaged-exif", Note, Settings, LeftOut, vec![photograph(file)], None;
+    Self::UnusableExif { file, tag, .. } => "unusable-exif", Note, Exposures, LeftOut,
+        vec![photograph(file), field(tag)], None;
+});

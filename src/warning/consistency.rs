@@ -1,5 +1,6 @@
 //! What a capture says twice, and not alike: photographs of a stack, patterns and dots, light, references, the rig's figures.
 
+use super::bounds::{REFUSED_PROJECTOR_PX, REFUSED_SLOPE, REFUSED_TIME};
 use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -305,3 +306,22 @@ impl fmt::Display for ConsistencyWarning {
         }
     }
 }
+
+// Contradictions: in the list of a completed work they stand because they were accepted.
+super::record::catalogue!(ConsistencyWarning {
+    Self::PhotographDisagrees { file, shot: name, or: Some(other), .. } => "photograph-disagrees", Warning, Files, Accepted,
+        vec![photograph(file), photograph(other), shot(name)], None;
+    Self::PhotographDisagrees { file, shot: name, or: None, .. } => "photograph-disagrees", Warning, Files, LeftOut,
+        vec![photograph(file), shot(name)], None;
+    Self::ExposureTimes { file, nominal_secs, .. } => "exposure-times", Warning, Exposures, Accepted,
+        vec![exposure(*nominal_secs), photograph(file)], bound("measured_secs / nominal_secs - 1", REFUSED_TIME, "");
+    Self::ExposuresUnmeasured { .. } => "exposures-unmeasured", Warning, Exposures, Told, vec![], None;
+    Self::BrightnessVaries { .. } => "brightness-varies", Warning, Light, Accepted, vec![part("lamp")], None;
+    Self::OtherPattern { shot: name, .. } => "other-pattern", Warning, Dots, Accepted, vec![shot(name)], None;
+    Self::DotsOffset { field: name, offset_projector_px: [x, y], .. } if x.hypot(*y) >= REFUSED_PROJECTOR_PX =>
+        "dots-offset", Warning, Dots, Accepted, vec![field(name)],
+        bound("offset_projector_px", REFUSED_PROJECTOR_PX, "projector px");
+    Self::DotsOffset { field: name, .. } => "dots-offset", Warning, Dots, Told, vec![field(name)], None;
+    Self::ResponseCurve { .. } => "response-curve", Warning, Exposures, Accepted, vec![field("camera.response")],
+        bound("slope - 1", REFUSED_SLOPE, "");
+});

@@ -1,5 +1,6 @@
 //! What a factorization finds.
 
+use super::record::catalogue;
 use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -46,3 +47,10 @@ impl fmt::Display for FactorWarning {
         }
     }
 }
+
+catalogue!(FactorWarning {
+    Self::EmptyRows { rows: n } => "empty-rows", Warning, Material, Replaced, vec![rows(*n)], None;
+    Self::ShiftLimited { rows: n, limit } => "shift-limited", Warning, Material, Replaced, vec![rows(*n)],
+        bound("shift", *limit as f64, "samples");
+    Self::GoalMissed { .. } => "goal-missed", Warning, Material, Told, vec![], None;
+});

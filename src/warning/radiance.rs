@@ -1,5 +1,7 @@
 //! What merging finds: noise, exposure times, response curve, lamp, hot photosites, stray light.
 
+use super::bounds::{DOUBT_SD, STRAY_TOLD, TIME_SIGMA, TIME_TOLERANCE};
+use super::record::catalogue;
 use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -141,3 +143,19 @@ impl fmt::Display for RadianceWarning {
         }
     }
 }
+
+catalogue!(RadianceWarning {
+    Self::NoiseEstimated { .. } => "noise-estimated", Note, Light, Replaced, vec![field("noise")], None;
+    Self::NoiseDisagrees { field: name, sd, .. } => "noise-disagrees", Warning, Light, Told,
+        vec![field(&format!("noise.{name}"))], bound("found - given", DOUBT_SD * sd, "");
+    Self::HotPixels { .. } => "hot-pixels", Note, Light, Replaced, vec![part("camera")], None;
+    Self::ExposureRatios { nominal_secs, relative_sd, .. } => "exposure-ratios", Warning, Exposures, Told,
+        vec![exposure(*nominal_secs)],
+        bound("measured_secs / nominal_secs - 1", TIME_TOLERANCE.max(TIME_SIGMA * relative_sd), "");
+    Self::ExposuresUnlinked { groups } => "exposures-unlinked", Warning, Exposures, Told,
+        groups.iter().filter_map(|g| g.first()).map(|secs| exposure(*secs)).collect(), None;
+    Self::CurveNotSaved { file, .. } => "curve-not-saved", Warning, Files, Told, vec![photograph(file)], None;
+    Self::Flicker { .. } => "flicker", Note, Light, Corrected, vec![part("lamp")], None;
+    Self::StrayLight { .. } => "stray-light", Warning, Focus, Corrected, vec![part("lens")],
+        bound("share", STRAY_TOLD, "");
+});

@@ -1,5 +1,7 @@
 //! What registration finds: board, frame, point spread, drift.
 
+use super::bounds::{BOARD_ELSEWHERE_PX, FRAME_MOVED_PX, MOVED_SIGMA, SPREAD_VARIES_PX, STRONG_BLUR_PX};
+use super::record::catalogue;
 use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -127,3 +129,22 @@ impl fmt::Display for RegistrationWarning {
         }
     }
 }
+
+catalogue!(RegistrationWarning {
+    Self::BoardTooSmall { .. } => "board-too-small", Warning, Registration, Told, vec![part("board")], None;
+    Self::BoardElsewhere { .. } => "board-elsewhere", Warning, Registration, LeftOut, vec![part("board")],
+        bound("largest_px", BOARD_ELSEWHERE_PX, "px");
+    Self::FrameMoved { shot: name, sd_px, .. } => "frame-moved", Warning, Drift, Told, vec![shot(name)],
+        bound("moved_px", FRAME_MOVED_PX.max(MOVED_SIGMA * sd_px), "px");
+    Self::CameraMoved { first, .. } => "camera-moved", Warning, Drift, Corrected, vec![shot(first)], None;
+    Self::DriftJumps { jumps } => "drift-jumps", Warning, Drift, Corrected,
+        jumps.iter().map(|j| shot(&j.shot)).collect(), None;
+    Self::DriftFromLatticeDots => "drift-from-lattice-dots", Warning, Drift, Replaced,
+        vec![field("reference_dots")], None;
+    Self::DriftUnmeasured { first, .. } => "drift-unmeasured", Warning, Drift, Replaced, vec![shot(first)], None;
+    Self::PointSpreadUnmeasured => "point-spread-unmeasured", Warning, Focus, Told, vec![part("board")], None;
+    Self::PointSpreadVaries { .. } => "point-spread-varies", Warning, Focus, Corrected, vec![part("lens")],
+        bound("range_px", SPREAD_VARIES_PX, "px");
+    Self::StronglyBlurred { .. } => "strongly-blurred", Warning, Focus, Corrected, vec![part("lens")],
+        bound("psf_px", STRONG_BLUR_PX, "px");
+});

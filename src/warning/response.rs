@@ -1,5 +1,7 @@
 //! What the extraction of rows finds: samples, windows, cross-talk, albedo.
 
+use super::bounds::LARGEST_ALBEDO;
+use super::record::catalogue;
 use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -85,3 +87,13 @@ impl fmt::Display for ResponseWarning {
         }
     }
 }
+
+catalogue!(ResponseWarning {
+    Self::SaturatedSamples { first, .. } => "saturated-samples", Warning, Light, LeftOut, vec![shot(first)], None;
+    Self::ClippedWindow { rows: n, .. } => "clipped-window", Note, Dots, LeftOut, vec![rows(*n)], None;
+    Self::UnlitPoints { rows: n } => "unlit-points", Warning, Dots, LeftOut, vec![rows(*n)], None;
+    Self::CrossTalk { needed_samples, .. } => "cross-talk", Warning, Dots, Corrected, vec![part("patterns")],
+        needed_samples.and_then(|needed| bound("spacing_samples", needed as f64, "samples"));
+    Self::AlbedoAboveOne { rows: n, .. } => "albedo-above-one", Warning, Light, Told,
+        vec![part("white reference"), rows(*n)], bound("largest", LARGEST_ALBEDO, "");
+});

@@ -1,5 +1,6 @@
 //! What the simulator cannot describe of a slab.
 
+use super::record::catalogue;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -68,3 +69,12 @@ impl fmt::Display for SimulateWarning {
         }
     }
 }
+
+catalogue!(SimulateWarning {
+    Self::RefractiveIndexDiffers { other, used_index, .. } => "refractive-index-differs", Warning, Simulation, Replaced,
+        vec![medium(other)], bound("other_index", *used_index, "");
+    Self::DiffusionTooClear { medium: name, length_mm, .. } => "diffusion-too-clear", Warning, Simulation, Told,
+        vec![medium(name)], bound("mean_free_path_mm", *length_mm, "mm");
+    Self::DiffusionTooDark { medium: name, reduced_scattering_per_mm, .. } => "diffusion-too-dark", Warning, Simulation, Told,
+        vec![medium(name)], bound("absorption_per_mm", *reduced_scattering_per_mm, "/mm");
+});

@@ -1,86 +1,21 @@
-//! What `check` can find: typed, with a severity and the part of the capture that it is about.
+//! What looking at a capture's files and at the pixels of some of its shots finds, and what stops the work.
 
+use super::bounds::{BLACK_SHARE, BLUR_SHARE, DARK_SHARE, DRIFT_SHARE, SAME_EXPOSURE, SATURATED_SHARE};
+use super::record::catalogue;
 use crate::words::count;
-use crate::{CaptureWarning, RadianceWarning, RegistrationWarning, ResponseWarning, Warning};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use std::fmt;
 
-/// How much a finding matters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Severity {
-    /// Worth knowing.
-    Note,
-    /// The matrix can be built, but may be wrong or poor.
-    Warning,
-    /// The matrix cannot be built.
-    Error,
-}
-
-/// The part of a capture that a finding is about: the rows of the table.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Topic {
-    /// Files: there, whole, of the right size.
-    Files,
-    /// Exposure times.
-    Exposures,
-    /// Other settings of the camera.
-    Settings,
-    /// The order in which the photographs were taken.
-    Order,
-    /// Saturated and dark pixels.
-    Light,
-    /// Sharpness.
-    Focus,
-    /// Board, Gray code, and how they fit.
-    Registration,
-    /// How far the pattern moved.
-    Drift,
-    /// Dots: lit, where they should be, each once, far enough apart.
-    Dots,
-}
-
-impl Topic {
-    /// All of them, in the order of the table.
-    pub const ALL: [Self; 9] = [
-        Self::Files,
-        Self::Exposures,
-        Self::Settings,
-        Self::Order,
-        Self::Light,
-        Self::Focus,
-        Self::Registration,
-        Self::Drift,
-        Self::Dots,
-    ];
-
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Files => "files",
-            Self::Exposures => "exposures",
-            Self::Settings => "settings",
-            Self::Order => "order",
-            Self::Light => "light",
-            Self::Focus => "focus",
-            Self::Registration => "registration",
-            Self::Drift => "drift",
-            Self::Dots => "dots",
-        }
-    }
-}
-
-/// One thing that was found. Lists name their first member and count the rest.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[serde(tag = "finding", rename_all = "kebab-case")]
+/// What looking at a capture's files and at the pixels of some of its shots finds, and what stops the work. Lists name their first member
+/// and count the rest.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "warning", rename_all = "kebab-case")]
 #[non_exhaustive]
-pub enum Finding {
-    /// What building stops with.
-    WouldNotBuild {
-        /// The message of `build-matrix`.
+pub enum CheckWarning {
+    /// What stops the work and has no name of its own.
+    Stopped {
+        /// The error's message.
         reason: String,
-        /// What it is about.
-        topic: Topic,
     },
     /// A photograph that is not there.
     MissingPhotograph {
@@ -89,7 +24,7 @@ pub enum Finding {
         /// Its shot.
         shot: String,
     },
-    /// A photograph that is no whole image, as far as its head and its end tell.
+    /// A photograph that is no whole image.
     BrokenPhotograph {
         /// The file.
         file: String,
@@ -111,6 +46,59 @@ pub enum Finding {
     NoExposure {
         /// The file.
         file: String,
+    },
+    /// Two photographs of one shot with the same exposure.
+    SameExposure {
+        /// The shot.
+        shot: String,
+        /// One photograph.
+        first: String,
+        /// The other.
+        second: String,
+        /// Their exposure time, s.
+        exposure_secs: f64,
+    },
+    /// A field of capture.toml, rig.toml or another file whose value cannot be used.
+    UnusableField {
+        /// The file.
+        file: String,
+        /// The field.
+        field: String,
+        /// What it should have been.
+        expected: String,
+        /// What it was.
+        found: String,
+    },
+    /// Board, frame, Gray code or reference dots were not found, or do not fit.
+    RegistrationFailed {
+        /// The photograph or manifest.
+        file: String,
+        /// The shot.
+        shot: String,
+        /// Why.
+        reason: String,
+    },
+    /// A dot that the patterns put beside the slab.
+    DotOutsideSlab {
+        /// The shot.
+        shot: String,
+        /// The dot's grid index (x, y).
+        dot: [usize; 2],
+        /// Where it may be.
+        expected: String,
+        /// Where it is.
+        found: String,
+    },
+    /// A dot whose peak no exposure measured.
+    DotSaturated {
+        /// The shortest photograph of its shot.
+        file: String,
+        /// The shot.
+        shot: String,
+        /// The dot's grid index (x, y).
+        dot: [usize; 2],
+        /// The shortest exposure time of the shot, s.
+        shortest_secs: f64,
     },
     /// Photographs without EXIF: their settings and their order are not known.
     NoExif {
@@ -181,14 +169,14 @@ pub enum Finding {
     SaturatedDots {
         /// The first shot.
         shot: String,
-        /// How many dots of the sampled shots.
+        /// How many dots of the shots that were looked at.
         dots: usize,
         /// Of how many.
         of: usize,
     },
     /// Pixels that even the longest exposure does not tell from black.
     Dark {
-        /// The first shot.
+        /// The darkest shot.
         shot: String,
         /// The share of its pixels (of a lattice shot: in the windows), 0 to 1.
         share: f64,
@@ -215,81 +203,58 @@ pub enum Finding {
         shot: String,
         /// Its dot.
         dot: [usize; 2],
-        /// How many dots of the sampled shots.
+        /// How many dots of the shots that were looked at.
         dots: usize,
-        /// Of how many.
-        of: usize,
-    },
-    /// Grid points that no shot lights.
-    UnlitPoints {
-        /// How many.
-        points: usize,
         /// Of how many.
         of: usize,
     },
     /// Lattice shots were not looked at, because something before them failed.
     NotLookedAt,
-    /// What `build-matrix` would warn of.
-    Warned {
-        /// Its warning.
-        warning: Warning,
-    },
 }
 
-impl Finding {
-    /// How much it matters.
-    pub fn severity(&self) -> Severity {
-        match self {
-            Self::WouldNotBuild { .. }
-            | Self::MissingPhotograph { .. }
-            | Self::BrokenPhotograph { .. }
-            | Self::WrongSize { .. }
-            | Self::NoExposure { .. } => Severity::Error,
-            Self::NoExif { .. } | Self::Dark { .. } | Self::NotLookedAt => Severity::Note,
-            Self::OutOfOrder { lattice: false, .. } => Severity::Note,
-            _ => Severity::Warning,
-        }
-    }
-
-    /// What it is about.
-    pub fn topic(&self) -> Topic {
-        match self {
-            Self::WouldNotBuild { topic, .. } => *topic,
-            Self::MissingPhotograph { .. } | Self::BrokenPhotograph { .. } | Self::WrongSize { .. } => Topic::Files,
-            Self::NoExposure { .. } | Self::BracketDiffers { .. } => Topic::Exposures,
-            Self::NoExif { .. }
-            | Self::AutomaticExposure { .. }
-            | Self::AutomaticWhiteBalance { .. }
-            | Self::SettingChanges { .. } => Topic::Settings,
-            Self::OutOfOrder { .. } => Topic::Order,
-            Self::Saturated { .. } | Self::SaturatedDots { .. } | Self::Dark { .. } => Topic::Light,
-            Self::Blurred { .. } => Topic::Focus,
-            Self::LargeDrift { .. } => Topic::Drift,
-            Self::DeadDots { .. } | Self::UnlitPoints { .. } | Self::NotLookedAt => Topic::Dots,
-            Self::Warned { warning } => topic_of(warning),
-        }
-    }
-}
-
-fn topic_of(warning: &Warning) -> Topic {
-    use {CaptureWarning as C, RadianceWarning as M, RegistrationWarning as R, ResponseWarning as E};
-    match warning {
-        Warning::Capture(C::ExposureDisagrees { .. } | C::UnusableExif { .. }) => Topic::Exposures,
-        Warning::Capture(C::ApertureOrIsoChanges { .. } | C::DamagedExif { .. }) => Topic::Settings,
-        Warning::Radiance(M::ExposureRatios { .. } | M::ExposuresUnlinked { .. }) => Topic::Exposures,
-        Warning::Radiance(M::StrayLight { .. }) => Topic::Focus,
-        Warning::Radiance(_) => Topic::Light,
-        Warning::Registration(R::BoardTooSmall { .. } | R::BoardElsewhere { .. }) => Topic::Registration,
-        Warning::Registration(R::StronglyBlurred { .. } | R::PointSpreadUnmeasured | R::PointSpreadVaries { .. }) => {
-            Topic::Focus
-        }
-        Warning::Registration(_) => Topic::Drift,
-        Warning::Response(E::SaturatedSamples { .. } | E::AlbedoAboveOne { .. }) => Topic::Light,
-        Warning::Consistency(_) => Topic::Dots,
-        // `check` neither factors nor simulates.
-        Warning::Response(_) | Warning::Factor(_) | Warning::Simulate(_) => Topic::Dots,
-    }
-}
+catalogue!(CheckWarning {
+    Self::Stopped { .. } => "stopped", Error, Files, Refused, vec![], None;
+    Self::MissingPhotograph { file, shot: name } => "missing-photograph", Error, Files, Refused,
+        vec![photograph(file), shot(name)], None;
+    Self::BrokenPhotograph { file, shot: name, .. } => "broken-photograph", Error, Files, Refused,
+        vec![photograph(file), shot(name)], None;
+    Self::WrongSize { file, .. } => "wrong-size", Error, Files, Refused, vec![photograph(file)], None;
+    Self::NoExposure { file } => "no-exposure", Error, Exposures, Refused, vec![photograph(file)], None;
+    Self::SameExposure { shot: name, first, second, .. } => "same-exposure", Error, Exposures, Refused,
+        vec![photograph(first), photograph(second), shot(name)], None;
+    Self::UnusableField { file, field: name, .. } => "unusable-field", Error, Files, Refused,
+        vec![photograph(file), field(name)], None;
+    Self::RegistrationFailed { file, shot: name, .. } => "registration-failed", Error, Registration, Refused,
+        vec![photograph(file), shot(name)], None;
+    Self::DotOutsideSlab { shot: name, dot: at, .. } => "dot-outside-slab", Error, Dots, Refused,
+        vec![shot(name), dot(*at)], None;
+    Self::DotSaturated { file, shot: name, dot: at, .. } => "dot-saturated", Error, Light, Refused,
+        vec![photograph(file), shot(name), dot(*at)], None;
+    Self::NoExif { file, .. } => "no-exif", Note, Settings, Told, vec![photograph(file)], None;
+    Self::AutomaticExposure { file, .. } => "automatic-exposure", Warning, Settings, Told, vec![photograph(file)], None;
+    Self::AutomaticWhiteBalance { file, .. } => "automatic-white-balance", Warning, Settings, Told,
+        vec![photograph(file)], None;
+    Self::SettingChanges { file, setting, .. } => "setting-changes", Warning, Settings, Told,
+        vec![photograph(file), field(setting)], None;
+    Self::BracketDiffers { shot: name, .. } => "bracket-differs", Warning, Exposures, Told, vec![shot(name)],
+        bound("found_secs / expected_secs - 1", SAME_EXPOSURE, "");
+    Self::OutOfOrder { file, lattice: true, .. } => "out-of-order", Warning, Order, Told, vec![photograph(file)], None;
+    Self::OutOfOrder { file, lattice: false, .. } => "out-of-order", Note, Order, Told, vec![photograph(file)], None;
+    Self::Saturated { shot: name, .. } => "saturated", Warning, Light, Told, vec![shot(name)],
+        bound("share", SATURATED_SHARE, "");
+    Self::SaturatedDots { shot: name, .. } => "saturated-dots", Warning, Light, Told, vec![shot(name)],
+        bound("dots", 0.0, "");
+    Self::Dark { shot: name, share } if *share > BLACK_SHARE => "dark", Warning, Light, Told, vec![shot(name)],
+        bound("share", BLACK_SHARE, "");
+    Self::Dark { shot: name, .. } => "dark", Note, Light, Told, vec![shot(name)], bound("share", DARK_SHARE, "");
+    Self::Blurred { sample_px, .. } => "blurred", Warning, Focus, Told, vec![part("lens")],
+        bound("psf_px", BLUR_SHARE * sample_px, "px");
+    Self::LargeDrift { shot: name, most_px, .. } => "large-drift", Warning, Drift, Told, vec![shot(name)],
+        bound("drift_px", DRIFT_SHARE * most_px, "px");
+    Self::DeadDots { shot: name, dot: at, .. } => "dead-dots", Warning, Dots, Told, vec![shot(name), dot(*at)],
+        bound("dots", 0.0, "");
+    Self::NotLookedAt => "not-looked-at", Note, Dots, Told, vec![], None;
+});
 
 /// A share as people read it.
 fn percent(share: f64) -> String {
@@ -297,21 +262,35 @@ fn percent(share: f64) -> String {
 }
 
 /// Exposure times as people read them.
-pub(super) fn times(secs: &[f64]) -> String {
+pub(crate) fn times(secs: &[f64]) -> String {
     let each = secs.iter().map(|t| if *t < 0.3 { format!("1/{:.0}", 1.0 / t) } else { format!("{t:.1}") });
     format!("{} s", each.collect::<Vec<_>>().join(" "))
 }
 
-impl std::fmt::Display for Finding {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl fmt::Display for CheckWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::WouldNotBuild { reason, .. } => write!(f, "{reason}"),
+            Self::Stopped { reason } => write!(f, "{reason}"),
             Self::MissingPhotograph { file, shot } => write!(f, "{file} of shot \"{shot}\" is missing"),
             Self::BrokenPhotograph { file, shot, reason } => write!(f, "{file} of shot \"{shot}\": {reason}"),
             Self::WrongSize { file, expected_px: [w, h], found_px: [x, y] } => {
                 write!(f, "{file} has {x} × {y} px, but camera.size_px of rig.toml is {w} × {h} px")
             }
             Self::NoExposure { file } => write!(f, "{file}: no exposure time in EXIF or capture.toml"),
+            Self::SameExposure { shot, first, second, exposure_secs } => {
+                write!(f, "{first} and {second} of shot \"{shot}\" both have an exposure of {exposure_secs} s")
+            }
+            Self::UnusableField { file, field, expected, found } => {
+                write!(f, "{file}: {field}: expected {expected}, found {found}")
+            }
+            Self::RegistrationFailed { file, shot, reason } => write!(f, "{file} of shot \"{shot}\": {reason}"),
+            Self::DotOutsideSlab { shot, dot, expected, found } => {
+                write!(f, "\"{shot}\": dot {dot:?} is at {found}, expected {expected}")
+            }
+            Self::DotSaturated { shot, dot, shortest_secs, .. } => write!(
+                f,
+                "\"{shot}\": dot {dot:?} is saturated in every exposure, the shortest of {shortest_secs} s too"
+            ),
             Self::NoExif { file, photographs } => {
                 write!(
                     f,
@@ -372,9 +351,7 @@ impl std::fmt::Display for Finding {
                 "{dots} of the {} looked at cannot be seen (first: {dot:?} of \"{shot}\"): were patterns or photographs exchanged?",
                 count(*of, "dot")
             ),
-            Self::UnlitPoints { points, of } => write!(f, "no shot lights {points} of {}", count(*of, "grid point")),
             Self::NotLookedAt => write!(f, "the photographs' pixels were not looked at"),
-            Self::Warned { warning } => write!(f, "{warning}"),
         }
     }
 }

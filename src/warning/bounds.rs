@@ -1,0 +1,41 @@
+//! From where on something is a finding: stated once, for the stage that looks and for the record that tells. Each is a line of
+//! `docs/findings.md`.
+
+/// Two sources of one exposure time may differ by rounding to nominal values (1/30 for 1/32) before it is worth a word.
+pub(crate) const EXPOSURE_TOLERANCE: f64 = 0.07;
+/// Nominal exposure times differ by rounding (1/30 for 1/32), those of neighbouring third stops by a quarter.
+pub(crate) const SAME_EXPOSURE: f64 = 0.1;
+/// A rig's figure is doubted when it is off by so many standard deviations.
+pub(crate) const DOUBT_SD: f64 = 5.0;
+/// A measured time is worth a word when it differs by more than this and by more than so many standard deviations.
+pub(crate) const TIME_TOLERANCE: f64 = 0.005;
+pub(crate) const TIME_SIGMA: f64 = 3.0;
+/// A time that is off by more is none that a camera rounded (1/30 for 1/32 is 6 %): a matrix that rests on it would be wrong.
+pub(crate) const REFUSED_TIME: f64 = 0.15;
+/// A slope of ln(actual) over ln(nominal) that is off by more is a response curve: times that are wrong one by one have none.
+pub(crate) const REFUSED_SLOPE: f64 = 0.1;
+/// From this offset of all dots on, projector px, rows would be off by more than any stated uncertainty.
+pub(crate) const REFUSED_PROJECTOR_PX: f64 = 0.5;
+/// A halo of this share is worth a word: an ordinary lens has about half a per cent.
+pub(crate) const STRAY_TOLD: f64 = 0.005;
+/// Board and frame disagree when their corners are further apart, px, and by so many standard deviations.
+pub(crate) const BOARD_ELSEWHERE_PX: f64 = 0.2;
+/// The frame has moved when its marks have by more than this, px, and by so many standard deviations.
+pub(crate) const FRAME_MOVED_PX: f64 = 0.05;
+pub(crate) const MOVED_SIGMA: f64 = 5.0;
+/// A point spread that differs by this much over the board, px, leaves a few per cent of the peaks where it is not the mean's.
+pub(crate) const SPREAD_VARIES_PX: f64 = 0.1;
+/// From this blur on a sharp dot's peak is known to two per cent and worse at 3 px a sample (docs/accuracy.md).
+pub(crate) const STRONG_BLUR_PX: f64 = 0.9;
+/// More light than arrives cannot leave.
+pub(crate) const LARGEST_ALBEDO: f64 = 1.0;
+/// More saturated pixels than this in the shortest exposure are more than hot ones.
+pub(crate) const SATURATED_SHARE: f64 = 1e-3;
+/// Half of a window without light is worth a word.
+pub(crate) const DARK_SHARE: f64 = 0.5;
+/// With less than a twentieth of the windows above black, a row is its dot and little else.
+pub(crate) const BLACK_SHARE: f64 = 0.95;
+/// Blur over more than this share of an outgoing sample (as a standard deviation) spreads much of the peak into its neighbours.
+pub(crate) const BLUR_SHARE: f64 = 1.0 / 3.0;
+/// Of the farthest drift that can be followed.
+pub(crate) const DRIFT_SHARE: f64 = 0.5;
