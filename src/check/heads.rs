@@ -32,6 +32,12 @@ impl Head {
         self.settings.as_ref().is_some_and(any)
     }
 
+    /// Whether EXIF tells nothing of use: there is none, or it is the head of a TIFF.
+    fn tells_nothing(&self) -> bool {
+        let exposure = self.settings.as_ref().and_then(|s| s.exposure_secs);
+        exposure.is_none() && !self.has_settings() && self.taken_secs().is_none()
+    }
+
     /// When it was taken, by the camera's clock.
     pub(super) fn taken_secs(&self) -> Option<f64> {
         self.settings.as_ref().and_then(|s| s.taken_secs)
@@ -131,7 +137,7 @@ fn contains_end_chunk(file: &mut std::fs::File) -> bool {
 pub(super) fn findings(heads: &[Head], manifest: &Manifest) -> Vec<CheckWarning> {
     let mut found: Vec<CheckWarning> = heads.iter().filter_map(|h| h.finding.clone()).collect();
     let present = || heads.iter().filter(|h| !matches!(h.finding, Some(CheckWarning::MissingPhotograph { .. })));
-    let without: Vec<&Head> = present().filter(|h| h.settings.is_none()).collect();
+    let without: Vec<&Head> = present().filter(|h| h.tells_nothing()).collect();
     if let Some(first) = without.first() {
         found.push(CheckWarning::NoExif { file: first.file.clone(), photographs: without.len() });
     }

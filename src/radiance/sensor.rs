@@ -49,6 +49,9 @@ struct Encoding {
 const ROUNDING_VARIANCE: f64 = 1.0 / 12.0;
 /// Of floating-point photographs a code value may be all there is; those of whole numbers have many.
 const WHOLE_RANGE: f32 = 100.0;
+/// Standard deviation of floating-point values of a rig without noise (a rendered capture), of the range: what sums of f32 are good to. The
+/// best sensors have a hundred times as much.
+const LEAST_SD: f32 = 1e-6;
 /// Entries of the table of variances.
 const ROOTS: usize = 1024;
 
@@ -113,10 +116,13 @@ impl Sensor {
         }
     }
 
-    /// Variance of no light, DN²: read-out, and with a linear response curve what whole code values add. Floating-point files were not rounded to DN.
+    /// Variance of no light, DN²: read-out, and with a linear response curve what whole code values add. Floating-point files were not rounded to DN,
+    /// but never are without any noise ([`LEAST_SD`]): a weight is one over it.
     pub(super) fn floor(&self, samples: &Samples) -> f32 {
-        let whole = !matches!(samples, Samples::F32(_));
-        self.read + if whole { self.coding } else { 0.0 }
+        match samples {
+            Samples::F32(_) => self.read.max((LEAST_SD * self.range()).powi(2)),
+            _ => self.read + self.coding,
+        }
     }
 
     /// Linear code values above black of one channel; saturated ones as +∞.
@@ -248,6 +254,15 @@ mod tests {
         }
         assert!(!FileNoise::default().is_compressed());
         assert!(FileNoise { sixteen_bit: true, compression: [0.0, 0.0, 0.1] }.is_compressed());
+    }
+
+    #[test]
+    fn floating_point_values_of_a_rig_without_noise_have_a_variance_to_weigh_by() {
+        let noise = Noise { gain_dn_per_electron: 0.0, read_noise_electrons: 0.0, ..NOISE };
+        let sensor = Sensor::with_curve(&noise, None, FileNoise::default());
+        // (237 DN · 10⁻⁶)²; whole numbers have their rounding.
+        assert!((sensor.floor(&Samples::F32(vec![])) / 5.6169e-8 - 1.0).abs() < 1e-5);
+        assert!((sensor.floor(&Samples::U16(vec![])) * 12.0 - 1.0).abs() < 1e-6);
     }
 
     #[test]
