@@ -153,6 +153,14 @@ pub enum Error {
         /// What was found; its name is what `accept` of [`crate::pipeline::BuildOptions`] takes.
         finding: Box<crate::Warning>,
     },
+    /// What stops the work, and the likeliest cause that the files show.
+    #[error("{cause}; that is why the work stops: {error}")]
+    Explained {
+        /// The cause.
+        cause: Box<crate::Warning>,
+        /// What it leads to.
+        error: Box<Error>,
+    },
     /// What `acquire check` found would stop `acquire build-matrix`.
     #[error("would not build: {reason}")]
     WouldNotBuild {

@@ -54,17 +54,25 @@ fn lattice(manifest: &Manifest) -> Vec<usize> {
 
 /// Writes a PNG again with other EXIF fields and the same pixels.
 fn write_exif(path: &Path, fields: &[(Tag, Value)]) {
-    let pixels = image::open(path).unwrap().into_rgb16();
+    write_block(path, Some(exif_block(fields)));
+}
+
+fn exif_block(fields: &[(Tag, Value)]) -> Vec<u8> {
     let fields: Vec<Field> =
         fields.iter().map(|(tag, value)| Field { tag: *tag, ifd_num: In::PRIMARY, value: value.clone() }).collect();
     let mut writer = exif::experimental::Writer::new();
     fields.iter().for_each(|f| writer.push_field(f));
     let mut block = std::io::Cursor::new(Vec::new());
     writer.write(&mut block, false).unwrap();
+    block.into_inner()
+}
+
+fn write_block(path: &Path, exif: Option<Vec<u8>>) {
+    let pixels = image::open(path).unwrap().into_rgb16();
     let mut info = png::Info::with_size(pixels.width(), pixels.height());
     info.color_type = png::ColorType::Rgb;
     info.bit_depth = png::BitDepth::Sixteen;
-    info.exif_metadata = Some(block.into_inner().into());
+    info.exif_metadata = exif.map(Into::into);
     let bytes: Vec<u8> = pixels.as_raw().iter().flat_map(|v| v.to_be_bytes()).collect();
     let mut png = png::Encoder::with_info(std::fs::File::create(path).unwrap(), info).unwrap().write_header().unwrap();
     png.write_image_data(&bytes).unwrap();
@@ -193,6 +201,57 @@ fn settings_that_change_or_were_automatic_are_named() {
     assert_eq!(found(&object, "automatic-white-balance")[0]["file"], "photos/lattice-0003_0.png");
 }
 
+/// All photographs with their exposure in capture.toml and another EXIF block, made of that time.
+fn all_exif(dir: &Path, block: impl Fn(f64) -> Option<Vec<u8>>) -> usize {
+    let capture = acquire::capture::Capture::open(dir, None).unwrap();
+    let taken: Vec<_> = capture.brackets.iter().flatten().cloned().collect();
+    edit_manifest(dir, |m| {
+        for entry in m.shots.iter_mut().flat_map(|s| &mut s.photographs) {
+            let photograph = taken.iter().find(|p| p.path == dir.join(&entry.file)).unwrap();
+            entry.exposure_secs = Some(photograph.exposure_secs);
+        }
+    });
+    taken.iter().for_each(|p| write_block(&p.path, block(p.exposure_secs)));
+    taken.len()
+}
+
+#[test]
+fn settings_and_order_are_not_good_where_no_photograph_has_exif() {
+    let (_folder, dir) = copy();
+    all_exif(&dir, |_| None);
+    let (status, stdout, stderr) = acquire(&["check", dir.to_str().unwrap()]);
+    assert_eq!(status, 0, "{stderr}");
+    for topic in ["settings", "order"] {
+        let line = stdout.lines().find(|l| l.starts_with(topic)).unwrap();
+        assert!(line[14..].starts_with("-    not known"), "{line}");
+    }
+    assert!(stdout.contains("no EXIF in 85 photographs"), "{stdout}");
+    assert!(stdout.lines().last().unwrap().starts_with("8 of 9 lattice shots looked at"), "{stdout}");
+}
+
+#[test]
+fn exif_that_is_damaged_alike_in_all_photographs_is_one_note_with_their_number() {
+    let (_folder, dir) = copy();
+    // As piexif leaves it: the directory ends with a pointer to byte 1.
+    let photographs = all_exif(&dir, |secs| {
+        let mut block = exif_block(&[(Tag::ExposureTime, self::secs((1e6 * secs).round() as u32, 1_000_000))]);
+        let fields = usize::from(block[9]);
+        block[10 + 12 * fields..14 + 12 * fields].copy_from_slice(&[0, 0, 0, 1]);
+        Some(block)
+    });
+    let damaged = found(&check(&dir, &[]).1, "damaged-exif");
+    assert_eq!(damaged.len(), 1);
+    assert_eq!(
+        (damaged[0]["photographs"].as_u64(), damaged[0]["severity"].as_str()),
+        (Some(photographs as u64), Some("note"))
+    );
+    let out = dir.with_extension("rd.zarr");
+    let (status, _, stderr) = acquire(&["build-matrix", dir.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    assert_eq!(status, 0, "{stderr}");
+    assert_eq!(stderr.matches("EXIF is damaged").count(), 1, "{stderr}");
+    assert!(stderr.contains("note: photos/board_0.png: EXIF is damaged"), "{stderr}");
+}
+
 #[test]
 fn a_bracket_that_differs_is_named_with_both() {
     let (_folder, dir) = copy();
@@ -218,7 +277,9 @@ fn exchanged_lattice_shots_are_out_of_order_and_their_dots_are_not_there() {
         m.shots[a].photographs = std::mem::replace(&mut m.shots[b].photographs, photographs);
     });
     let (status, object) = check(&dir, &["--lattice-shots", "20"]);
-    assert_eq!(status, 0);
+    assert_eq!((status, found(&object, "other-pattern")[0]["severity"].as_str()), (1, Some("error")));
+    let (status, object) = check(&dir, &["--lattice-shots", "20", "--accept", "other-pattern"]);
+    assert_eq!((status, found(&object, "other-pattern")[0]["severity"].as_str()), (0, Some("warning")));
     let order = &found(&object, "out-of-order")[0];
     assert_eq!((order["severity"].as_str(), order["lattice"].as_bool()), (Some("warning"), Some(true)));
     let dead = &found(&object, "dead-dots")[0];

@@ -2,7 +2,7 @@
 
 use super::exif::{self, ExifExposure, ExposureFrom};
 use super::manifest::{LEAST_SECS, MOST_SECS};
-use super::{Manifest, Pattern, Photograph, Rig};
+use super::{Manifest, Pattern, Photograph, ResponseCurve, Rig};
 use crate::warning::bounds::EXPOSURE_TOLERANCE;
 use crate::{CaptureWarning, Error, Result, geometry::Point};
 use rayon::prelude::*;
@@ -64,6 +64,9 @@ impl Capture {
             let shots = manifest.shots.par_iter();
             shots.map(|shot| read_heads(dir, shot, rig.camera.size_px, exposure_from)).collect::<Result<_>>()?
         };
+        if rig.camera.response_curve == ResponseCurve::Linear {
+            warnings.extend(depth_differs(heads.iter().flat_map(|(heads, _)| heads)));
+        }
         let first = heads.iter().flat_map(|(heads, _)| heads).next().map(|h| h.exif.clone()).unwrap_or_default();
         let mut brackets = Vec::new();
         for (mut shot_heads, mut found) in heads {
@@ -102,6 +105,7 @@ impl Capture {
 struct Head {
     name: String,
     photograph: Photograph,
+    bits: u8,
     exif: ExifExposure,
 }
 
@@ -129,6 +133,20 @@ fn gather(warnings: &mut Vec<CaptureWarning>, found: &mut Vec<CaptureWarning>) {
     }
 }
 
+/// Photographs of 8 bits among others, or others among them.
+fn depth_differs<'a>(heads: impl Iterator<Item = &'a Head>) -> Option<CaptureWarning> {
+    let (eight, more): (Vec<&Head>, Vec<&Head>) = heads.partition(|h| h.bits == 8);
+    let (fewer, most) = if eight.len() < more.len() { (eight, more) } else { (more, eight) };
+    let (first, usual) = fewer.first().zip(most.first())?;
+    Some(CaptureWarning::DepthDiffers {
+        file: first.name.clone(),
+        shot: first.photograph.shot.clone(),
+        bits: first.bits,
+        most_bits: usual.bits,
+        photographs: fewer.len(),
+    })
+}
+
 fn read_heads(
     dir: &Path,
     shot: &super::Shot,
@@ -141,7 +159,7 @@ fn read_heads(
         let path = dir.join(&entry.file);
         let mut photograph =
             Photograph { path, shot: shot.name.clone(), exposure_secs: 0.0, effective_secs: 0.0, reduction: None };
-        let found = photograph.size_px()?;
+        let (found, bits) = photograph.head()?;
         if found != size_px {
             return Err(Error::PhotographSize { path: photograph.path, expected: size_px, found });
         }
@@ -157,7 +175,18 @@ fn read_heads(
         }
         let mut known = sources.iter().filter_map(|(secs, source)| Some(((*secs)?, *source)));
         let Some((used_secs, source)) = known.next() else {
-            return Err(Error::NoExposure { path: photograph.path });
+            let damaged = |w: &&CaptureWarning| match w {
+                CaptureWarning::DamagedExif { file, .. } | CaptureWarning::UnusableExif { file, .. } => {
+                    *file == entry.file
+                }
+                _ => false,
+            };
+            let cause = warnings.iter().find(damaged).cloned();
+            let error = Error::NoExposure { path: photograph.path };
+            return Err(match cause {
+                Some(cause) => Error::Explained { cause: Box::new(cause.into()), error: Box::new(error) },
+                None => error,
+            });
         };
         Error::unless_within(&photograph.path, source, used_secs, LEAST_SECS, MOST_SECS)?;
         for (other_secs, other) in known {
@@ -167,7 +196,7 @@ fn read_heads(
             }
         }
         photograph.exposure_secs = used_secs;
-        heads.push(Head { name: entry.file.clone(), photograph, exif });
+        heads.push(Head { name: entry.file.clone(), photograph, bits, exif });
     }
     Ok((heads, warnings))
 }
@@ -333,7 +362,7 @@ mod tests {
     fn head(name: &str, effective_secs: f64) -> Head {
         let photograph =
             Photograph { path: name.into(), shot: "s".into(), exposure_secs: 2.0, effective_secs, reduction: None };
-        Head { name: name.into(), photograph, exif: ExifExposure::default() }
+        Head { name: name.into(), photograph, bits: 16, exif: ExifExposure::default() }
     }
 
     #[test]
@@ -356,6 +385,21 @@ mod tests {
             other => panic!("{other:?}"),
         }
         assert_eq!(sorted(&[]).unwrap().len(), 0);
+    }
+
+    #[test]
+    fn photographs_of_eight_bits_among_more_are_told_and_more_among_eight_too() {
+        let of = |bits: &[u8]| {
+            let heads: Vec<Head> = bits.iter().map(|&bits| Head { bits, ..head("a.png", 1.0) }).collect();
+            depth_differs(heads.iter()).map(|w| match w {
+                CaptureWarning::DepthDiffers { bits, most_bits, photographs, .. } => (bits, most_bits, photographs),
+                other => panic!("{other}"),
+            })
+        };
+        assert_eq!(of(&[16, 8, 16, 16, 8]), Some((8, 16, 2)));
+        assert_eq!(of(&[8, 8, 16]), Some((16, 8, 1)));
+        // Floating point beside whole numbers may be the same code values.
+        assert_eq!((of(&[16, 32, 16]), of(&[8, 8])), (None, None));
     }
 
     #[test]

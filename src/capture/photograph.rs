@@ -6,6 +6,7 @@ use super::reduction::{PhotographRows, Reduction};
 use super::rows::RowReader;
 use super::samples::{Pixels, Rect, Samples, Sampling};
 use crate::{Error, Result};
+use image::ImageDecoder;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
@@ -99,6 +100,14 @@ impl Photograph {
     /// # Errors
     /// As [`Self::decode`].
     pub fn size_px(&self) -> Result<[usize; 2]> {
+        self.head().map(|(size_px, _)| size_px)
+    }
+
+    /// Width and height, and bits of a code value (32: floating point), from the file's head.
+    ///
+    /// # Errors
+    /// As [`Self::decode`].
+    pub(crate) fn head(&self) -> Result<([usize; 2], u8)> {
         let broken =
             |reason: String| Error::BrokenPhotograph { path: self.path.clone(), shot: self.shot.clone(), reason };
         let file = || std::fs::File::open(&self.path).map(std::io::BufReader::new).map_err(|e| self.unreadable(e));
@@ -106,23 +115,26 @@ impl Photograph {
             Some(Format::Tiff) => {
                 let mut decoder = tiff::decoder::Decoder::new(file()?).map_err(|e| broken(e.to_string()))?;
                 let (w, h) = decoder.dimensions().map_err(|e| broken(e.to_string()))?;
-                Ok([w as usize, h as usize])
+                let bits = decoder.colortype().map_err(|e| broken(e.to_string()))?.bit_depth();
+                Ok(([w as usize, h as usize], bits))
             }
             Some(Format::Exr) => {
                 let meta =
                     exr::meta::MetaData::read_from_buffered(file()?, false).map_err(|e| broken(e.to_string()))?;
                 let head = meta.headers.first().ok_or_else(|| broken("no image in the file".into()))?;
-                Ok([head.layer_size.width(), head.layer_size.height()])
+                Ok(([head.layer_size.width(), head.layer_size.height()], 32))
             }
             Some(Format::Common) => {
                 let reader =
                     image::ImageReader::new(file()?).with_guessed_format().map_err(|e| broken(e.to_string()))?;
-                let (w, h) = reader.into_dimensions().map_err(|e| broken(e.to_string()))?;
-                Ok([w as usize, h as usize])
+                let decoder = reader.into_decoder().map_err(|e| broken(e.to_string()))?;
+                let (w, h) = decoder.dimensions();
+                let color = decoder.color_type();
+                Ok(([w as usize, h as usize], (color.bits_per_pixel() / u16::from(color.channel_count())) as u8))
             }
             Some(Format::Raw) => {
                 let bytes = std::fs::read(&self.path).map_err(|e| self.unreadable(e))?;
-                raw::size_px(&bytes).map_err(broken)
+                raw::size_px(&bytes).map(|size_px| (size_px, 16)).map_err(broken)
             }
             None => Err(broken(UNKNOWN_ENDING.into())),
         }

@@ -1,6 +1,8 @@
 //! What the terminal shows of errors and warnings: options as they are typed, and what to try.
 
-use crate::{ConsistencyWarning, Error, RadianceWarning, Severity, SimulateWarning, Warning};
+use crate::{
+    CaptureWarning, CheckWarning, ConsistencyWarning, Error, RadianceWarning, Severity, SimulateWarning, Warning,
+};
 
 /// An error in one line.
 pub(super) fn text(error: &Error) -> String {
@@ -9,6 +11,7 @@ pub(super) fn text(error: &Error) -> String {
             format!("{}: expected {expected}, found {found}", typed(setting))
         }
         Error::WouldNotBuild { reason } => format!("would not build: {}", text(reason)),
+        Error::Explained { cause, error } => format!("{cause}; that is why the work stops: {}", text(error)),
         other => other.to_string(),
     })
 }
@@ -66,6 +69,19 @@ pub(super) fn hint(error: &Error) -> Option<String> {
             });
         }
         Error::WouldNotBuild { reason } => return hint(reason),
+        Error::Explained { cause, .. } => match **cause {
+            Warning::Capture(CaptureWarning::DepthDiffers { .. }) => {
+                "export or copy the shot again with as many bits as the others"
+            }
+            Warning::Check(CheckWarning::ValuesShifted { shot: None, .. }) => {
+                "correct noise in rig.toml (black_dn, saturation_dn, gain_dn_per_electron), or export the photographs without the shift"
+            }
+            Warning::Check(CheckWarning::ValuesShifted { .. }) => "export the shot again as the others were",
+            Warning::Check(CheckWarning::GrayPairExchanged { .. }) => {
+                "exchange the two shots' photographs in capture.toml"
+            }
+            _ => "copy the photograph again from the camera, or write exposure_secs = … for it in capture.toml",
+        },
         Error::BrokenMatrix { .. } => {
             "the store may come from a stopped run; build it again with `acquire build-matrix`"
         }

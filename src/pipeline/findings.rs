@@ -44,7 +44,7 @@ pub(super) fn summarize(
     let mut warnings: Vec<Warning> = capture.warnings.iter().cloned().map(Warning::from).collect();
     warnings.extend(found.registered.warnings.iter().cloned().map(Warning::from));
     warnings.extend(found.noise.warnings.iter().cloned().map(Warning::from));
-    warnings.extend(found.radiometry.warnings.iter().cloned().map(Warning::from));
+    warnings.extend(found.radiometry.warnings.iter().cloned());
     if !hot.is_empty() {
         let stuck = hot.iter().filter(|h| h.excess.is_none()).count();
         let strongest = hot.iter().filter_map(|h| h.excess).map(f64::from).fold(0.0, f64::max);

@@ -7,6 +7,7 @@ mod drift;
 mod findings;
 mod flicker;
 mod lattice;
+mod likeliest;
 mod looks;
 mod memory;
 mod noise;
@@ -175,6 +176,15 @@ fn measure(
     rows: &impl RowSink,
     progress: &Progress,
 ) -> Result<(MatrixHeader, BuildReport)> {
+    measure_all(capture, options, rows, progress).map_err(|error| likeliest::in_files(capture, error))
+}
+
+fn measure_all(
+    capture: &Capture,
+    options: &BuildOptions,
+    rows: &impl RowSink,
+    progress: &Progress,
+) -> Result<(MatrixHeader, BuildReport)> {
     let start = Instant::now();
     let noise = noise::find(capture)?;
     let working = resolution::choose(capture, &noise.noise, options, progress)?;
@@ -205,6 +215,7 @@ fn measure_at(
     let noise = if radiometry.corrected { noise::find(&full.timed(&radiometry.brackets))? } else { noise };
     let stages = Before { noise: &noise, working, defects: &defects, radiometry: &radiometry, start };
     let built = build_rows(&photographs, &stages, options, rows, progress);
+    let built = built.map_err(|error| likeliest::in_gray_code(&photographs, error));
     let ((mut header, mut report), findings) = strangers::with_findings(&photographs, options, built)?;
     header.warnings.extend(findings.iter().cloned());
     report.warnings.extend(findings);

@@ -7,8 +7,8 @@ use crate::geometry::{CameraView, Lens, Point};
 use crate::progress::{Progress, Stage};
 use crate::radiance::Radiance;
 use crate::registration::{
-    BitPair, FrameFit, LensChoice, LensTrial, Pairs, PointSpread, Registration, StripeSurface, ViewFit, find_board,
-    fit_lens_of_views, marks_moved, measure_point_spread, register_frame, register_projector,
+    BitPair, FrameFit, LensChoice, LensTrial, Pairs, PointSpread, ProjectorFit, Registration, StripeSurface, ViewFit,
+    find_board, fit_lens_of_views, marks_moved, measure_point_spread, register_frame, register_projector,
 };
 use crate::warning::bounds::{BOARD_ELSEWHERE_PX, FRAME_MOVED_PX, MOVED_SIGMA};
 use crate::{ConsistencyWarning, Error, RegistrationWarning, Result, Warning};
@@ -53,14 +53,10 @@ pub(super) fn register(
     warnings.extend(mirrored(photographs, &camera.view, options)?);
     let sum = |p: &BitPair| p.pattern.iter().zip(&p.inverse).step_by(SUM_STEP).map(|(a, b)| a + b).collect();
     let first = codes[0];
-    let rig = &photographs.capture.rig;
-    // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
-    let lens = Lens::ideal(rig.projector.lens_center_px(), rig.projector.size_px[0] as f64);
-    let surface = stripe_surface(photographs, &codes)?;
     // On the frame they are not of the white reference.
-    let sums = if matches!(surface, StripeSurface::White) { pairs.iter().map(sum).collect() } else { vec![] };
-    let projector = register_projector(&pairs, rig.camera.size_px, &camera.view, surface, lens)
-        .map_err(photographs.failed(first))?;
+    let on_white = matches!(stripe_surface(photographs, &codes)?, StripeSurface::White);
+    let sums = if on_white { pairs.iter().map(sum).collect() } else { vec![] };
+    let projector = projector_fit(photographs, &codes, &camera.view, &pairs)?.map_err(photographs.failed(first))?;
     let size_mm = photographs.capture.manifest.slab.size_mm;
     Registration::new(&camera, choice, point_spread, &projector, size_mm)
         .map(|registration| Registered { registration, sums, warnings })
@@ -77,6 +73,71 @@ fn mirrored(photographs: &Photographs<'_>, view: &CameraView, options: &BuildOpt
     let shot = photographs.capture.shots(|p| matches!(p, Pattern::Board | Pattern::Frame)).first().copied();
     let shot = shot.map_or_else(String::new, |s| photographs.name(s).to_owned());
     options.refuse(ConsistencyWarning::MirroredSlab { shot }).map(Some)
+}
+
+/// The projector's map by the Gray code's pairs; why there is none in words.
+fn projector_fit(
+    photographs: &Photographs<'_>,
+    codes: &[usize],
+    view: &CameraView,
+    pairs: &[BitPair],
+) -> Result<std::result::Result<ProjectorFit, String>> {
+    let rig = &photographs.capture.rig;
+    // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
+    let lens = Lens::ideal(rig.projector.lens_center_px(), rig.projector.size_px[0] as f64);
+    let surface = stripe_surface(photographs, codes)?;
+    Ok(register_projector(pairs, rig.camera.size_px, view, surface, lens))
+}
+
+/// A fit that is worse than another by this factor is none beside it.
+const WORSE: f64 = 2.0;
+
+/// The shots of the pattern and its inverse that, exchanged, make the Gray code fit with all dots on the slab. `None` when it fits as it is, when no
+/// pair does, or when more than one does.
+///
+/// # Errors
+/// Those of [`register`] but for the Gray code.
+pub(super) fn exchanged_pair(photographs: &Photographs<'_>) -> Result<Option<[usize; 2]>> {
+    let manifest = &photographs.capture.manifest;
+    let codes = photographs.capture.shots(|p| matches!(p, Pattern::GrayCode { .. }));
+    let silent = Progress::silent();
+    let (camera, ..) = camera_view(photographs)?;
+    let mut pairs = bit_pairs(photographs, &codes, &silent.stage("register", codes.len()))?;
+    let [nx, ny] = manifest.grid.points;
+    let rms = |pairs: &[BitPair]| -> Result<Option<f64>> {
+        let Ok(fit) = projector_fit(photographs, &codes, &camera.view, pairs)? else { return Ok(None) };
+        let on_slab = |dot: [usize; 2]| {
+            let at = fit.slab_from_projector.map(manifest.grid.dot_projector_px(dot));
+            (0..2).all(|a| (0.0..=manifest.slab.size_mm[a]).contains(&at[a]))
+        };
+        let corners = [[0, 0], [nx - 1, 0], [0, ny - 1], [nx - 1, ny - 1]];
+        Ok(corners.into_iter().all(on_slab).then_some(fit.rms_px))
+    };
+    if rms(&pairs)?.is_some() {
+        return Ok(None);
+    }
+    let mut fits: Vec<(f64, usize)> = Vec::new();
+    for k in 0..pairs.len() {
+        let exchange = |pair: &mut BitPair| std::mem::swap(&mut pair.pattern, &mut pair.inverse);
+        exchange(&mut pairs[k]);
+        fits.extend(rms(&pairs)?.map(|rms| (rms, k)));
+        exchange(&mut pairs[k]);
+    }
+    fits.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let best = match fits[..] {
+        [one] => one.1,
+        [one, other, ..] if other.0 > WORSE * one.0 => one.1,
+        _ => return Ok(None),
+    };
+    let (axis, bit) = (pairs[best].axis, pairs[best].bit);
+    let shot = |inverted: bool| {
+        let is = |s: &&usize| match manifest.shots[**s].pattern {
+            Pattern::GrayCode { axis: a, bit: b, inverse, .. } => (a as usize, b, inverse) == (axis, bit, inverted),
+            _ => false,
+        };
+        codes.iter().find(is).copied()
+    };
+    Ok(shot(false).zip(shot(true)).map(|(pattern, inverse)| [pattern, inverse]))
 }
 
 /// The board gives a plane, the frame's marks the plane as the sample really lies; the lens is fitted to all of them together, and to

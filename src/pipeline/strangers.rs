@@ -71,7 +71,7 @@ fn judge(photographs: &Photographs<'_>, options: &BuildOptions) -> Result<Option
         },
         share: stranger.share,
         photographs: strangers.len(),
-        or: stranger.or.map(|k| file(k)),
+        or: stranger.or.map(file),
     };
     if stranger.or.is_some() || shots.len() as f64 > (SINGLE_SHARE * lattice as f64).max(1.0) {
         return options.refuse(finding).map(Some);
@@ -124,7 +124,7 @@ fn other_bits(photographs: &Photographs<'_>, shot: usize, place: usize) -> Resul
 }
 
 /// Low bits that are 0 in all values but saturated ones.
-fn low_zeros(values: &[u16]) -> u32 {
+pub(super) fn low_zeros(values: &[u16]) -> u32 {
     let any = values.iter().filter(|v| **v != u16::MAX).fold(0, |all, v| all | v);
     if any == 0 { 0 } else { any.trailing_zeros() }
 }

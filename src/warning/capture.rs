@@ -42,6 +42,20 @@ pub enum CaptureWarning {
         #[serde(default)]
         photographs: usize,
     },
+    /// Photographs of 8 bits among such of more, or the other way round, while code values are in proportion to light: one rig cannot
+    /// describe both.
+    DepthDiffers {
+        /// The first such photograph.
+        file: String,
+        /// Its shot.
+        shot: String,
+        /// Bits of its code values.
+        bits: u8,
+        /// Those of most photographs.
+        most_bits: u8,
+        /// How many photographs.
+        photographs: usize,
+    },
     /// An EXIF field whose value cannot be (0/0, an overflow, an absurd time); it is not used.
     UnusableExif {
         /// The first such photograph.
@@ -70,6 +84,10 @@ impl fmt::Display for CaptureWarning {
                 write!(f, "{file}: EXIF is damaged and was read in part: {reason}")?;
                 if *photographs > 1 { write!(f, " (in {photographs} photographs)") } else { Ok(()) }
             }
+            Self::DepthDiffers { file, shot, bits, most_bits, photographs } => {
+                write!(f, "{file} of shot \"{shot}\" has {bits} bits, most photographs have {most_bits}")?;
+                if *photographs > 1 { write!(f, " (so have {photographs} in all)") } else { Ok(()) }
+            }
             Self::UnusableExif { file, tag, found, photographs } => write!(
                 f,
                 "{file}: EXIF {tag} is {found}, an impossible value; it is ignored (in {})",
@@ -85,6 +103,8 @@ catalogue!(CaptureWarning {
     Self::ApertureOrIsoChanges { file, .. } => "aperture-or-iso-changes", Warning, Settings, Corrected,
         vec![photograph(file)], bound("factor", 1.0, "");
     Self::DamagedExif { file, .. } => "damaged-exif", Note, Settings, LeftOut, vec![photograph(file)], None;
+    Self::DepthDiffers { file, shot: name, .. } => "depth-differs", Warning, Files, Told,
+        vec![photograph(file), shot(name)], None;
     Self::UnusableExif { file, tag, .. } => "unusable-exif", Note, Exposures, LeftOut,
         vec![photograph(file), field(tag)], None;
 });

@@ -100,6 +100,22 @@ pub enum CheckWarning {
         /// The shortest exposure time of the shot, s.
         shortest_secs: f64,
     },
+    /// A photograph all of whose code values are multiples of a power of two, where those of other shots are not.
+    ValuesShifted {
+        /// The photograph.
+        file: String,
+        /// Its shot; `None`: all of the capture, which also exceeds the rig's saturation.
+        shot: Option<String>,
+        /// By how many bits.
+        bits: u32,
+    },
+    /// The Gray code fits, with all dots on the slab, when the photographs of a pattern and its inverse are exchanged, and not as it is.
+    GrayPairExchanged {
+        /// The pattern's shot.
+        shot: String,
+        /// Its inverse's.
+        inverse: String,
+    },
     /// Photographs without EXIF: their settings and their order are not known.
     NoExif {
         /// The first.
@@ -230,6 +246,9 @@ catalogue!(CheckWarning {
         vec![shot(name), dot(*at)], None;
     Self::DotSaturated { file, shot: name, dot: at, .. } => "dot-saturated", Error, Light, Refused,
         vec![photograph(file), shot(name), dot(*at)], None;
+    Self::ValuesShifted { file, .. } => "values-shifted", Error, Files, Refused, vec![photograph(file)], None;
+    Self::GrayPairExchanged { shot: name, inverse } => "gray-pair-exchanged", Error, Registration, Refused,
+        vec![shot(name), shot(inverse)], None;
     Self::NoExif { file, .. } => "no-exif", Note, Settings, Told, vec![photograph(file)], None;
     Self::AutomaticExposure { file, .. } => "automatic-exposure", Warning, Settings, Told, vec![photograph(file)], None;
     Self::AutomaticWhiteBalance { file, .. } => "automatic-white-balance", Warning, Settings, Told,
@@ -290,6 +309,22 @@ impl fmt::Display for CheckWarning {
             Self::DotSaturated { shot, dot, shortest_secs, .. } => write!(
                 f,
                 "\"{shot}\": dot {dot:?} is saturated in every exposure, the shortest of {shortest_secs} s too"
+            ),
+            Self::ValuesShifted { file, shot: Some(shot), bits } => write!(
+                f,
+                "{file}: the code values of shot \"{shot}\" are shifted left by {}: all are multiples of {}, those of other shots are not",
+                count(*bits as usize, "bit"),
+                1u32 << bits
+            ),
+            Self::ValuesShifted { file, shot: None, bits } => write!(
+                f,
+                "{file}: all code values of the capture are multiples of {} and exceed noise.saturation_dn of rig.toml: they are shifted left by {}",
+                1u32 << bits,
+                count(*bits as usize, "bit")
+            ),
+            Self::GrayPairExchanged { shot, inverse } => write!(
+                f,
+                "the photographs of \"{shot}\" and \"{inverse}\" are exchanged: the other way round the Gray code fits and all dots are on the slab"
             ),
             Self::NoExif { file, photographs } => {
                 write!(

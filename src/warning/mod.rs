@@ -127,7 +127,7 @@ impl Warning {
     pub fn refusal(error: &Error, dir: &Path) -> Self {
         let name = |path: &Path| path.strip_prefix(dir).unwrap_or(path).display().to_string();
         let found = match error {
-            Error::Contradiction { finding } => return (**finding).clone(),
+            Error::Contradiction { finding: cause } | Error::Explained { cause, .. } => return (**cause).clone(),
             Error::WouldNotBuild { reason } => return Self::refusal(reason, dir),
             Error::MissingPhotograph { path, shot } => {
                 CheckWarning::MissingPhotograph { file: name(path), shot: shot.clone() }

@@ -34,6 +34,29 @@ pub(crate) fn written() -> Vec<(Warning, &'static str)> {
             .into(),
             r#"{"warning":"unusable-exif","file":"d.jpg","tag":"FNumber","found":"0/0","photographs":1}"#,
         ),
+        (
+            CaptureWarning::DepthDiffers {
+                file: "a.png".into(),
+                shot: "s".into(),
+                bits: 8,
+                most_bits: 16,
+                photographs: 2,
+            }
+            .into(),
+            r#"{"warning":"depth-differs","file":"a.png","shot":"s","bits":8,"most_bits":16,"photographs":2}"#,
+        ),
+        (
+            CheckWarning::ValuesShifted { file: "a.png".into(), shot: Some("s".into()), bits: 4 }.into(),
+            r#"{"warning":"values-shifted","file":"a.png","shot":"s","bits":4}"#,
+        ),
+        (
+            CheckWarning::ValuesShifted { file: "a.png".into(), shot: None, bits: 4 }.into(),
+            r#"{"warning":"values-shifted","file":"a.png","shot":null,"bits":4}"#,
+        ),
+        (
+            CheckWarning::GrayPairExchanged { shot: "s".into(), inverse: "t".into() }.into(),
+            r#"{"warning":"gray-pair-exchanged","shot":"s","inverse":"t"}"#,
+        ),
         (CheckWarning::Stopped { reason: "no rig".into() }.into(), r#"{"warning":"stopped","reason":"no rig"}"#),
         (
             CheckWarning::MissingPhotograph { file: "a.png".into(), shot: "s".into() }.into(),

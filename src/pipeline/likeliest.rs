@@ -1,0 +1,95 @@
+//! What most likely stands behind a refusal: stages say what they cannot do, and not why.
+
+use super::photographs::Photographs;
+use super::register::exchanged_pair;
+use super::strangers::low_zeros;
+use crate::capture::{Capture, Photograph, Samples};
+use crate::radiance::decode_spread;
+use crate::{CaptureWarning, CheckWarning, ConsistencyWarning, Error, Warning};
+
+/// Shots beside the one that failed whose code values are looked at.
+const LOOKS: usize = 4;
+/// Pixels of each.
+const LOOK_PX: usize = 1 << 16;
+
+/// The error with its likeliest cause in the files, where they show one: the shot that failed is in 8 bits among others of 16, its code values
+/// are shifted by bits, or those of all shots are and the rig's saturation is not.
+pub(super) fn in_files(capture: &Capture, error: Error) -> Error {
+    let failed = match &error {
+        Error::Registration { shot, .. } | Error::DotSaturated { shot, .. } => shot.clone(),
+        // One of several photographs is told apart from the others; not so when all are shifted.
+        Error::Contradiction { finding } => match &**finding {
+            Warning::Consistency(ConsistencyWarning::PhotographDisagrees { shot, or: Some(_), .. }) => shot.clone(),
+            _ => return error,
+        },
+        // The white reference is what dots are measured with.
+        Error::Field { path, .. } if *path == capture.manifest_path() => String::new(),
+        _ => return error,
+    };
+    let depth = capture.warnings.iter().find(|w| match w {
+        CaptureWarning::DepthDiffers { shot, .. } => failed.is_empty() || *shot == failed,
+        _ => false,
+    });
+    let cause = depth.cloned().map(Warning::from).or_else(|| shifted(capture, &failed).map(Warning::from));
+    explained(error, cause)
+}
+
+/// The error with its likeliest cause in the Gray code: the photographs of a pattern and its inverse were exchanged.
+pub(super) fn in_gray_code(photographs: &Photographs<'_>, error: Error) -> Error {
+    if !matches!(error, Error::Registration { .. } | Error::DotOutsideSlab { .. }) {
+        return error;
+    }
+    let name = |shot: usize| photographs.name(shot).to_owned();
+    // What this needs may be what failed: then nothing is known.
+    let pair = exchanged_pair(photographs).ok().flatten();
+    let cause =
+        pair.map(|[shot, inverse]| CheckWarning::GrayPairExchanged { shot: name(shot), inverse: name(inverse) });
+    explained(error, cause.map(Warning::from))
+}
+
+fn explained(error: Error, cause: Option<Warning>) -> Error {
+    match cause {
+        Some(cause) => Error::Explained { cause: Box::new(cause), error: Box::new(error) },
+        None => error,
+    }
+}
+
+/// Low bits that are 0 in all values of a shot, and not in those of others; or in those of all, while they exceed the rig's saturation.
+fn shifted(capture: &Capture, failed: &str) -> Option<CheckWarning> {
+    let all = 0..capture.brackets.len();
+    let (own, others): (Vec<usize>, Vec<usize>) = all.partition(|&shot| capture.manifest.shots[shot].name == failed);
+    let step = (others.len() / LOOKS).max(1);
+    let longest = others.iter().step_by(step).filter_map(|&shot| capture.brackets[shot].last());
+    let others: Vec<Look> = longest.filter_map(|p| Look::at(capture, p)).collect();
+    let shared = others.iter().map(|l| l.zeros).min()?;
+    let file = |p: &Photograph| capture.name_of(&p.path);
+    let photographs = own.iter().flat_map(|&shot| &capture.brackets[shot]);
+    let own: Vec<(&Photograph, Look)> = photographs.filter_map(|p| Some((p, Look::at(capture, p)?))).collect();
+    let zeros = own.iter().map(|(_, look)| look.zeros).min().unwrap_or(0);
+    if let Some((first, _)) = own.first().filter(|_| zeros > shared) {
+        let (file, shot, bits) = (file(first), Some(failed.to_owned()), zeros - shared);
+        return Some(CheckWarning::ValuesShifted { file, shot, bits });
+    }
+    let saturation_dn = capture.rig.noise.as_ref()?.saturation_dn;
+    let first = capture.brackets.iter().flatten().next()?;
+    let beyond = others.iter().any(|l| f64::from(l.largest) > saturation_dn);
+    (shared > 0 && beyond).then(|| CheckWarning::ValuesShifted { file: file(first), shot: None, bits: shared })
+}
+
+/// What the code values of a 16-bit photograph have in common; of one that is all black or saturated nothing is known.
+struct Look {
+    zeros: u32,
+    largest: u16,
+}
+
+impl Look {
+    fn at(capture: &Capture, photograph: &Photograph) -> Option<Self> {
+        let seen = decode_spread(std::slice::from_ref(photograph), capture.rig.camera.size_px, LOOK_PX).ok()?;
+        match &seen.exposures().first()?.samples {
+            Samples::U16(values) if values.iter().any(|v| !matches!(*v, 0 | u16::MAX)) => {
+                Some(Self { zeros: low_zeros(values), largest: values.iter().copied().max().unwrap_or(0) })
+            }
+            _ => None,
+        }
+    }
+}
