@@ -1,5 +1,6 @@
 //! What a photograph says about its own exposure.
 
+use super::CameraSettings;
 use super::manifest::{LEAST_SECS, MOST_SECS};
 use crate::CaptureWarning;
 use exif::{Exif, In, Tag, Value};
@@ -36,11 +37,15 @@ const ISO_SPEEDS: [f64; 2] = [0.1, 1e8];
 /// PhotographicSensitivity has 16 bits: this value says "that or more".
 const ISO_OVERFLOW: f64 = 65_535.0;
 
-/// Reads the EXIF block of a photograph; a file without one gives all `None`.
+/// Reads the EXIF block of a photograph, as an exposure and as settings; a file without one gives all `None`.
 ///
 /// Damaged blocks are read as far as they go, with a [`CaptureWarning::DamagedExif`]. A field whose value cannot be (0/0, 2^32 − 1, a time
 /// beyond 1e-9 to 1e6 s) is left out with a [`CaptureWarning::UnusableExif`]; 0, which EXIF writes for "unknown", is left out without.
-pub(super) fn read(path: &Path, name: &str, warnings: &mut Vec<CaptureWarning>) -> std::io::Result<ExifExposure> {
+pub(super) fn read(
+    path: &Path,
+    name: &str,
+    warnings: &mut Vec<CaptureWarning>,
+) -> std::io::Result<(ExifExposure, Option<CameraSettings>)> {
     let mut file = std::io::BufReader::with_capacity(1 << 12, std::fs::File::open(path)?);
     let parsed = exif::Reader::new().continue_on_error(true).read_from_container(&mut file).or_else(|e| {
         e.distill_partial_result(|errors| {
@@ -49,7 +54,10 @@ pub(super) fn read(path: &Path, name: &str, warnings: &mut Vec<CaptureWarning>) 
         })
     });
     // No EXIF in this file, or a container that carries none (EXR).
-    Ok(parsed.map_or_else(|_| ExifExposure::default(), |block| interpret(&block, name, warnings)))
+    Ok(parsed.map_or_else(
+        |_| (ExifExposure::default(), None),
+        |block| (interpret(&block, name, warnings), Some(CameraSettings::of(&block))),
+    ))
 }
 
 fn interpret(block: &Exif, name: &str, warnings: &mut Vec<CaptureWarning>) -> ExifExposure {

@@ -2,7 +2,8 @@
 
 use super::exif::{self, ExifExposure, ExposureFrom};
 use super::manifest::{LEAST_SECS, MOST_SECS};
-use super::{Manifest, Pattern, Photograph, ResponseCurve, Rig};
+use super::together::{self, Taken};
+use super::{CameraSettings, Manifest, Pattern, Photograph, ResponseCurve, Rig};
 use crate::warning::bounds::EXPOSURE_TOLERANCE;
 use crate::{CaptureWarning, Error, Result, geometry::Point};
 use rayon::prelude::*;
@@ -68,6 +69,12 @@ impl Capture {
             warnings.extend(depth_differs(heads.iter().flat_map(|(heads, _)| heads)));
         }
         let first = heads.iter().flat_map(|(heads, _)| heads).next().map(|h| h.exif.clone()).unwrap_or_default();
+        let taken: Vec<Taken> =
+            heads.iter().enumerate().flat_map(|(shot, (heads, _))| heads.iter().map(move |h| h.taken(shot))).collect();
+        let found = together::findings(&taken, &manifest);
+        // Told with its values.
+        let mut told = found.iter().any(|w| matches!(w, CaptureWarning::SettingChanges { setting, .. } if ["ISO", "f-number"].contains(&setting.as_str())));
+        warnings.extend(found);
         let mut brackets = Vec::new();
         for (mut shot_heads, mut found) in heads {
             gather(&mut warnings, &mut found);
@@ -76,8 +83,8 @@ impl Capture {
                 head.photograph.effective_secs = head.photograph.exposure_secs * factor;
                 let field = "exposure time · ISO / f-number²";
                 Error::unless_within(&head.photograph.path, field, head.photograph.effective_secs, 1e-12, 1e9)?;
-                let told = warnings.iter().any(|w| matches!(w, CaptureWarning::ApertureOrIsoChanges { .. }));
                 if (factor - 1.0).abs() > 1e-6 && !told {
+                    told = true;
                     warnings.push(CaptureWarning::ApertureOrIsoChanges { file: head.name.clone(), factor });
                 }
             }
@@ -107,6 +114,18 @@ struct Head {
     photograph: Photograph,
     bits: u8,
     exif: ExifExposure,
+    settings: Option<CameraSettings>,
+}
+
+impl Head {
+    fn taken(&self, shot: usize) -> Taken {
+        Taken {
+            shot,
+            file: self.name.clone(),
+            exposure_secs: Some(self.photograph.exposure_secs),
+            settings: self.settings.clone(),
+        }
+    }
 }
 
 /// Adds findings; the same one of many photographs is said once, with their number.
@@ -163,7 +182,7 @@ fn read_heads(
         if found != size_px {
             return Err(Error::PhotographSize { path: photograph.path, expected: size_px, found });
         }
-        let exif =
+        let (exif, settings) =
             exif::read(&photograph.path, &entry.file, &mut warnings).map_err(Error::io("read", &photograph.path))?;
         let mut sources = [
             (entry.exposure_secs, "capture.toml"),
@@ -196,7 +215,7 @@ fn read_heads(
             }
         }
         photograph.exposure_secs = used_secs;
-        heads.push(Head { name: entry.file.clone(), photograph, bits, exif });
+        heads.push(Head { name: entry.file.clone(), photograph, bits, exif, settings });
     }
     Ok((heads, warnings))
 }
@@ -362,7 +381,7 @@ mod tests {
     fn head(name: &str, effective_secs: f64) -> Head {
         let photograph =
             Photograph { path: name.into(), shot: "s".into(), exposure_secs: 2.0, effective_secs, reduction: None };
-        Head { name: name.into(), photograph, bits: 16, exif: ExifExposure::default() }
+        Head { name: name.into(), photograph, bits: 16, exif: ExifExposure::default(), settings: None }
     }
 
     #[test]

@@ -14,6 +14,7 @@ mod rows;
 mod samples;
 mod settings;
 mod tiff_bands;
+mod together;
 
 pub(crate) use encoding::stated_encoding;
 pub use exif::ExposureFrom;
@@ -28,6 +29,7 @@ pub use reduction::{PhotographRows, Photosite, Reduction};
 pub use rig::{Board, Camera, FrameMarks, Noise, Projector, ResponseCurve, Rig, WhiteReference};
 pub use samples::{Pixels, Rect, Samples, Sampling};
 pub use settings::CameraSettings;
+pub(crate) use together::{Taken, findings, lattice_exposures};
 
 use crate::{Error, Result};
 use std::path::Path;

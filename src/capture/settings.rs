@@ -40,7 +40,7 @@ impl CameraSettings {
         Ok(parsed.ok().map(|block| Self::of(&block)))
     }
 
-    fn of(block: &exif::Exif) -> Self {
+    pub(super) fn of(block: &exif::Exif) -> Self {
         let value = |tag| block.get_field(tag, In::PRIMARY).map(|f| &f.value);
         let positive = |tag| value(tag).and_then(number).filter(|v| v.is_finite() && *v > 0.0);
         let text = |tag| value(tag).and_then(ascii);

@@ -1,47 +1,18 @@
 //! What files, their heads and EXIF tell: nothing is decoded.
 
-use crate::capture::{CameraSettings, Manifest, Pattern, Photograph, Rig};
-use crate::warning::bounds::SAME_EXPOSURE;
+use crate::capture::{CameraSettings, Manifest, Photograph, Rig, Taken};
 use crate::{CheckWarning, Error};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// One photograph's file, as far as it can be told without decoding.
 pub(super) struct Head {
-    /// Its shot's index.
-    shot: usize,
-    /// As `capture.toml` names it.
-    file: String,
-    /// Exposure by `capture.toml`, else EXIF.
-    exposure_secs: Option<f64>,
-    settings: Option<CameraSettings>,
-    /// Size of the file.
-    pub bytes: u64,
-    finding: Option<CheckWarning>,
-}
-
-impl Head {
-    /// Whether EXIF tells any of the settings that should stay.
-    pub(super) fn has_settings(&self) -> bool {
-        let any = |s: &CameraSettings| {
-            let chosen = s.automatic_exposure.is_some() || s.automatic_white_balance.is_some();
-            chosen || s.iso.is_some() || s.f_number.is_some() || s.focal_mm.is_some()
-        };
-        self.settings.as_ref().is_some_and(any)
-    }
-
-    /// Whether EXIF tells nothing of use: there is none, or it is the head of a TIFF.
-    fn tells_nothing(&self) -> bool {
-        let exposure = self.settings.as_ref().and_then(|s| s.exposure_secs);
-        exposure.is_none() && !self.has_settings() && self.taken_secs().is_none()
-    }
-
-    /// When it was taken, by the camera's clock.
-    pub(super) fn taken_secs(&self) -> Option<f64> {
-        self.settings.as_ref().and_then(|s| s.taken_secs)
-    }
+    pub taken: Taken,
+    /// Size of the file; `None`: there is none.
+    pub bytes: Option<u64>,
+    /// What is wrong with it.
+    pub finding: Option<CheckWarning>,
 }
 
 /// The heads of all photographs, in the order of `capture.toml`.
@@ -66,8 +37,8 @@ pub(super) fn read(dir: &Path, manifest: &Manifest, rig: &Rig) -> Vec<Head> {
             if finding.is_none() && exposure_secs.is_none() {
                 finding = Some(CheckWarning::NoExposure { file: entry.file.clone() });
             }
-            let bytes = std::fs::metadata(&path).map_or(0, |m| m.len());
-            Head { shot, file: entry.file.clone(), exposure_secs, settings, bytes, finding }
+            let bytes = std::fs::metadata(&path).ok().map(|m| m.len());
+            Head { taken: Taken { shot, file: entry.file.clone(), exposure_secs, settings }, bytes, finding }
         })
         .collect()
 }
@@ -131,126 +102,6 @@ fn contains_end_chunk(file: &mut std::fs::File) -> bool {
     let read = file.seek(SeekFrom::Start(0)).and_then(|_| file.read_to_end(&mut all));
     // With its check sum behind it.
     read.is_ok() && all.windows(12).any(|w| w.starts_with(b"\0\0\0\0IEND"))
-}
-
-/// What the heads say together.
-pub(super) fn findings(heads: &[Head], manifest: &Manifest) -> Vec<CheckWarning> {
-    let mut found: Vec<CheckWarning> = heads.iter().filter_map(|h| h.finding.clone()).collect();
-    let present = || heads.iter().filter(|h| !matches!(h.finding, Some(CheckWarning::MissingPhotograph { .. })));
-    let without: Vec<&Head> = present().filter(|h| h.tells_nothing()).collect();
-    if let Some(first) = without.first() {
-        found.push(CheckWarning::NoExif { file: first.file.clone(), photographs: without.len() });
-    }
-    let known: Vec<(&Head, &CameraSettings)> = present().filter_map(|h| Some((h, h.settings.as_ref()?))).collect();
-    let automatic: Vec<_> = known.iter().filter_map(|(h, s)| Some((h, s.automatic_exposure.as_ref()?))).collect();
-    if let Some((head, program)) = automatic.first() {
-        let (file, program) = (head.file.clone(), (*program).clone());
-        found.push(CheckWarning::AutomaticExposure { file, photographs: automatic.len(), program });
-    }
-    let balance: Vec<_> = known.iter().filter(|(_, s)| s.automatic_white_balance == Some(true)).collect();
-    if let Some((head, _)) = balance.first() {
-        found.push(CheckWarning::AutomaticWhiteBalance { file: head.file.clone(), photographs: balance.len() });
-    }
-    let decimal = |v: Option<f64>| v.map(|v| format!("{}", (v * 100.0).round() / 100.0));
-    type Read<'a> = &'a dyn Fn(&CameraSettings) -> Option<String>;
-    let settings: [(&str, Read); 4] = [
-        ("ISO", &|s| decimal(s.iso)),
-        ("f-number", &|s| decimal(s.f_number)),
-        ("focal length", &|s| decimal(s.focal_mm).map(|v| format!("{v} mm"))),
-        ("camera", &|s| s.camera.clone()),
-    ];
-    found.extend(settings.iter().filter_map(|(name, read)| changes(name, &known, read)));
-    found.extend(bracket_differs(heads, manifest));
-    found.extend(out_of_order(heads, manifest));
-    found
-}
-
-fn changes(
-    setting: &str,
-    known: &[(&Head, &CameraSettings)],
-    read: &dyn Fn(&CameraSettings) -> Option<String>,
-) -> Option<CheckWarning> {
-    let values: Vec<(&Head, String)> = known.iter().filter_map(|(h, s)| Some((*h, read(s)?))).collect();
-    let expected = most(values.iter().map(|(_, v)| v))?;
-    let mut others = values.iter().filter(|(_, v)| *v != expected);
-    let (head, found) = others.next()?;
-    let (setting, file, found) = (setting.to_owned(), head.file.clone(), found.clone());
-    Some(CheckWarning::SettingChanges { setting, file, photographs: 1 + others.count(), expected, found })
-}
-
-/// The value that occurs most often; of equals the first in order.
-fn most<'a, T: Ord + Clone + 'a>(values: impl Iterator<Item = &'a T>) -> Option<T> {
-    let mut counts: BTreeMap<&T, usize> = BTreeMap::new();
-    values.for_each(|v| *counts.entry(v).or_default() += 1);
-    let largest = *counts.values().max()?;
-    counts.into_iter().find(|(_, n)| *n == largest).map(|(v, _)| v.clone())
-}
-
-/// Exposures of each lattice shot, shortest first.
-fn lattice_brackets(heads: &[Head], manifest: &Manifest) -> BTreeMap<usize, Vec<f64>> {
-    let mut brackets: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
-    for head in heads {
-        if matches!(manifest.shots[head.shot].pattern, Pattern::Lattice { .. }) {
-            brackets.entry(head.shot).or_default().extend(head.exposure_secs);
-        }
-    }
-    brackets.values_mut().for_each(|b| b.sort_by(f64::total_cmp));
-    brackets
-}
-
-fn usual_bracket(brackets: &BTreeMap<usize, Vec<f64>>) -> Option<Vec<f64>> {
-    // Times are positive: their bits are in their order.
-    let keys: Vec<Vec<u64>> = brackets.values().map(|b| b.iter().map(|t| t.to_bits()).collect()).collect();
-    Some(most(keys.iter())?.into_iter().map(f64::from_bits).collect())
-}
-
-fn bracket_differs(heads: &[Head], manifest: &Manifest) -> Option<CheckWarning> {
-    let brackets = lattice_brackets(heads, manifest);
-    let expected = usual_bracket(&brackets)?;
-    let same = |b: &[f64]| {
-        b.len() == expected.len() && b.iter().zip(&expected).all(|(a, b)| (a / b - 1.0).abs() < SAME_EXPOSURE)
-    };
-    let mut others = brackets.iter().filter(|(_, b)| !same(b));
-    let (&shot, found_secs) = others.next()?;
-    let shot = manifest.shots[shot].name.clone();
-    Some(CheckWarning::BracketDiffers {
-        shot,
-        shots: 1 + others.count(),
-        found_secs: found_secs.clone(),
-        expected_secs: expected,
-    })
-}
-
-/// Shots that begin before an earlier one of the manifest has ended, by the camera's clock.
-fn out_of_order(heads: &[Head], manifest: &Manifest) -> Option<CheckWarning> {
-    let mut spans: BTreeMap<usize, [(f64, &Head); 2]> = BTreeMap::new();
-    for head in heads {
-        let Some(t) = head.taken_secs() else { continue };
-        let [first, last] = spans.entry(head.shot).or_insert([(t, head); 2]);
-        if t < first.0 {
-            *first = (t, head);
-        }
-        if t > last.0 {
-            *last = (t, head);
-        }
-    }
-    let mut latest: Option<(f64, &Head)> = None;
-    let (mut first, mut shots, mut lattice) = (None, 0, false);
-    for (&shot, &[begin, end]) in &spans {
-        if let Some(before) = latest.filter(|l| begin.0 < l.0) {
-            first.get_or_insert((begin.1.file.clone(), before.1.file.clone()));
-            shots += 1;
-            lattice |= matches!(manifest.shots[shot].pattern, Pattern::Lattice { .. });
-        }
-        latest = latest.filter(|l| l.0 > end.0).or(Some(end));
-    }
-    let (file, after_file) = first?;
-    Some(CheckWarning::OutOfOrder { file, after_file, shots, lattice })
-}
-
-/// The exposures of most lattice shots, s, shortest first.
-pub(super) fn lattice_exposures(heads: &[Head], manifest: &Manifest) -> Vec<f64> {
-    usual_bracket(&lattice_brackets(heads, manifest)).unwrap_or_default()
 }
 
 #[cfg(test)]

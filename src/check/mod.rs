@@ -13,12 +13,12 @@ mod text;
 pub use crate::warning::{Severity, Topic};
 pub use text::table;
 
-use crate::capture::{Capture, Manifest, Pattern, Reduction, ResponseCurve, Rig};
+use crate::capture::{self, Capture, Manifest, Pattern, Reduction, ResponseCurve, Rig, Taken};
 use crate::pipeline::{BuildOptions, BuildReport, BuildSecs, try_build};
 use crate::progress::Progress;
 use crate::radiance::Sensor;
 use crate::warning::bounds::{BLUR_SHARE, DRIFT_SHARE};
-use crate::{CaptureWarning, CheckWarning, Error, FindingRecord, ResponseWarning, Result, Warning};
+use crate::{CheckWarning, Error, FindingRecord, ResponseWarning, Result, Warning};
 use pixels::Pictures;
 use serde::Serialize;
 use std::path::Path;
@@ -182,7 +182,11 @@ impl CheckReport {
     fn heads(&mut self, dir: &Path, manifest: &Manifest, rig: &Rig) {
         self.name = Some(manifest.name.clone());
         let heads = heads::read(dir, manifest, rig);
-        self.findings.extend(heads::findings(&heads, manifest).into_iter().map(Warning::from));
+        self.findings.extend(heads.iter().filter_map(|h| h.finding.clone()).map(Warning::from));
+        let bytes = heads.iter().filter_map(|h| h.bytes).sum();
+        let photographs = heads.len();
+        let taken: Vec<Taken> = heads.into_iter().filter(|h| h.bytes.is_some()).map(|h| h.taken).collect();
+        self.findings.extend(capture::findings(&taken, manifest).into_iter().map(Warning::from));
         let lit: std::collections::BTreeSet<[usize; 2]> =
             manifest.shots.iter().flat_map(|s| dots(&s.pattern)).copied().collect();
         let points = manifest.grid.len();
@@ -192,31 +196,25 @@ impl CheckReport {
         // Response and variance in four bytes each, validity in one, three channels.
         let row_bytes = 27 * manifest.window.samples[0] * manifest.window.samples[1];
         self.figures = Figures {
-            photographs: heads.len(),
-            photographs_with_settings: heads.iter().filter(|h| h.has_settings()).count(),
-            photographs_with_time: heads.iter().filter(|h| h.taken_secs().is_some()).count(),
-            photograph_bytes: heads.iter().map(|h| h.bytes).sum(),
+            photographs,
+            photographs_with_settings: taken.iter().filter(|h| h.has_settings()).count(),
+            photographs_with_time: taken.iter().filter(|h| h.taken_secs().is_some()).count(),
+            photograph_bytes: bytes,
             shots: manifest.shots.len(),
             lattice_shots: manifest.shots.iter().filter(|s| is_lattice(&s.pattern)).count(),
             points: manifest.grid.points,
             points_lit: lit.len(),
-            lattice_exposures_secs: heads::lattice_exposures(&heads, manifest),
+            lattice_exposures_secs: capture::lattice_exposures(&taken, manifest),
             matrix_bytes_most: row_bytes as u64 * points as u64,
             ..Figures::default()
         };
     }
 
-    /// Warnings of the pipeline that say more than what was found already.
+    /// Warnings of the pipeline that were not found already. Of a sample, every other point is unlit: that is counted before.
     fn warned(&mut self, warnings: impl IntoIterator<Item = Warning>) {
-        let changes = self.findings.iter().any(|f| matches!(f, Warning::Check(CheckWarning::SettingChanges { .. })));
         for warning in warnings {
-            let known = match warning {
-                // Of a sample, every other point is unlit.
-                Warning::Response(ResponseWarning::UnlitPoints { .. }) => true,
-                Warning::Capture(CaptureWarning::ApertureOrIsoChanges { .. }) => changes,
-                _ => false,
-            };
-            if !known && !self.findings.contains(&warning) {
+            let of_sample = matches!(warning, Warning::Response(ResponseWarning::UnlitPoints { .. }));
+            if !of_sample && !self.findings.iter().any(|f| same(f, &warning)) {
                 self.findings.push(warning);
             }
         }
@@ -288,9 +286,13 @@ impl CheckReport {
 
     fn stop(&mut self, error: Error, dir: &Path) {
         let refusal = Warning::refusal(&error, dir);
+        if let Error::Explained { error, .. } = &error {
+            // Told by its cause.
+            let effect = Warning::refusal(error, dir);
+            self.findings.retain(|f| *f != effect);
+        }
         // The files' heads may have told it before, in other words.
-        let same = |f: &&Warning| f.id() == refusal.id() && f.record().culprit == refusal.record().culprit;
-        let known = self.findings.iter().find(same).cloned();
+        let known = self.findings.iter().find(|f| same(f, &refusal)).cloned();
         if known.is_none() {
             self.findings.push(refusal.clone());
         }
@@ -316,6 +318,11 @@ impl CheckReport {
             self.stop(error, dir);
         }
     }
+}
+
+/// Whether two findings are one, in other words or figures.
+fn same(a: &Warning, b: &Warning) -> bool {
+    a.id() == b.id() && a.record().culprit == b.record().culprit
 }
 
 fn is_lattice(pattern: &Pattern) -> bool {

@@ -3,9 +3,9 @@
 use super::photographs::Photographs;
 use super::register::exchanged_pair;
 use super::strangers::low_zeros;
-use crate::capture::{Capture, Photograph, Samples};
+use crate::capture::{Capture, Pattern, Photograph, Samples};
 use crate::radiance::decode_spread;
-use crate::{CaptureWarning, CheckWarning, ConsistencyWarning, Error, Warning};
+use crate::{CaptureWarning, CheckWarning, ConsistencyWarning, Culprit, Error, Warning};
 
 /// Shots beside the one that failed whose code values are looked at.
 const LOOKS: usize = 4;
@@ -15,22 +15,28 @@ const LOOK_PX: usize = 1 << 16;
 /// The error with its likeliest cause in the files, where they show one: the shot that failed is in 8 bits among others of 16, its code values
 /// are shifted by bits, or those of all shots are and the rig's saturation is not.
 pub(super) fn in_files(capture: &Capture, error: Error) -> Error {
+    // The shot that failed, where it is known.
     let failed = match &error {
-        Error::Registration { shot, .. } | Error::DotSaturated { shot, .. } => shot.clone(),
-        // One of several photographs is told apart from the others; not so when all are shifted.
+        Error::Registration { shot, .. } | Error::DotSaturated { shot, .. } => Some(shot.clone()),
         Error::Contradiction { finding } => match &**finding {
-            Warning::Consistency(ConsistencyWarning::PhotographDisagrees { shot, or: Some(_), .. }) => shot.clone(),
-            _ => return error,
+            // One of several photographs is told apart from the others; not so when all are shifted.
+            Warning::Consistency(ConsistencyWarning::PhotographDisagrees { or: None, .. }) => return error,
+            other => {
+                other.record().culprit.into_iter().find_map(|c| if let Culprit::Shot(s) = c { Some(s) } else { None })
+            }
         },
         // The white reference is what dots are measured with.
-        Error::Field { path, .. } if *path == capture.manifest_path() => String::new(),
+        Error::Field { path, .. } if *path == capture.manifest_path() => capture
+            .shots(|p| matches!(p, Pattern::ReferenceWhite))
+            .first()
+            .map(|&s| capture.manifest.shots[s].name.clone()),
         _ => return error,
     };
     let depth = capture.warnings.iter().find(|w| match w {
-        CaptureWarning::DepthDiffers { shot, .. } => failed.is_empty() || *shot == failed,
+        CaptureWarning::DepthDiffers { shot, .. } => failed.as_ref() == Some(shot),
         _ => false,
     });
-    let cause = depth.cloned().map(Warning::from).or_else(|| shifted(capture, &failed).map(Warning::from));
+    let cause = depth.cloned().map(Warning::from).or_else(|| shifted(capture, failed.as_deref()).map(Warning::from));
     explained(error, cause)
 }
 
@@ -55,9 +61,10 @@ fn explained(error: Error, cause: Option<Warning>) -> Error {
 }
 
 /// Low bits that are 0 in all values of a shot, and not in those of others; or in those of all, while they exceed the rig's saturation.
-fn shifted(capture: &Capture, failed: &str) -> Option<CheckWarning> {
+fn shifted(capture: &Capture, failed: Option<&str>) -> Option<CheckWarning> {
     let all = 0..capture.brackets.len();
-    let (own, others): (Vec<usize>, Vec<usize>) = all.partition(|&shot| capture.manifest.shots[shot].name == failed);
+    let (own, others): (Vec<usize>, Vec<usize>) =
+        all.partition(|&shot| Some(capture.manifest.shots[shot].name.as_str()) == failed);
     let step = (others.len() / LOOKS).max(1);
     let longest = others.iter().step_by(step).filter_map(|&shot| capture.brackets[shot].last());
     let others: Vec<Look> = longest.filter_map(|p| Look::at(capture, p)).collect();
@@ -67,7 +74,7 @@ fn shifted(capture: &Capture, failed: &str) -> Option<CheckWarning> {
     let own: Vec<(&Photograph, Look)> = photographs.filter_map(|p| Some((p, Look::at(capture, p)?))).collect();
     let zeros = own.iter().map(|(_, look)| look.zeros).min().unwrap_or(0);
     if let Some((first, _)) = own.first().filter(|_| zeros > shared) {
-        let (file, shot, bits) = (file(first), Some(failed.to_owned()), zeros - shared);
+        let (file, shot, bits) = (file(first), failed.map(str::to_owned), zeros - shared);
         return Some(CheckWarning::ValuesShifted { file, shot, bits });
     }
     let saturation_dn = capture.rig.noise.as_ref()?.saturation_dn;

@@ -1,6 +1,6 @@
 //! What looking at a capture's files and at the pixels of some of its shots finds, and what stops the work.
 
-use super::bounds::{BLACK_SHARE, BLUR_SHARE, DARK_SHARE, DRIFT_SHARE, SAME_EXPOSURE, SATURATED_SHARE};
+use super::bounds::{BLACK_SHARE, BLUR_SHARE, DARK_SHARE, DRIFT_SHARE, SATURATED_SHARE};
 use super::record::catalogue;
 use crate::words::count;
 use serde::{Deserialize, Serialize};
@@ -116,64 +116,6 @@ pub enum CheckWarning {
         /// Its inverse's.
         inverse: String,
     },
-    /// Photographs without EXIF: their settings and their order are not known.
-    NoExif {
-        /// The first.
-        file: String,
-        /// How many.
-        photographs: usize,
-    },
-    /// The camera chose exposures by itself.
-    AutomaticExposure {
-        /// The first such photograph.
-        file: String,
-        /// How many.
-        photographs: usize,
-        /// How: "aperture priority", …
-        program: String,
-    },
-    /// The camera chose the white balance by itself: it may change from photograph to photograph.
-    AutomaticWhiteBalance {
-        /// The first such photograph.
-        file: String,
-        /// How many.
-        photographs: usize,
-    },
-    /// A setting that should stay did not.
-    SettingChanges {
-        /// "ISO", "f-number", "focal length", "camera".
-        setting: String,
-        /// The first photograph that differs.
-        file: String,
-        /// How many do.
-        photographs: usize,
-        /// The value of most photographs.
-        expected: String,
-        /// That of this one.
-        found: String,
-    },
-    /// Lattice shots whose exposures differ from those of most.
-    BracketDiffers {
-        /// The first such shot.
-        shot: String,
-        /// How many.
-        shots: usize,
-        /// The bracket of most, s.
-        expected_secs: Vec<f64>,
-        /// That of this shot, s.
-        found_secs: Vec<f64>,
-    },
-    /// Photographs taken before those that precede them in capture.toml.
-    OutOfOrder {
-        /// The first such photograph.
-        file: String,
-        /// A photograph that precedes it there and was taken later.
-        after_file: String,
-        /// How many shots are out of order.
-        shots: usize,
-        /// Whether lattice shots are among them: those are alike, and easily exchanged.
-        lattice: bool,
-    },
     /// Pixels that are saturated in the shortest exposure.
     Saturated {
         /// The shot.
@@ -249,16 +191,6 @@ catalogue!(CheckWarning {
     Self::ValuesShifted { file, .. } => "values-shifted", Error, Files, Refused, vec![photograph(file)], None;
     Self::GrayPairExchanged { shot: name, inverse } => "gray-pair-exchanged", Error, Registration, Refused,
         vec![shot(name), shot(inverse)], None;
-    Self::NoExif { file, .. } => "no-exif", Note, Settings, Told, vec![photograph(file)], None;
-    Self::AutomaticExposure { file, .. } => "automatic-exposure", Warning, Settings, Told, vec![photograph(file)], None;
-    Self::AutomaticWhiteBalance { file, .. } => "automatic-white-balance", Warning, Settings, Told,
-        vec![photograph(file)], None;
-    Self::SettingChanges { file, setting, .. } => "setting-changes", Warning, Settings, Told,
-        vec![photograph(file), field(setting)], None;
-    Self::BracketDiffers { shot: name, .. } => "bracket-differs", Warning, Exposures, Told, vec![shot(name)],
-        bound("found_secs / expected_secs - 1", SAME_EXPOSURE, "");
-    Self::OutOfOrder { file, lattice: true, .. } => "out-of-order", Warning, Order, Told, vec![photograph(file)], None;
-    Self::OutOfOrder { file, lattice: false, .. } => "out-of-order", Note, Order, Told, vec![photograph(file)], None;
     Self::Saturated { shot: name, .. } => "saturated", Warning, Light, Told, vec![shot(name)],
         bound("share", SATURATED_SHARE, "");
     Self::SaturatedDots { shot: name, .. } => "saturated-dots", Warning, Light, Told, vec![shot(name)],
@@ -278,12 +210,6 @@ catalogue!(CheckWarning {
 /// A share as people read it.
 fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
-}
-
-/// Exposure times as people read them.
-pub(crate) fn times(secs: &[f64]) -> String {
-    let each = secs.iter().map(|t| if *t < 0.3 { format!("1/{:.0}", 1.0 / t) } else { format!("{t:.1}") });
-    format!("{} s", each.collect::<Vec<_>>().join(" "))
 }
 
 impl fmt::Display for CheckWarning {
@@ -325,42 +251,6 @@ impl fmt::Display for CheckWarning {
             Self::GrayPairExchanged { shot, inverse } => write!(
                 f,
                 "the photographs of \"{shot}\" and \"{inverse}\" are exchanged: the other way round the Gray code fits and all dots are on the slab"
-            ),
-            Self::NoExif { file, photographs } => {
-                write!(
-                    f,
-                    "no EXIF in {} (first: {file}): settings and order are unknown",
-                    count(*photographs, "photograph")
-                )
-            }
-            Self::AutomaticExposure { file, photographs, program } => write!(
-                f,
-                "the camera chose exposures by {program} in {} (first: {file}): set it to manual and shoot again",
-                count(*photographs, "photograph")
-            ),
-            Self::AutomaticWhiteBalance { file, photographs } => write!(
-                f,
-                "automatic white balance in {} (first: {file}): colours may change, except in raw files",
-                count(*photographs, "photograph")
-            ),
-            Self::SettingChanges { setting, file, photographs, expected, found } => {
-                write!(
-                    f,
-                    "{setting} changes: {found} in {} (first: {file}), {expected} in most",
-                    count(*photographs, "photograph")
-                )
-            }
-            Self::BracketDiffers { shot, shots, expected_secs, found_secs } => write!(
-                f,
-                "exposures differ from those of most lattice shots in {} (first: \"{shot}\", {}; most: {})",
-                count(*shots, "shot"),
-                times(found_secs),
-                times(expected_secs)
-            ),
-            Self::OutOfOrder { file, after_file, shots, .. } => write!(
-                f,
-                "{} out of order: {file} was taken before {after_file}, which precedes it in capture.toml",
-                count(*shots, "shot")
             ),
             Self::Saturated { shot, share } => {
                 write!(f, "\"{shot}\": {} of its pixels are saturated in the shortest exposure", percent(*share))

@@ -20,8 +20,8 @@ mod simulate;
 mod tests;
 
 pub use capture::CaptureWarning;
+pub(crate) use capture::times;
 pub use check::CheckWarning;
-pub(crate) use check::times;
 pub use consistency::ConsistencyWarning;
 pub use factor::FactorWarning;
 pub use radiance::RadianceWarning;

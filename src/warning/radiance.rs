@@ -2,7 +2,7 @@
 
 use super::bounds::{DOUBT_SD, STRAY_TOLD, TIME_SIGMA, TIME_TOLERANCE};
 use super::record::catalogue;
-use crate::words::count;
+use crate::words::{count, figure};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -99,12 +99,17 @@ impl fmt::Display for RadianceWarning {
                 saturation_seen,
             } => write!(
                 f,
-                "noise estimated from the photographs: gain {gain_dn_per_electron:.4} ± {gain_sd:.4} DN per electron, read noise {read_noise_electrons:.2} ± {read_noise_sd:.2} electrons, black {black_dn:.2} ± {black_sd:.2} DN, saturation {saturation_dn:.0} DN{}",
+                "noise estimated from the photographs: gain {} ± {} DN per electron, read noise {read_noise_electrons:.2} ± {read_noise_sd:.2} electrons, black {black_dn:.2} ± {black_sd:.2} DN, saturation {saturation_dn:.0} DN{}",
+                figure(*gain_dn_per_electron),
+                figure(*gain_sd),
                 if *saturation_seen { "" } else { " (no pixel clips: the largest code value)" }
             ),
             Self::NoiseDisagrees { field, given, found, sd } => write!(
                 f,
-                "noise.{field} is {given:.4} in rig.toml, but {found:.4} ± {sd:.4} in the photographs: the reported variance may be wrong"
+                "noise.{field} is {} in rig.toml, but {} ± {} in the photographs: the reported variance may be wrong",
+                figure(*given),
+                figure(*found),
+                figure(*sd)
             ),
             Self::HotPixels { photosites, stuck, strongest_dn_per_sec } => write!(
                 f,

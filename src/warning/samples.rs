@@ -112,19 +112,20 @@ pub(crate) fn written() -> Vec<(Warning, &'static str)> {
             r#"{"warning":"dot-saturated","file":"a.png","shot":"s","dot":[1,2],"shortest_secs":0.5}"#,
         ),
         (
-            CheckWarning::NoExif { file: "a.png".into(), photographs: 2 }.into(),
+            CaptureWarning::NoExif { file: "a.png".into(), photographs: 2 }.into(),
             r#"{"warning":"no-exif","file":"a.png","photographs":2}"#,
         ),
         (
-            CheckWarning::AutomaticExposure { file: "a.png".into(), photographs: 2, program: "program".into() }.into(),
+            CaptureWarning::AutomaticExposure { file: "a.png".into(), photographs: 2, program: "program".into() }
+                .into(),
             r#"{"warning":"automatic-exposure","file":"a.png","photographs":2,"program":"program"}"#,
         ),
         (
-            CheckWarning::AutomaticWhiteBalance { file: "a.png".into(), photographs: 2 }.into(),
+            CaptureWarning::AutomaticWhiteBalance { file: "a.png".into(), photographs: 2 }.into(),
             r#"{"warning":"automatic-white-balance","file":"a.png","photographs":2}"#,
         ),
         (
-            CheckWarning::SettingChanges {
+            CaptureWarning::SettingChanges {
                 setting: "ISO".into(),
                 file: "a.png".into(),
                 photographs: 2,
@@ -135,7 +136,7 @@ pub(crate) fn written() -> Vec<(Warning, &'static str)> {
             r#"{"warning":"setting-changes","setting":"ISO","file":"a.png","photographs":2,"expected":"100","found":"200"}"#,
         ),
         (
-            CheckWarning::BracketDiffers {
+            CaptureWarning::BracketDiffers {
                 shot: "s".into(),
                 shots: 1,
                 expected_secs: vec![0.25, 1.0],
@@ -145,12 +146,12 @@ pub(crate) fn written() -> Vec<(Warning, &'static str)> {
             r#"{"warning":"bracket-differs","shot":"s","shots":1,"expected_secs":[0.25,1.0],"found_secs":[0.25]}"#,
         ),
         (
-            CheckWarning::OutOfOrder { file: "a.png".into(), after_file: "b.png".into(), shots: 1, lattice: true }
+            CaptureWarning::OutOfOrder { file: "a.png".into(), after_file: "b.png".into(), shots: 1, lattice: true }
                 .into(),
             r#"{"warning":"out-of-order","file":"a.png","after_file":"b.png","shots":1,"lattice":true}"#,
         ),
         (
-            CheckWarning::OutOfOrder { file: "a.png".into(), after_file: "b.png".into(), shots: 1, lattice: false }
+            CaptureWarning::OutOfOrder { file: "a.png".into(), after_file: "b.png".into(), shots: 1, lattice: false }
                 .into(),
             r#"{"warning":"out-of-order","file":"a.png","after_file":"b.png","shots":1,"lattice":false}"#,
         ),
