@@ -8,6 +8,7 @@ use crate::capture::Pattern;
 use crate::progress::Progress;
 use crate::radiance::{HotPixel, Radiance, find_hot_pixels, mend};
 use crate::response::Irradiance;
+use crate::warning::bounds::{REFUSED_LEVEL, UNEVEN_SHARE};
 use crate::{ConsistencyWarning, Error, Result, Warning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -28,14 +29,11 @@ pub(super) struct References {
 }
 
 /// The level of the white reference over that of the Gray code is told when it is off by more than this and by so many of its standard
-/// deviations, and refused when it is off by more than a tenth.
+/// deviations, and refused from [`REFUSED_LEVEL`] on.
 const LEAST_LEVEL: f64 = 0.01;
 const LEVEL_SIGMA: f64 = 6.0;
-const REFUSED_LEVEL: f64 = 0.1;
 /// A pixel of the sample's place that differs by more than this from the mean around is no part of an evenly lit white.
 const UNEVEN: f32 = 0.25;
-/// So many such pixels are dust; more are a pattern, or something in the way.
-const UNEVEN_SHARE: f64 = 0.03;
 /// The darkest twentieth of an evenly lit white has this share of the light of its brightest at the least.
 const DARKEST: f32 = 0.15;
 

@@ -5,10 +5,9 @@ use super::looks::looks;
 use super::photographs::Photographs;
 use crate::capture::{Pattern, Samples};
 use crate::radiance::decode_spread;
+use crate::warning::bounds::CLIPS_BELOW;
 use crate::{ConsistencyWarning, Error, Result, Warning};
 
-/// Code values that pile up below this share of the rig's saturation do so for another reason than that saturation is stated a little high.
-const CLIPS_BELOW: f64 = 0.98;
 /// Of the shots of a kind that have such a photograph, more than this share are a fault of the set-up, not of a photograph.
 const SINGLE_SHARE: f64 = 0.2;
 

@@ -5,6 +5,7 @@ use super::scene::Scene;
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Radiance, StrayLight, evenly};
+use crate::warning::bounds::EVEN_REFUSED;
 use crate::{ConsistencyWarning, Result, Warning};
 
 /// Lattice shots that are looked at.
@@ -14,9 +15,8 @@ const RIM_PX: f64 = 4.0;
 /// Places of the mask are decided in squares of so many pixels.
 const MASK_PX: usize = 4;
 
-/// Even light that is a larger share of a dot's light in its window is told, and from the second on refused.
+/// Even light that is a larger share of a dot's light in its window is told, and from [`EVEN_REFUSED`] on refused.
 const EVEN_TOLD: f64 = 1e-4;
-const EVEN_REFUSED: f64 = 0.01;
 /// A halo of more light than this is none that lenses have (half a per cent, five with a fingerprint).
 const LARGEST_HALO: f64 = 0.1;
 

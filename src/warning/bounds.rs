@@ -16,6 +16,14 @@ pub(crate) const REFUSED_TIME: f64 = 0.15;
 pub(crate) const REFUSED_SLOPE: f64 = 0.1;
 /// From this offset of all dots on, projector px, rows would be off by more than any stated uncertainty.
 pub(crate) const REFUSED_PROJECTOR_PX: f64 = 0.5;
+/// The white reference's level over the Gray code's that is off by more is refused: no lamp drifts so far in a session.
+pub(crate) const REFUSED_LEVEL: f64 = 0.1;
+/// So many pixels of the white reference that differ from their surroundings are dust; more are a pattern, or something in the way.
+pub(crate) const UNEVEN_SHARE: f64 = 0.03;
+/// Even light that is a larger share of a dot's light in its window is refused.
+pub(crate) const EVEN_REFUSED: f64 = 0.01;
+/// Code values that pile up below this share of the rig's saturation do so for another reason than that saturation is stated a little high.
+pub(crate) const CLIPS_BELOW: f64 = 0.98;
 /// A halo of this share is worth a word: an ordinary lens has about half a per cent.
 pub(crate) const STRAY_TOLD: f64 = 0.005;
 /// Board and frame disagree when their corners are further apart, px, and by so many standard deviations.

@@ -1,6 +1,8 @@
 //! What a capture says twice, and not alike: photographs of a stack, patterns and dots, light, references, the rig's figures.
 
-use super::bounds::{REFUSED_PROJECTOR_PX, REFUSED_SLOPE, REFUSED_TIME};
+use super::bounds::{
+    CLIPS_BELOW, EVEN_REFUSED, REFUSED_LEVEL, REFUSED_PROJECTOR_PX, REFUSED_SLOPE, REFUSED_TIME, UNEVEN_SHARE,
+};
 use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -322,6 +324,19 @@ super::record::catalogue!(ConsistencyWarning {
         "dots-offset", Warning, Dots, Accepted, vec![field(name)],
         bound("offset_projector_px", REFUSED_PROJECTOR_PX, "projector px");
     Self::DotsOffset { field: name, .. } => "dots-offset", Warning, Dots, Told, vec![field(name)], None;
+    Self::AmbientChanged { share, .. } if share.abs() > EVEN_REFUSED => "ambient-changed", Warning, Light, Accepted,
+        vec![part("ambient light")], bound("share", EVEN_REFUSED, "");
+    Self::AmbientChanged { .. } => "ambient-changed", Warning, Light, Told, vec![part("ambient light")], None;
+    Self::HaloImplausible { most, .. } => "halo-implausible", Warning, Light, Accepted, vec![part("ambient light")],
+        bound("share", *most, "");
+    Self::LampLevel { shot: name, .. } => "lamp-level", Warning, Light, Corrected, vec![shot(name), part("lamp")], None;
+    Self::WhiteLevel { shot: name, level, .. } if (level - 1.0).abs() > REFUSED_LEVEL => "white-level", Warning, Light, Accepted,
+        vec![shot(name), part("lamp")], bound("level - 1", REFUSED_LEVEL, "");
+    Self::WhiteLevel { shot: name, .. } => "white-level", Warning, Light, Corrected, vec![shot(name), part("lamp")], None;
+    Self::WhiteUneven { shot: name, .. } => "white-uneven", Warning, Light, Accepted, vec![shot(name)],
+        bound("share", UNEVEN_SHARE, "");
+    Self::ClipsBelow { file, given, .. } => "clips-below", Warning, Light, Accepted,
+        vec![photograph(file), field("noise.saturation_dn")], bound("code", CLIPS_BELOW * given, "DN");
     Self::ResponseCurve { .. } => "response-curve", Warning, Exposures, Accepted, vec![field("camera.response")],
         bound("slope - 1", REFUSED_SLOPE, "");
 });

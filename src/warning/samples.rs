@@ -255,6 +255,39 @@ pub(crate) fn written() -> Vec<(Warning, &'static str)> {
             r#"{"warning":"response-curve","given":"linear","slope":0.5,"encoding":"sRGB"}"#,
         ),
         (
+            ConsistencyWarning::AmbientChanged { dn_per_sec: 8.5, share: 0.25 }.into(),
+            r#"{"warning":"ambient-changed","dn_per_sec":8.5,"share":0.25}"#,
+        ),
+        (
+            ConsistencyWarning::AmbientChanged { dn_per_sec: 8.5, share: 0.001 }.into(),
+            r#"{"warning":"ambient-changed","dn_per_sec":8.5,"share":0.001}"#,
+        ),
+        (
+            ConsistencyWarning::HaloImplausible { share: 0.25, most: 0.1 }.into(),
+            r#"{"warning":"halo-implausible","share":0.25,"most":0.1}"#,
+        ),
+        (
+            ConsistencyWarning::LampLevel { shot: "s".into(), level: 0.75, level_sd: 0.01, shots: 2 }.into(),
+            r#"{"warning":"lamp-level","shot":"s","level":0.75,"level_sd":0.01,"shots":2}"#,
+        ),
+        (
+            ConsistencyWarning::WhiteLevel { shot: "s".into(), level: 1.25, level_sd: 0.01 }.into(),
+            r#"{"warning":"white-level","shot":"s","level":1.25,"level_sd":0.01}"#,
+        ),
+        (
+            ConsistencyWarning::WhiteLevel { shot: "s".into(), level: 1.05, level_sd: 0.01 }.into(),
+            r#"{"warning":"white-level","shot":"s","level":1.05,"level_sd":0.01}"#,
+        ),
+        (
+            ConsistencyWarning::WhiteUneven { shot: "s".into(), looks: "stripes".into(), share: 0.25 }.into(),
+            r#"{"warning":"white-uneven","shot":"s","looks":"stripes","share":0.25}"#,
+        ),
+        (
+            ConsistencyWarning::ClipsBelow { file: "a.png".into(), code: 4000.0, given: 16055.0, photographs: 2 }
+                .into(),
+            r#"{"warning":"clips-below","file":"a.png","code":4000.0,"given":16055.0,"photographs":2}"#,
+        ),
+        (
             RadianceWarning::NoiseEstimated {
                 gain_dn_per_electron: 0.1,
                 gain_sd: 0.01,
