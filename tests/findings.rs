@@ -201,3 +201,10 @@ fn a_matrix_keeps_the_records_beside_the_figures_and_the_program_prints_the_same
         )));
     }
 }
+
+#[test]
+fn what_is_no_name_of_a_finding_cannot_be_accepted() {
+    let (status, _, stderr) = acquire(&["build-matrix", "nowhere", "--accept", "photograph-disagree"]);
+    assert_eq!(status, 1);
+    assert!(stderr.contains("--accept") && stderr.contains("docs/findings.md"), "{stderr}");
+}

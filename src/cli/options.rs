@@ -1,7 +1,7 @@
 //! The options of the library's stages as they are typed.
 
 use super::factor::bytes;
-use super::values::{pair_of, resolution, secs, whole};
+use super::values::{finding, pair_of, resolution, secs, whole};
 use crate::capture::ExposureFrom;
 use crate::geometry::Point;
 use crate::patterns::{PatternsOptions, SpacingOptions};
@@ -45,7 +45,7 @@ typed!(Build => crate::pipeline::BuildOptions {
     #[arg(long, value_enum, default_value = "exif", value_name = "SOURCE")]
     exposure_from: ExposureFrom,
     /// Go on where a capture contradicts itself in this way; the name is that of the message's hint. May be given again.
-    #[arg(long, value_name = "FINDING")]
+    #[arg(long, value_name = "FINDING", value_parser = finding)]
     accept: Vec<String>,
 });
 

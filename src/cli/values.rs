@@ -38,6 +38,14 @@ pub(super) fn precision() -> impl TypedValueParser<Value = Precision> {
     })
 }
 
+/// `--accept`.
+pub(super) fn finding(typed: &str) -> Result<String, String> {
+    match crate::Warning::ids().contains(&typed) {
+        true => Ok(typed.to_owned()),
+        false => Err("no finding has this name; docs/findings.md lists them".into()),
+    }
+}
+
 /// The names of an enum's values, and what --help says of them.
 macro_rules! values {
     ($type:path { $($variant:ident = $name:literal, $help:literal;)* }) => {

@@ -7,7 +7,6 @@ use super::*;
 fn a_warning_is_written_as_its_name_and_figures_whatever_its_stage() {
     for (warning, json) in written() {
         assert_eq!(serde_json::to_string(&warning).unwrap(), json);
-        assert_eq!(serde_json::from_str::<Warning>(json).unwrap(), warning);
     }
 }
 
