@@ -1,7 +1,7 @@
 //! What a capture says twice, and not alike: photographs of a stack, patterns and dots, light, references, the rig's figures.
 
 use super::bounds::{
-    CLIPS_BELOW, EVEN_REFUSED, REFUSED_LEVEL, REFUSED_PROJECTOR_PX, REFUSED_SLOPE, REFUSED_TIME, UNEVEN_SHARE,
+    CLIPS_BELOW, DOUBT_SD, EVEN_REFUSED, REFUSED_LEVEL, REFUSED_PROJECTOR_PX, REFUSED_SLOPE, REFUSED_TIME, UNEVEN_SHARE,
 };
 use crate::words::count;
 use serde::{Deserialize, Serialize};
@@ -330,6 +330,12 @@ super::record::catalogue!(ConsistencyWarning {
     Self::HaloImplausible { most, .. } => "halo-implausible", Warning, Light, Accepted, vec![part("ambient light")],
         bound("share", *most, "");
     Self::LampLevel { shot: name, .. } => "lamp-level", Warning, Light, Corrected, vec![shot(name), part("lamp")], None;
+    Self::ReferenceDots { shot: name, .. } => "reference-dots", Warning, Dots, Told, vec![shot(name)], None;
+    Self::ColourChanges { shot: name, .. } => "colour-changes", Warning, Light, Told, vec![shot(name)], None;
+    Self::BlurChanges { shot: name, .. } => "blur-changes", Warning, Focus, Told, vec![shot(name)], None;
+    Self::ChannelGains { gain_sd, .. } => "channel-gains", Warning, Light, Told, vec![field("noise")],
+        bound("gains", DOUBT_SD * 2f64.sqrt() * gain_sd, "DN per electron");
+    Self::MirroredSlab { shot: name } => "mirrored-slab", Warning, Registration, Accepted, vec![shot(name)], None;
     Self::WhiteLevel { shot: name, level, .. } if (level - 1.0).abs() > REFUSED_LEVEL => "white-level", Warning, Light, Accepted,
         vec![shot(name), part("lamp")], bound("level - 1", REFUSED_LEVEL, "");
     Self::WhiteLevel { shot: name, .. } => "white-level", Warning, Light, Corrected, vec![shot(name), part("lamp")], None;
