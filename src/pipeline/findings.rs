@@ -42,8 +42,8 @@ pub(super) fn summarize(
     // Pixels of the photographs in one of the working resolution.
     let full = found.working.factor as f64;
     let mut warnings: Vec<Warning> = capture.warnings.iter().cloned().map(Warning::from).collect();
-    warnings.extend(found.registered.warnings.iter().cloned().map(Warning::from));
-    warnings.extend(found.noise.warnings.iter().cloned().map(Warning::from));
+    warnings.extend(found.registered.warnings.iter().cloned());
+    warnings.extend(found.noise.warnings.iter().cloned());
     warnings.extend(found.radiometry.warnings.iter().cloned());
     if !hot.is_empty() {
         let stuck = hot.iter().filter(|h| h.excess.is_none()).count();
