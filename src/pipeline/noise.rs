@@ -377,6 +377,7 @@ mod tests {
             black_sd: sd[2],
             saturation_seen: true,
             blocks: 500,
+            channel_gains: None,
         }
     }
 
@@ -385,8 +386,10 @@ mod tests {
     }
 
     fn doubted(given: &Noise, found: &NoiseEstimate) -> Vec<String> {
-        let name = |w: &RadianceWarning| match w {
-            RadianceWarning::NoiseDisagrees { field, given, found, sd } => format!("{field} {given} {found} {sd}"),
+        let name = |w: &Warning| match w {
+            Warning::Radiance(RadianceWarning::NoiseDisagrees { field, given, found, sd }) => {
+                format!("{field} {given} {found} {sd}")
+            }
             other => format!("{other:?}"),
         };
         disagreements(given, found).iter().map(name).collect()

@@ -493,27 +493,38 @@ mod tests {
                 variance: vec![sd * sd; 3],
                 group: vec![0; 3],
                 flicker_sd: None,
+                failed: false,
             };
             let file = FileNoise { sixteen_bit: false, compression: [compression; 3] };
-            judge(&fit, true, &settings, &BuildOptions::default(), file, &empty()).unwrap()
+            judge(&fit, true, &settings, &BuildOptions::default(), file, &super::super::tests::capture(&[])).unwrap()
         };
         assert!(of([0.004, -0.004, 0.0], 1e-5, 0.0).is_empty());
         assert!(of([0.0, -0.02, 0.02], 0.01, 0.0).is_empty(), "two standard deviations");
         assert!(of([0.0, -0.014, 0.014], 1e-5, 0.3).is_empty(), "of compressed files");
         for compression in [0.0, 0.3] {
             let warnings = of([0.02, -0.05, 0.03], 0.001, compression);
-            let [RadianceWarning::ExposureRatios { nominal_secs, measured_secs, relative_sd }] = warnings[..] else {
+            let [Warning::Radiance(RadianceWarning::ExposureRatios { nominal_secs, measured_secs, relative_sd })] =
+                warnings[..]
+            else {
                 panic!("{warnings:?}")
             };
             // 0.04 e^−0.05; the standard deviation is the root of the variance (f64).
             assert_eq!(nominal_secs, 0.04);
             assert!((measured_secs - 0.038_049_177).abs() < 1e-8 && (relative_sd - 0.001).abs() < 1e-12);
         }
-        let fit =
-            ExposureFit { log_scale: vec![0.9; 3], variance: vec![0.0; 3], group: vec![0, 1, 0], flicker_sd: None };
+        let fit = ExposureFit {
+            log_scale: vec![0.9; 3],
+            variance: vec![0.0; 3],
+            group: vec![0, 1, 0],
+            flicker_sd: None,
+            failed: false,
+        };
         let options = BuildOptions { exposure_from: ExposureFrom::Estimate, ..BuildOptions::default() };
-        let warnings = judge(&fit, true, &settings, &options, FileNoise::default(), &empty()).unwrap();
-        let [RadianceWarning::ExposuresUnlinked { groups }] = &warnings[..] else { panic!("{warnings:?}") };
+        let warnings =
+            judge(&fit, true, &settings, &options, FileNoise::default(), &super::super::tests::capture(&[])).unwrap();
+        let [Warning::Radiance(RadianceWarning::ExposuresUnlinked { groups })] = &warnings[..] else {
+            panic!("{warnings:?}")
+        };
         assert_eq!(*groups, [vec![0.01, 0.16], vec![0.04]]);
     }
 
@@ -532,6 +543,7 @@ mod tests {
             variance: vec![0.0; 3],
             group: vec![0; 3],
             flicker_sd: None,
+            failed: false,
         };
         settings.apply(&fit, &mut capture.brackets);
         let secs = |k: usize| capture.brackets[k].iter().map(|p| p.effective_secs).collect::<Vec<_>>();

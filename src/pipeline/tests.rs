@@ -82,15 +82,17 @@ fn stages_that_go_on_from_saved_outputs_give_the_same_rows_to_the_last_bit() {
         let radiometry = radiometry::calibrate(&capture, &noise.noise, &options, &silent).unwrap();
         let radiometry = passed(radiometry, through_files);
         let photographs = Photographs::new(&capture, &capture, &radiometry, 1);
-        let registered = passed(register::register(&photographs, &silent).unwrap(), through_files);
-        let references = references::references(&photographs, &registered, radiometry.flicker_sd, &silent).unwrap();
+        let registered = passed(register::register(&photographs, &options, &silent).unwrap(), through_files);
+        let references =
+            references::references(&photographs, &registered, radiometry.flicker_sd, &options, &silent).unwrap();
         let references = passed(references, through_files);
         let scene = Scene::new(&photographs, &registered, &references);
-        let stray = passed(stray::measure(&scene, &silent).unwrap(), through_files);
+        let stray = passed(stray::measure(&scene, &options, &silent).unwrap().0, through_files);
         let flicker = passed(Flicker::measure(&scene, radiometry.flicker_sd).unwrap(), through_files);
         let (light, sink) = (LightCorrections { stray, flicker }, HeldRows::default());
         let movements = Movements::prepare(&scene).unwrap();
-        lattice::extract(&scene, &light, &movements, &sink, &silent).unwrap();
+        lattice::extract(&scene, &light, &movements, &dots_seen::DotSearch::new(&scene).unwrap(), &sink, &silent)
+            .unwrap();
         let row = |index: usize| sink.row(index).unwrap();
         (0..capture.manifest.grid.len()).map(row).collect::<Vec<_>>()
     });

@@ -100,7 +100,7 @@ fn even(value: [f32; 3], variance: [f32; 3]) -> Vec<Radiance> {
 fn what_is_taken_out_leaves_an_even_picture_even_and_its_doubt_in_the_variance() {
     let (value, variance) = ([400.0f32, 90.0, 2000.0], [0.5f32, 30.0, 0.01]);
     let halos = vec![Halo { radius_px: 6.0, share: 0.03 }, Halo { radius_px: 8.5, share: 0.01 }];
-    let stray = StrayLight { halos, share: 0.04, share_sd: 0.012 };
+    let stray = StrayLight { halos, share: 0.04, share_sd: 0.012, even: None };
     let mut seen = even(value, variance);
     stray.remove(&mut seen, [110, 84]);
     // Far from the rims the halo is as bright as the picture, 0.04 of it, and that is known to 0.3 of itself.
