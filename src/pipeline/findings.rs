@@ -103,6 +103,9 @@ pub(super) fn summarize(
     let remaining = results.iter().map(|r| r.flicker_variance).sum::<f64>() / results.len().max(1) as f64;
     warnings.extend(found.light.flicker.warning(remaining).map(Warning::from));
     warnings.extend(lamp(results, &header).map(Warning::from));
+    warnings.extend(
+        found.light.flicker.drift().map(|level| ConsistencyWarning::LampDrifts { level, shots: results.len() }.into()),
+    );
     warnings.extend(reference_dots(results, &header).into_iter().map(Warning::from));
     complete(scene, found.light, &mut header, &mut warnings);
     warnings.extend(crosstalk.as_ref().and_then(CrossTalk::warning).map(Warning::from));

@@ -35,6 +35,8 @@ struct Level {
     variance: f64,
     /// Variance of the mean itself.
     mean_variance: f64,
+    /// The last shots' light over the first ones', where the lamp changes over the sweep; the mean is that of the first then.
+    drift: Option<f64>,
 }
 
 /// Light of each reference dot and channel in one shot with its variance, `None` where no exposure measured it.
@@ -153,6 +155,11 @@ impl Flicker {
         self.sd.map(|relative_sd| RadianceWarning::Flicker { relative_sd, remaining_sd: remaining.sqrt() })
     }
 
+    /// The last shots' light over that of the first ones, where the lamp changes over the sweep.
+    pub(super) fn drift(&self) -> Option<f64> {
+        self.level.as_ref().and_then(|l| l.drift)
+    }
+
     /// For the provenance.
     pub(super) fn record(&self, remaining: f64) -> serde_json::Value {
         serde_json::json!({
@@ -196,10 +203,22 @@ impl Level {
                 (all.len() == shots).then(|| median(&mut all)).filter(|m| *m > 0.0)
             })
             .collect();
-        let mut level = Self { mean, variance: 0.0, mean_variance: 0.0 };
+        let mut level = Self { mean, variance: 0.0, mean_variance: 0.0, drift: None };
         let found: Vec<(f64, f64)> = lights.iter().filter_map(|l| level.measured(l)).collect();
         if found.len() < 4 {
             return None;
+        }
+        // A lamp that warms up or steps: the references were taken beside the first shots.
+        let third = found.len() / 3;
+        let level_of = |shots: &[(f64, f64)]| median(&mut shots.iter().map(|f| f.0).collect::<Vec<_>>());
+        let (first, last) = (level_of(&found[..third.max(1)]), level_of(&found[found.len() - third.max(1)..]));
+        let (rough, steady) = (spread_within(&found), 1.0 + first);
+        if (last - first).abs() > LEAST_LAMP.max(LAMP_SIGMA * rough) && steady > 0.0 {
+            level.mean.iter_mut().flatten().for_each(|m| *m *= steady);
+            // All that shots differ by is the lamp's.
+            (level.variance, level.mean_variance) = ((last - first).powi(2).max(1e-4), rough * rough);
+            level.drift = Some((1.0 + last) / steady);
+            return Some(level);
         }
         let scale = 1.4826 * median(&mut found.iter().map(|f| f.0.abs()).collect::<Vec<_>>());
         let noise = found.iter().map(|(_, variance)| variance).sum::<f64>() / found.len() as f64;
@@ -258,7 +277,7 @@ impl Level {
     fn scale_of(&self, light: &DotLight) -> Option<Scale> {
         let (level, variance) = self.measured(light)?;
         let usual = (self.variance + variance + self.mean_variance).sqrt();
-        if level.abs() > (LAMP_SIGMA * usual).max(LEAST_LAMP) && level > -1.0 {
+        if self.drift.is_none() && level.abs() > (LAMP_SIGMA * usual).max(LEAST_LAMP) && level > -1.0 {
             return Some(Scale { log_level: level.ln_1p(), variance: variance + self.mean_variance, is_lamp: true });
         }
         if self.variance == 0.0 {
@@ -269,7 +288,13 @@ impl Level {
     }
 }
 
-/// Whether a dot's light is not the others'.
+/// How far shots differ from the one before, as a standard deviation of each: what a slow change does not make.
+fn spread_within(shots: &[(f64, f64)]) -> f64 {
+    let mut steps: Vec<f64> = shots.windows(2).map(|w| (w[1].0 - w[0].0).abs()).collect();
+    1.4826 * median(&mut steps) / 2f64.sqrt()
+}
+
+/// Whether a dot's light is not the others'
 fn is_strange((ratio, variance): (f64, f64), middle: f64) -> bool {
     (ratio - middle).abs() > (STRANGE_DOT * (1.0 + middle)).max(LAMP_SIGMA * variance.sqrt())
 }
@@ -381,7 +406,7 @@ mod tests {
     #[test]
     fn a_shots_level_is_the_mean_over_dots_and_channels_by_their_relative_variances() {
         let mean = vec![Some(100.0), Some(200.0), None, Some(10.0)];
-        let level = Level { mean, variance: 4e-4, mean_variance: 1e-5 };
+        let level = Level { mean, variance: 4e-4, mean_variance: 1e-5, drift: None };
         // Relative: 0.02 ± 0.01, 0.05 ± 0.02; the third has no mean, the last no light.
         let seen = vec![Some([102.0, 1.0]), Some([210.0, 16.0]), Some([7.0, 1e-9]), None];
         let (weights, total) = ([1e4, 2500.0], 12_500.0);
@@ -415,8 +440,8 @@ mod tests {
         assert!((level.variance - (spread - 1e-5)).abs() < 1e-9, "{}", level.variance);
         assert!((level.mean_variance - spread / 6.0).abs() < 1e-9);
         // Noise that explains it: 6.4e-4 against 2e-4 and 3 · 2e-4 · √(2/6).
-        assert!(Level::of(&levels.map(|l| light(l, 1.5e-3))).is_none());
-        assert!(Level::of(&levels.map(|l| light(l, 1.0e-3))).is_some());
+        assert_eq!(Level::of(&levels.map(|l| light(l, 1.5e-3))).unwrap().variance, 0.0);
+        assert!(Level::of(&levels.map(|l| light(l, 1.0e-3))).unwrap().variance > 0.0);
         // Too few shots, and none.
         assert!(Level::of(&levels.map(|l| light(l, 5e-5))[..3]).is_none());
         assert!(Level::of(&[]).is_none());

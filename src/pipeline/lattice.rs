@@ -28,6 +28,8 @@ pub(super) struct ShotResult {
     pub(super) dots_show: DotsShow,
     /// Where each of its dots was seen.
     pub(super) seen: Vec<DotSeen>,
+    /// What remains of the dots of the shot before.
+    pub(super) remains: Vec<f64>,
 }
 
 /// One dot of a shot, measured.
@@ -176,8 +178,11 @@ fn extract_shot(
     let drift = movements.drift(scene, shot, registration, &references_seen, &windows)?;
     let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
     let seen = search.look(scene, shot, registration, drift, &windows);
+    let lattice = scene.lattice();
+    let before = lattice.iter().position(|&s| s == shot).and_then(|k| lattice.get(k.checked_sub(1)?).copied());
+    let remains = before.map_or(vec![], |b| search.remains(scene, [shot, b], registration, (drift, &seen), &windows));
 
-    let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance, lamp, dots_show, seen };
+    let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance, lamp, dots_show, seen, remains };
     // What all samples of a row have in common: the lamp, and the response curve's own error.
     let common_variance = flicker_variance + scene.photographs.sensor.curve().map_or(0.0, Curve::relative_variance);
     let mut weights = cell_weights(scene, windows.first().map_or(Sampling::WHOLE, Bracket::sampling));

@@ -5,7 +5,7 @@ use super::register::exchanged_pair;
 use super::strangers::low_zeros;
 use crate::capture::{Capture, Pattern, Photograph, Samples};
 use crate::radiance::decode_spread;
-use crate::{CaptureWarning, CheckWarning, ConsistencyWarning, Culprit, Error, Warning};
+use crate::{CaptureWarning, CheckWarning, ConsistencyWarning, Culprit, Error, RadianceWarning, Warning};
 
 /// Shots beside the one that failed whose code values are looked at.
 const LOOKS: usize = 4;
@@ -51,6 +51,45 @@ pub(super) fn in_gray_code(photographs: &Photographs<'_>, error: Error) -> Error
     let cause =
         pair.map(|[shot, inverse]| CheckWarning::GrayPairExchanged { shot: name(shot), inverse: name(inverse) });
     explained(error, cause.map(Warning::from))
+}
+
+/// The error with its likeliest cause in the rig's `[noise]`: photographs contradict each other by more than a noise that is not theirs.
+pub(super) fn in_noise(warnings: &[Warning], error: Error) -> Error {
+    let by_noise = |finding: &Warning| {
+        use ConsistencyWarning as C;
+        matches!(
+            finding,
+            Warning::Consistency(
+                C::PhotographDisagrees { .. }
+                    | C::ExposureTimes { .. }
+                    | C::ResponseCurve { .. }
+                    | C::BrightnessVaries { .. }
+            )
+        )
+    };
+    let is_cause = |w: &&Warning| {
+        matches!(
+            w,
+            Warning::Radiance(RadianceWarning::NoiseDisagrees { .. })
+                | Warning::Consistency(ConsistencyWarning::ChannelGains { .. } | ConsistencyWarning::BlackMoves { .. })
+        )
+    };
+    match &error {
+        // A single photograph is itself the cause.
+        Error::Contradiction { finding }
+            if matches!(
+                **finding,
+                Warning::Consistency(ConsistencyWarning::PhotographDisagrees { photographs: 1, .. })
+            ) =>
+        {
+            error
+        }
+        Error::Contradiction { finding } if by_noise(finding) => {
+            // The black level comes last of the rig's figures and explains most.
+            explained(error, warnings.iter().rev().find(is_cause).cloned())
+        }
+        _ => error,
+    }
 }
 
 fn explained(error: Error, cause: Option<Warning>) -> Error {

@@ -186,7 +186,8 @@ fn measure_all(
     progress: &Progress,
 ) -> Result<(MatrixHeader, BuildReport)> {
     let start = Instant::now();
-    let noise = noise::find(capture)?;
+    let mut noise = noise::find(capture)?;
+    noise.warnings.extend(noise::black_moves(capture, &noise.noise)?);
     let working = resolution::choose(capture, &noise.noise, options, progress)?;
     let found = (noise, working, start);
     let Some(memory_bytes) = options.memory_bytes else { return measure_at(capture, options, found, rows, progress) };
@@ -209,14 +210,16 @@ fn measure_at(
     let left_out = defects.iter().map(|h| [h.at[1], h.at[0], h.at[2]].map(|v| v as u32)).collect();
     let by = Reduction { factor: working.factor, saturation_dn: noise.noise.saturation_dn, left_out };
     let capture = &capture.reduced(&by);
-    let radiometry = radiometry::calibrate(capture, &noise.noise, options, progress)?;
+    let radiometry = radiometry::calibrate(capture, &noise.noise, options, progress)
+        .map_err(|error| likeliest::in_noise(&noise.warnings, error))?;
     let photographs = Photographs::new(full, capture, &radiometry, working.factor);
     // What the photographs say of the noise was said of the stated times.
     let noise = if radiometry.corrected { noise::find(&full.timed(&radiometry.brackets))? } else { noise };
     let stages = Before { noise: &noise, working, defects: &defects, radiometry: &radiometry, start };
     let built = build_rows(&photographs, &stages, options, rows, progress);
     let built = built.map_err(|error| likeliest::in_gray_code(&photographs, error));
-    let ((mut header, mut report), findings) = strangers::with_findings(&photographs, options, built)?;
+    let ((mut header, mut report), findings) = strangers::with_findings(&photographs, options, built)
+        .map_err(|error| likeliest::in_noise(&noise.warnings, error))?;
     header.warnings.extend(findings.iter().cloned());
     report.warnings.extend(findings);
     Ok((header, report))

@@ -329,6 +329,53 @@ fn disagreements(given: &Noise, found: &NoiseEstimate) -> Vec<Warning> {
     }
 }
 
+/// Of the darkest values of the lattice's photographs, the share that is compared with that of the black shot.
+const DARKEST: usize = 20;
+/// A black level that differs by more than this share of the range is told.
+const BLACK_MOVES: f64 = 5e-4;
+
+/// A black level that is another one in the lattice's photographs than in the black shots: the same difference at all exposure times, which light
+/// does not make.
+///
+/// # Errors
+/// Those of decoding.
+pub(super) fn black_moves(capture: &Capture, noise: &Noise) -> Result<Option<Warning>> {
+    let reader = Reader { capture, unit_dn: None };
+    let darkest = |p: &Photograph| -> Result<f64> {
+        let mut values = match reader.decode(p)?.0 {
+            Samples::U8(v) => v.into_iter().map(f64::from).collect::<Vec<_>>(),
+            Samples::U16(v) => v.into_iter().map(f64::from).collect(),
+            Samples::F32(v) => v.into_iter().map(f64::from).filter(|v| v.is_finite()).collect(),
+        };
+        let at = values.len() / DARKEST;
+        if values.is_empty() {
+            return Ok(noise.black_dn);
+        }
+        values.select_nth_unstable_by(at, f64::total_cmp);
+        Ok(values[..=at].iter().sum::<f64>() / (at + 1) as f64)
+    };
+    let lattice = capture.shots(|p| matches!(p, Pattern::Lattice { .. }));
+    let (Some(&shot), Some(&black)) =
+        (lattice.get(lattice.len() / 2), capture.shots(|p| matches!(p, Pattern::SampleBlack)).first())
+    else {
+        return Ok(None);
+    };
+    let mut differences: Vec<f64> = Vec::new();
+    for p in &capture.brackets[shot] {
+        let same = |b: &&Photograph| (b.effective_secs / p.effective_secs - 1.0).abs() < 0.01;
+        if let Some(b) = capture.brackets[black].iter().find(same) {
+            differences.push(darkest(p)? - darkest(b)?);
+        }
+    }
+    let least = BLACK_MOVES * (noise.saturation_dn - noise.black_dn);
+    let (Some(&first), Some(&last)) = (differences.first(), differences.last()) else { return Ok(None) };
+    // The shortest exposure has hardly any of the lattice's own stray light; at the longest that only adds.
+    let constant = differences.len() >= 2 && first.abs() > least && (last - first).abs() < first.abs();
+    Ok(constant.then(|| {
+        ConsistencyWarning::BlackMoves { shot: capture.manifest.shots[shot].name.clone(), difference_dn: first }.into()
+    }))
+}
+
 /// Gains of the channels that no single gain explains.
 fn gains_differ(found: &NoiseEstimate) -> Option<Warning> {
     let gains = found.channel_gains?;

@@ -8,7 +8,8 @@ use crate::capture::{
 use crate::progress::Progress;
 use crate::radiance::{
     Bracket, Brightness, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, MOST_FLICKER, Sensor,
-    Stack, decode_spread, disagreements, estimate_curve, evenly, fit_exposures, pick_pixels, stack_scales, take,
+    Stack, StackScales, decode_spread, disagreements, estimate_curve, evenly, fit_exposures, pick_pixels, stack_scales,
+    take,
 };
 use crate::warning::bounds::{REFUSED_SLOPE, REFUSED_TIME, TIME_SIGMA, TIME_TOLERANCE};
 use crate::{ConsistencyWarning, Error, RadianceWarning, Result, Warning};
@@ -55,6 +56,8 @@ const CURVE_TOLERANCE: f64 = 0.15;
 const FLICKER_SIGMA: f64 = 6.0;
 /// Compression scatters the scales of photographs by a tenth of a per cent: only more than this is flicker of the lamp.
 const LEAST_COMPRESSED_FLICKER: f64 = 0.002;
+/// Less than this changes no row by more than a twentieth of a per cent: what else is unknown of it is ten times as much.
+const LEAST_FLICKER: f64 = 0.0005;
 /// How far nominal times are trusted while the curve is estimated (standard deviation of the logarithm): a rounded 1/30 for 1/32 is off by
 /// 6 %, most by less; times that are to be estimated are hardly trusted.
 const NOMINAL_SD: f64 = 0.03;
@@ -135,8 +138,9 @@ pub(super) fn calibrate(
         .par_iter()
         .filter_map(|&s| stack_scales(&[&s.exposures], &sensor, 1).map(|scales| (s, scales)))
         .collect();
-    let mut fit = fit_exposures(&scales, settings.secs.len());
-    fit.flicker_sd = fit.flicker_sd.filter(|sd| !file.is_compressed() || *sd > LEAST_COMPRESSED_FLICKER);
+    let mut fit = fit_settled(scales, settings.secs.len());
+    let least_flicker = if file.is_compressed() { LEAST_COMPRESSED_FLICKER } else { LEAST_FLICKER };
+    fit.flicker_sd = fit.flicker_sd.filter(|sd| *sd > least_flicker);
     if !agree {
         fit.flicker_sd = None;
     }
@@ -154,6 +158,29 @@ pub(super) fn calibrate(
     let record = record(&fit, &settings, file, estimate.as_ref(), options);
     let (noise, flicker_sd) = (noise.clone(), fit.flicker_sd);
     Ok(Radiometry { noise, curve, file, brackets, flicker_sd, log_scales, corrected, warnings, record })
+}
+
+/// The fit of the settings, without single stacks whose times contradict those of most: their photographs are told one by one.
+fn fit_settled(mut stacks: Vec<(&Stack, StackScales)>, settings: usize) -> ExposureFit {
+    let most = stacks.len() / 4;
+    for _ in 0..=most {
+        let fit = fit_exposures(&stacks, settings);
+        let off = |(stack, scales): &(&Stack, StackScales)| {
+            let n = scales.log_scale.len();
+            let left: Vec<f64> = (0..n)
+                .filter(|&j| scales.information[j * n + j] > 100.0)
+                .map(|j| scales.log_scale[j] - fit.log_scale[stack.settings[j]])
+                .collect();
+            let mean = left.iter().sum::<f64>() / left.len().max(1) as f64;
+            left.iter().map(|l| (l - mean).abs()).fold(0.0, f64::max)
+        };
+        let worst = (0..stacks.len()).max_by(|&a, &b| off(&stacks[a]).total_cmp(&off(&stacks[b])));
+        match worst.filter(|&k| off(&stacks[k]) > REFUSED_TIME && stacks.len() > 3) {
+            Some(k) => drop(stacks.remove(k)),
+            None => return fit,
+        }
+    }
+    fit_exposures(&stacks, settings)
 }
 
 /// Whether the photographs of a stack show the same, whatever their brightness.

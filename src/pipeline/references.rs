@@ -7,8 +7,9 @@ use super::register::{Registered, SUM_STEP};
 use crate::capture::Pattern;
 use crate::progress::Progress;
 use crate::radiance::{HotPixel, Radiance, find_hot_pixels, mend};
+use crate::registration::median;
 use crate::response::Irradiance;
-use crate::warning::bounds::{REFUSED_LEVEL, UNEVEN_SHARE};
+use crate::warning::bounds::{BRIGHTEST_BLACK, REFUSED_LEVEL, UNEVEN_SHARE};
 use crate::{ConsistencyWarning, Error, Result, Warning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -69,6 +70,7 @@ pub(super) fn references(
     let (Some(black), Some(mut white), Some(mut ambient)) = (merged.pop(), merged.pop(), merged.pop()) else {
         return Err(Error::internal("three shots merged to fewer"));
     };
+    warnings.extend(exchanged(photographs, registered, [&ambient, &white, &black], shots, options)?);
     let level = white_level(&registered.sums, &white, &black);
     if let Some(Level { mean, sd, .. }) = level {
         let off = (1.0 / mean - 1.0).abs();
@@ -133,6 +135,103 @@ fn white_level(sums: &[Vec<f32>], white: &Radiance, black: &Radiance) -> Option<
     (mean > 0.0).then(|| Level { mean, sd: variance.sqrt(), variance_of_mean: variance / n })
 }
 
+/// Light of the sample under black over that of the white reference under black: no sample is as dark.
+const DARKEST_BLACK: f64 = 0.01;
+/// A reference dot in the black shot of this share of what the white reference has is none of a black pattern.
+const BLACK_DOT: f64 = 0.05;
+
+/// Reference shots that show something else than they should, by their light where the sample lies.
+fn exchanged(
+    photographs: &Photographs<'_>,
+    registered: &Registered,
+    [sample_black, white, black]: [&Radiance; 3],
+    [sample_shot, _, black_shot]: [usize; 3],
+    options: &BuildOptions,
+) -> Result<Option<Warning>> {
+    let size_mm = photographs.capture.manifest.slab.size_mm;
+    let view = &registered.registration.view;
+    let on_sample = |k: usize| {
+        let [x, y] = [k % white.rect.width, k / white.rect.width].map(|v| v as f64);
+        view.slab_from_camera([x, y]).is_some_and(|p| (0..2).all(|a| p[a] > 0.0 && p[a] < size_mm[a]))
+    };
+    let places: Vec<usize> = (0..white.rect.area()).step_by(SUM_STEP).filter(|&k| on_sample(k)).collect();
+    let level = |picture: &Radiance| {
+        let (light, used) = (picture.luminance(), picture.used.as_chunks::<3>().0);
+        let mut seen: Vec<f64> =
+            places.iter().filter(|&&k| !used[k].contains(&0)).map(|&k| f64::from(light[k])).collect();
+        (4 * seen.len() > places.len()).then(|| median(&mut seen))
+    };
+    let name = |shot: usize| photographs.name(shot).to_owned();
+    let refused = |shot: usize, looks: &str, ratio: f64| {
+        options.refuse(ConsistencyWarning::ReferenceLight { shot: name(shot), looks: looks.into(), ratio }).map(Some)
+    };
+    let (light, dark, ambient) = (level(white), level(black), level(sample_black));
+    let Some(light) = light else { return Ok(None) };
+    // What saturates is bright.
+    let of_white = |level: Option<f64>| level.map_or(f64::INFINITY, |l| l / light.max(f64::MIN_POSITIVE));
+    if of_white(dark) > BRIGHTEST_BLACK {
+        return refused(black_shot, "it is lit, or exchanged with the white reference", of_white(dark));
+    }
+    if of_white(ambient) > BRIGHTEST_BLACK {
+        return refused(sample_shot, "it is lit: projector or room were not dark", of_white(ambient));
+    }
+    // A dot of the pattern on the frame, where black has none.
+    let dots = photographs.capture.manifest.reference_dots.iter().flat_map(|r| &r.projector_px);
+    let at_dots: Vec<f64> = dots
+        .filter_map(|&p| {
+            let [x, y] = view.camera_from_slab(registered.registration.slab_from_projector.map(p));
+            let inside =
+                x >= 0.0 && y >= 0.0 && x < white.rect.width as f64 - 0.5 && y < white.rect.height as f64 - 0.5;
+            let k = inside.then(|| y.round() as usize * white.rect.width + x.round() as usize)?;
+            Some(f64::from(sample_black.luminance()[k]) / light)
+        })
+        .collect();
+    if !at_dots.is_empty() && median(&mut at_dots.clone()) > BLACK_DOT {
+        return refused(
+            sample_shot,
+            "it shows reference dots: the projector still had a lattice",
+            median(&mut at_dots.clone()),
+        );
+    }
+    let noise = |picture: &Radiance| {
+        let mut all: Vec<f64> = picture.luminance_variance().iter().step_by(SUM_STEP).map(|v| f64::from(*v)).collect();
+        (median(&mut all) / places.len().max(1) as f64).sqrt()
+    };
+    // A cap lets nothing through that any other black shot has.
+    let (Some(dark), Some(ambient)) = (dark, ambient) else { return Ok(None) };
+    if dark > 10.0 * noise(black) && dark > 0.0 && ambient < DARKEST_BLACK * dark && dark > 10.0 * noise(sample_black) {
+        let looks = "it has no light at all, the other black shot has: was the lens covered?";
+        let finding =
+            ConsistencyWarning::ReferenceLight { shot: name(sample_shot), looks: looks.into(), ratio: ambient / light };
+        return Ok(Some(finding.into()));
+    }
+    Ok(None)
+}
+
+/// A pixel of the white reference that differs by more than this from what Gray-code patterns and their inverses add up to there.
+const UNLIKE_SUM: f32 = 0.1;
+
+/// Share of the sample's place where the white reference is not what the Gray code's light adds up to, all over alike taken out.
+fn unlike_sums(sums: &[Vec<f32>], white: &Radiance, inside: &impl Fn(usize, usize) -> bool) -> f64 {
+    let (light, w) = (white.luminance(), white.rect.width);
+    let brightest = sums.iter().flatten().copied().fold(0.0, f32::max);
+    let mut ratios: Vec<f64> = (0..light.len())
+        .step_by(SUM_STEP)
+        .filter(|&p| inside(p % w, p / w))
+        .filter_map(|p| {
+            let mut all: Vec<f64> = sums.iter().map(|s| f64::from(s[p / SUM_STEP])).collect();
+            let sum = median(&mut all);
+            (sum > f64::from(0.1 * brightest)).then(|| f64::from(light[p]) / sum)
+        })
+        .collect();
+    if sums.len() < 3 || ratios.len() < 30 {
+        return 0.0;
+    }
+    let middle = median(&mut ratios);
+    let off = ratios.iter().filter(|r| (*r / middle - 1.0).abs() > f64::from(UNLIKE_SUM)).count();
+    off as f64 / ratios.len() as f64
+}
+
 /// What is to be told of a white reference, without black, that is not evenly lit where the sample lies.
 fn unevenness(
     photographs: &Photographs<'_>,
@@ -170,7 +269,7 @@ fn unevenness(
     if all < 100 {
         return Ok(None);
     }
-    let share = uneven as f64 / all as f64;
+    let share = (uneven as f64 / all as f64).max(unlike_sums(&registered.sums, white, &inside));
     levels.sort_by(f32::total_cmp);
     let dark = levels[all / 20] < DARKEST * levels[all - 1 - all / 20];
     if share < UNEVEN_SHARE && !dark {

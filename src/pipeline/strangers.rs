@@ -8,6 +8,8 @@ use crate::radiance::decode_spread;
 use crate::warning::bounds::CLIPS_BELOW;
 use crate::{ConsistencyWarning, Error, Result, Warning};
 
+/// So many photographs have to end at the same code.
+const LEAST_CLIPPED: usize = 3;
 /// Of the shots of a kind that have such a photograph, more than this share are a fault of the set-up, not of a photograph.
 const SINGLE_SHARE: f64 = 0.2;
 
@@ -41,9 +43,14 @@ fn clipping(photographs: &Photographs<'_>, options: &BuildOptions) -> Result<Opt
     let given = photographs.capture.rig.noise.as_ref().map_or(f64::INFINITY, |n| n.saturation_dn);
     // The rig's is a little below the largest code itself.
     let below: Vec<_> = piles.iter().filter(|(_, code)| **code < CLIPS_BELOW * given).collect();
-    let Some(&(&[shot, place], &code)) = below.first() else { return Ok(None) };
+    // Equal values of one photograph may be chance where there is no noise; a converter clips all at one code.
+    let alike = |code: f64| below.iter().filter(|(_, c)| **c == code).count();
+    let Some(&(&[shot, place], &code)) = below.iter().max_by_key(|(_, code)| alike(**code)) else { return Ok(None) };
+    if alike(code) < LEAST_CLIPPED || 2 * alike(code) < below.len() {
+        return Ok(None);
+    }
     let file = photographs.capture.name_of(&photographs.brackets[shot][place].path);
-    options.refuse(ConsistencyWarning::ClipsBelow { file, code, given, photographs: below.len() }).map(Some)
+    options.refuse(ConsistencyWarning::ClipsBelow { file, code, given, photographs: alike(code) }).map(Some)
 }
 
 /// What to tell of them.

@@ -38,6 +38,8 @@ const COMPRESSED_TOLERANCE: f32 = 0.25;
 const LEAST_SHARE: f64 = 0.02;
 /// The same as a number of samples: fewer are a defect of the sensor or a cosmic ray.
 const LEAST_SAMPLES: u64 = 30;
+/// Values above black whose rounding is a hundredth of them or less, DN.
+const LEAST_LEVEL_DN: f32 = 50.0;
 /// Ratios of two exposures from which the median is taken, at the most.
 const RATIOS: usize = 4096;
 
@@ -182,11 +184,13 @@ impl Ratio {
 pub(super) fn median_ratio(parts: &[[&Exposure; 2]], sensor: &Sensor, stride: usize) -> Option<Ratio> {
     let top = top(sensor);
     let mut ratios = Vec::new();
+    // Where noise is less than a code value, rounding makes ratios of small values too large or too small, and so does black.
+    let least = if sensor.range() >= 100.0 && !sensor.is_curved() { LEAST_LEVEL_DN } else { 0.0 };
     each(parts, sensor, stride, |c, [y, z], [t, u]| {
         let light = (y + z) / (t + u);
         let sd = |linear: f32| sensor.variance(linear, c).sqrt();
         // Chosen by the light of both, on which a chance high of one hardly acts.
-        if light * t > SIGMA * sd(light * t)
+        if light * t > least + SIGMA * sd(light * t)
             && y > 0.0
             && z > 0.0
             && z < 0.9 * top

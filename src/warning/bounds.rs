@@ -10,14 +10,16 @@ pub(crate) const DOUBT_SD: f64 = 5.0;
 /// A measured time is worth a word when it differs by more than this and by more than so many standard deviations.
 pub(crate) const TIME_TOLERANCE: f64 = 0.005;
 pub(crate) const TIME_SIGMA: f64 = 3.0;
-/// A time that is off by more is none that a camera rounded (1/30 for 1/32 is 6 %): a matrix that rests on it would be wrong.
-pub(crate) const REFUSED_TIME: f64 = 0.15;
+/// A time that is off by a third of a stop (ln 2 / 3) is the next setting, and none that a camera rounded (1/30 for 1/32 is 6 %; shutters are off by an eighth of a stop).
+pub(crate) const REFUSED_TIME: f64 = 0.231;
 /// A slope of ln(actual) over ln(nominal) that is off by more is a response curve: times that are wrong one by one have none.
 pub(crate) const REFUSED_SLOPE: f64 = 0.1;
 /// From this offset of all dots on, projector px, rows would be off by more than any stated uncertainty.
 pub(crate) const REFUSED_PROJECTOR_PX: f64 = 0.5;
 /// The white reference's level over the Gray code's that is off by more is refused: no lamp drifts so far in a session.
 pub(crate) const REFUSED_LEVEL: f64 = 0.1;
+/// Light of a black shot over that of white where the sample lies: a projector's black has a thousandth, a bad one a fiftieth.
+pub(crate) const BRIGHTEST_BLACK: f64 = 0.1;
 /// So many pixels of the white reference that differ from their surroundings are dust; more are a pattern, or something in the way.
 pub(crate) const UNEVEN_SHARE: f64 = 0.03;
 /// Even light that is a larger share of a dot's light in its window is refused.

@@ -1,7 +1,8 @@
 //! What a capture says twice, and not alike: photographs of a stack, patterns and dots, light, references, the rig's figures.
 
 use super::bounds::{
-    CLIPS_BELOW, DOUBT_SD, EVEN_REFUSED, REFUSED_LEVEL, REFUSED_PROJECTOR_PX, REFUSED_SLOPE, REFUSED_TIME, UNEVEN_SHARE,
+    BRIGHTEST_BLACK, CLIPS_BELOW, DOUBT_SD, EVEN_REFUSED, REFUSED_LEVEL, REFUSED_PROJECTOR_PX, REFUSED_SLOPE,
+    REFUSED_TIME, UNEVEN_SHARE,
 };
 use crate::words::count;
 use serde::{Deserialize, Serialize};
@@ -134,6 +135,36 @@ pub enum ConsistencyWarning {
         /// What shows the axes: the shot of board or frame.
         shot: String,
     },
+    /// The lamp's light changes over the sweep; it was corrected to that of the first shots.
+    LampDrifts {
+        /// Light of the last third of the shots over that of the first third, by their reference dots.
+        level: f64,
+        /// How many shots.
+        shots: usize,
+    },
+    /// A reference shot that is bright or dark where it should not be.
+    ReferenceLight {
+        /// Its shot.
+        shot: String,
+        /// What it looks like.
+        looks: String,
+        /// Its light over that of the white reference, where the sample lies.
+        ratio: f64,
+    },
+    /// The black level is another one in the lattice's photographs than in the black shots.
+    BlackMoves {
+        /// The lattice shot that was looked at.
+        shot: String,
+        /// Its black level less that of sample-black, DN, at all exposure times alike.
+        difference_dn: f64,
+    },
+    /// Every lattice shot has some of the light of the one before: a projector or a camera that lags.
+    PatternRemains {
+        /// Light in the place of the dot before, over that of the shot's own dots.
+        share: f64,
+        /// Standard deviation of that.
+        sd: f64,
+    },
     /// The white reference is brighter or darker than each Gray-code pattern and its inverse together.
     WhiteLevel {
         /// Its shot.
@@ -200,7 +231,7 @@ impl fmt::Display for ConsistencyWarning {
                 )?;
                 match settings {
                     1 => Ok(()),
-                    n => write!(f, "; {} off by more than 15 %", count(*n, "time")),
+                    n => write!(f, "; {} off by more than a third of a stop", count(*n, "time")),
                 }
             }
             Self::ExposuresUnmeasured { settings } => write!(
@@ -278,6 +309,26 @@ impl fmt::Display for ConsistencyWarning {
                 f,
                 "the slab's axes are mirrored in the picture of shot \"{shot}\": x to the right must go with y down, as the camera sees the sample; the board is turned by 90°, or its corners or marks are listed in another order"
             ),
+            Self::LampDrifts { level, shots } => write!(
+                f,
+                "the lamp changes over the sweep: the reference dots of the last third of {} have {level:.3} times the light of the first third's; corrected to that of the first, beside which the references were taken",
+                count(*shots, "shot")
+            ),
+            Self::ReferenceLight { shot, looks, ratio } => write!(
+                f,
+                "shot \"{shot}\" has {:.2} % of the white reference's light where the sample lies: {looks}",
+                100.0 * ratio
+            ),
+            Self::BlackMoves { shot, difference_dn } => write!(
+                f,
+                "the black level of shot \"{shot}\" is {difference_dn:+.1} DN from that of sample-black at all exposure times alike: the camera sets its black level (noise.black_dn) by itself"
+            ),
+            Self::PatternRemains { share, sd } => write!(
+                f,
+                "every lattice shot has {:.1} % (± {:.1} %) of a dot's light where the pattern before had its dots: the projector lags, or the shutter opens too early",
+                100.0 * share,
+                100.0 * sd
+            ),
             Self::WhiteLevel { shot, level, level_sd } => write!(
                 f,
                 "the white reference (shot \"{shot}\") has {level:.3} times the light (± {level_sd:.3}) that Gray-code patterns and their inverses have together: the lamp changed, or an exposure time is wrong"
@@ -335,6 +386,12 @@ super::record::catalogue!(ConsistencyWarning {
     Self::BlurChanges { shot: name, .. } => "blur-changes", Warning, Focus, Told, vec![shot(name)], None;
     Self::ChannelGains { gain_sd, .. } => "channel-gains", Warning, Light, Told, vec![field("noise")],
         bound("gains", DOUBT_SD * 2f64.sqrt() * gain_sd, "DN per electron");
+    Self::PatternRemains { .. } => "pattern-remains", Warning, Dots, Accepted, vec![part("projector")], None;
+    Self::LampDrifts { .. } => "lamp-drifts", Warning, Light, Corrected, vec![part("lamp")], None;
+    Self::ReferenceLight { shot: name, ratio, .. } if *ratio > BRIGHTEST_BLACK => "reference-light", Warning, Light, Accepted,
+        vec![shot(name)], bound("ratio", BRIGHTEST_BLACK, "");
+    Self::ReferenceLight { shot: name, .. } => "reference-light", Warning, Light, Told, vec![shot(name)], None;
+    Self::BlackMoves { shot: name, .. } => "black-moves", Warning, Light, Told, vec![shot(name), field("noise.black_dn")], None;
     Self::MirroredSlab { shot: name } => "mirrored-slab", Warning, Registration, Accepted, vec![shot(name)], None;
     Self::WhiteLevel { shot: name, level, .. } if (level - 1.0).abs() > REFUSED_LEVEL => "white-level", Warning, Light, Accepted,
         vec![shot(name), part("lamp")], bound("level - 1", REFUSED_LEVEL, "");

@@ -29,7 +29,8 @@ pub(crate) fn change(capture: &Capture, operation: &Operation, chosen: &[Place],
     let seen = capture.sensitivity();
     for (number, shot) in shots.enumerate() {
         let along = if count > 1 { number as f64 / (count - 1) as f64 } else { 1.0 };
-        for &place in shot {
+        // The longest first: where it is saturated, what the shorter ones show is still as it was photographed.
+        for &place in shot.iter().rev() {
             let light = capture.light(place);
             let [width, height] = capture.read(place).size;
             let pixel = |k: usize| (k / 3 % width, k / 3 / width);
