@@ -8,7 +8,7 @@ use acquire::progress::Progress;
 use acquire::radiance::Curve;
 use acquire::simulate::{CameraCurve, FileFormat, RigCurve, SimulateOptions, SlabMaterial};
 use acquire::transport::MatrixReader;
-use acquire::{RadianceWarning, Warning};
+use acquire::{ConsistencyWarning, Error, RadianceWarning, Warning};
 use common::compare;
 use std::path::Path;
 
@@ -173,12 +173,19 @@ fn an_unknown_response_of_16_bit_files_is_found_to_a_fifth_of_a_percent() {
 #[test]
 fn a_response_that_the_rig_gives_wrong_is_noticed() {
     let (_folder, dir) = common::capture(&SimulateOptions { response_curve: Some(CameraCurve::Film), ..bench() });
-    let (_, report) = build(&dir, ExposureFrom::Exif);
-    assert!(
-        report.warnings.iter().any(|w| matches!(w, Warning::Radiance(RadianceWarning::ExposureRatios { .. }))),
-        "{:?}",
-        report.warnings
-    );
+    let out = dir.with_file_name("matrix.rd.zarr");
+    let mut options = BuildOptions::default();
+    let refused = build_matrix(&dir, &options, &out, &Progress::silent()).unwrap_err();
+    let is_curve = |w: &Warning| matches!(w, Warning::Consistency(ConsistencyWarning::ResponseCurve { .. }));
+    assert!(matches!(&refused, Error::Contradiction { finding } if is_curve(finding)), "{refused}");
+    assert!(!out.exists());
+    // Whoever knows better goes on, and is told.
+    options.accept = vec!["response-curve".into()];
+    match build_matrix(&dir, &options, &out, &Progress::silent()) {
+        Ok(report) => assert!(report.warnings.iter().any(is_curve), "{:?}", report.warnings),
+        Err(Error::Contradiction { finding }) => assert!(!is_curve(&finding), "{finding}"),
+        Err(other) => panic!("{other}"),
+    }
 }
 
 #[test]

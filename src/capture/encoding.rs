@@ -8,7 +8,7 @@ pub(crate) fn stated_encoding(path: &Path) -> Option<String> {
     let file = std::io::BufReader::new(std::fs::File::open(path).ok()?);
     let reader = png::Decoder::new(file).read_info().ok()?;
     let info = reader.info();
-    match (info.srgb, info.source_gamma) {
+    match (info.srgb, info.gama_chunk.or(info.source_gamma)) {
         (Some(_), _) => Some("sRGB".into()),
         (None, Some(gamma)) => {
             let gamma = gamma.into_value();

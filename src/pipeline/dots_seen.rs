@@ -37,8 +37,8 @@ const STEP_SHARE: f64 = 0.4;
 /// So near, in steps of the grid, a dot has to be to the place of another point to be taken for it.
 const NEAR_STEP: f64 = 0.25;
 /// A sample that is seen obliquely shows its dots beside their places, as their light leaves it from below: from no deeper than this many
-/// radii of the half of a row's light (ketchup and chicken of docs/simulation.md: 2).
-const DEEPEST: f64 = 2.5;
+/// radii of the half of a row's light (ketchup of docs/simulation.md: 3).
+const DEEPEST: f64 = 4.0;
 
 impl DotSearch {
     pub(super) fn new(scene: &Scene<'_>) -> Result<Self> {
