@@ -73,6 +73,15 @@ impl Samples {
         }
     }
 
+    /// Shows `see` each code value.
+    pub(crate) fn for_each(&self, mut see: impl FnMut(f64)) {
+        match self {
+            Self::U8(v) => v.iter().for_each(|&c| see(f64::from(c))),
+            Self::U16(v) => v.iter().for_each(|&c| see(f64::from(c))),
+            Self::F32(v) => v.iter().for_each(|&c| see(f64::from(c))),
+        }
+    }
+
     /// Makes these 8-bit code values, which `fill` puts into an empty vector.
     pub(super) fn refill_u8(&mut self, fill: impl FnOnce(&mut Vec<u8>)) {
         let old = if let Self::U8(v) = self { std::mem::take(v) } else { vec![] };

@@ -27,7 +27,7 @@ impl Taken {
         self.settings.as_ref().is_some_and(any)
     }
 
-    /// Whether EXIF tells nothing of use: there is none, or it is the head of a TIFF.
+    /// Whether EXIF tells nothing of use: the file has no EXIF block, or only the tags that every TIFF has.
     fn tells_nothing(&self) -> bool {
         let exposure = self.settings.as_ref().and_then(|s| s.exposure_secs);
         exposure.is_none() && !self.has_settings() && self.taken_secs().is_none()

@@ -9,7 +9,7 @@ use std::path::Path;
 /// One photograph's file, as far as it can be told without decoding.
 pub(super) struct Head {
     pub taken: Taken,
-    /// Size of the file; `None`: there is none.
+    /// Size of the file; `None` for a file that is missing.
     pub bytes: Option<u64>,
     /// What is wrong with it.
     pub finding: Option<CheckWarning>,

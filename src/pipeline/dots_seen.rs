@@ -1,21 +1,23 @@
 //! Whether the dots of every lattice shot are where its pattern puts them: the sample's own dots against the reference dots and the Gray code.
 
 use super::BuildOptions;
-use super::drift::dot_shape;
+use super::drift::{around, dot_shape, half_spacing_px};
 use super::lattice::ShotResult;
 use super::looks::looks;
 use super::scene::{STILL, Scene, overlap, square};
+use crate::capture::Window;
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
-use crate::registration::{Drift, Registration, SampleDots, median};
+use crate::registration::{Drift, Registration, SampleDots, median, scaled_deviation};
+use crate::transport::Row;
 use crate::warning::bounds::REFUSED_PROJECTOR_PX;
 use crate::{ConsistencyWarning, Result, Warning};
 
 /// Where a dot of the sample was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum DotSeen {
-    /// Its core was found, this far (mm) from where pattern, registration and drift put it, with this variance (px²).
-    At { off_mm: Point, variance_px2: f64 },
+    /// Its core was found, this far (mm) from where pattern, registration and drift put it.
+    At { off_mm: Point },
     /// There is no light in its window.
     Dark,
     /// There is light, and no dot's core.
@@ -26,6 +28,9 @@ pub(super) enum DotSeen {
 pub(super) struct DotSearch {
     dots: SampleDots,
     reach_px: f64,
+    pitch_mm: f64,
+    /// The window's cells by their distance from its middle, mm.
+    cells: Vec<(f64, usize)>,
 }
 
 /// The sharpest of the capture's dots lie this near to their places, camera px (docs/accuracy.md, "Geometry"): nearer is not told.
@@ -43,8 +48,13 @@ const DEEPEST: f64 = 4.0;
 impl DotSearch {
     pub(super) fn new(scene: &Scene<'_>) -> Result<Self> {
         let dots = SampleDots { shape: dot_shape(scene)?, dot_radius_px: scene.dot_radius_px() };
-        let half = scene.capture.manifest.window.samples.map(|n| 0.5 * n as f64 * scene.cell_px);
-        Ok(Self { dots, reach_px: half[0].min(half[1]) })
+        let Window { samples: [nx, ny], pitch_mm } = scene.capture.manifest.window;
+        let reach_px = 0.5 * nx.min(ny) as f64 * scene.cell_px;
+        let distance = |k: usize| (k % nx).abs_diff(nx / 2) as f64;
+        let across = |k: usize| (k / nx).abs_diff(ny / 2) as f64;
+        let mut cells: Vec<(f64, usize)> = (0..nx * ny).map(|k| (pitch_mm * distance(k).hypot(across(k)), k)).collect();
+        cells.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Ok(Self { dots, reach_px, pitch_mm, cells })
     }
 
     /// Looks for the dots of a shot around where they should be, to half the way to the next.
@@ -56,61 +66,69 @@ impl DotSearch {
         drift: Option<Drift>,
         windows: &[Bracket],
     ) -> Vec<DotSeen> {
-        let half = scene.shot_spacing(shot).map_or(f64::INFINITY, |s| 0.5 * s * scene.cell_px);
-        let search_px = half.min(self.reach_px);
+        let search_px = half_spacing_px(scene, shot).min(self.reach_px);
         let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
-        let size_px = scene.capture.rig.camera.size_px;
         let look = |(&dot, bracket): (&[usize; 2], &Bracket)| {
             let nominal = scene.nominal_mm(dot);
             let expected = [nominal[0] + moved[0], nominal[1] + moved[1]];
             let reach = search_px + self.dots.shape.radius_px() + 2.0;
-            let near = square(registration.view.camera_from_slab(expected), reach, size_px);
-            let Some(rect) = near.and_then(|near| overlap(near, bracket.rect())) else { return DotSeen::Dark };
-            let picture = scene.picture(bracket, rect, STILL);
+            let Some(picture) = around(scene, registration, bracket, expected, reach) else { return DotSeen::Dark };
             match self.dots.locate(expected, &picture, registration, search_px) {
-                Some(found) => DotSeen::At { off_mm: found.moved_mm, variance_px2: found.variance_px2 },
+                Some(found) => DotSeen::At { off_mm: found.moved_mm },
                 None if is_dark(&picture) => DotSeen::Dark,
                 None => DotSeen::Unclear,
             }
         };
         scene.dots(shot).iter().zip(windows).map(look).collect()
     }
+
+    /// The radius around the middle of a row's window within which half of its light leaves, mm; 0 for no light.
+    pub(super) fn half_light_mm(&self, row: &Row) -> f64 {
+        let light = |k: usize| {
+            let light: f32 = row.response[3 * k..3 * k + 3].iter().sum();
+            f64::from(light).max(0.0)
+        };
+        let half = 0.5 * self.cells.iter().map(|&(_, k)| light(k)).sum::<f64>();
+        let mut sum = 0.0;
+        let found = self.cells.iter().find(|&&(_, k)| {
+            sum += light(k);
+            sum >= half
+        });
+        // A cell's own light is spread over half its width.
+        found.filter(|_| half > 0.0).map_or(0.0, |(r, _)| r.max(0.5 * self.pitch_mm))
+    }
 }
 
-impl DotSearch {
-    /// What remains of the dots of the shot before, one value for each dot of this one that was found and has one near: a medium glows to
-    /// both sides of a dot alike, on the whole.
-    pub(super) fn remains(
-        &self,
-        scene: &Scene<'_>,
-        [shot, before]: [usize; 2],
-        registration: &Registration,
-        (drift, seen): (Option<Drift>, &[DotSeen]),
-        windows: &[Bracket],
-    ) -> Vec<f64> {
-        let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
-        let of = |((&dot, seen), bracket): ((&[usize; 2], &DotSeen), &Bracket)| {
-            let DotSeen::At { off_mm, .. } = seen else { return None };
-            let nominal = scene.nominal_mm(dot);
-            let own = [0, 1].map(|a| nominal[a] + moved[a] + off_mm[a]);
-            let far = |p: &Point| (p[0] - nominal[0]).hypot(p[1] - nominal[1]);
-            let others = scene.dots(before).iter().map(|&d| scene.nominal_mm(d));
-            let near = others.min_by(|p, q| far(p).total_cmp(&far(q)))?;
-            let step = [0, 1].map(|a| near[a] - nominal[a]);
-            // Beside the dot's own core, and nearer than half the way to the shot's next dot.
-            let half = scene.shot_spacing(shot).map_or(f64::INFINITY, |s| 0.5 * s * scene.cell_px) / scene.px_per_mm;
-            if step[0].hypot(step[1]) * scene.px_per_mm < 2.0 * scene.dot_radius_px()
-                || step[0].hypot(step[1]) > 0.8 * half
-            {
-                return None;
-            }
-            let at = |sign: f64| registration.view.camera_from_slab([0, 1].map(|a| own[a] + sign * step[a]));
-            let light = |q: Point| light_at(scene, bracket, q);
-            let (core, there, opposite) = (light(at(0.0))?, light(at(1.0))?, light(at(-1.0))?);
-            (core > 0.0).then(|| (there - opposite) / core)
+/// What remains of the dots of the shot before, one value for each dot of this one that was found and has one near: a medium glows to
+/// both sides of a dot alike, on the whole.
+pub(super) fn remains(
+    scene: &Scene<'_>,
+    [shot, before]: [usize; 2],
+    registration: &Registration,
+    (drift, seen): (Option<Drift>, &[DotSeen]),
+    windows: &[Bracket],
+) -> Vec<f64> {
+    let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
+    // Beside the dot's own core, and nearer than half the way to the shot's next dot.
+    let range_mm = [2.0 * scene.dot_radius_px(), 0.8 * half_spacing_px(scene, shot)].map(|px| px / scene.px_per_mm);
+    let of = |((&dot, seen), bracket): ((&[usize; 2], &DotSeen), &Bracket)| {
+        let DotSeen::At { off_mm } = seen else { return None };
+        let nominal = scene.nominal_mm(dot);
+        let own = [0, 1].map(|a| nominal[a] + moved[a] + off_mm[a]);
+        let far = |p: &Point| (p[0] - nominal[0]).hypot(p[1] - nominal[1]);
+        let others = scene.dots(before).iter().map(|&d| scene.nominal_mm(d));
+        let near = others.min_by(|p, q| far(p).total_cmp(&far(q)))?;
+        if !(range_mm[0]..=range_mm[1]).contains(&far(&near)) {
+            return None;
+        }
+        let light = |sign: f64| {
+            let at = [0, 1].map(|a| own[a] + sign * (near[a] - nominal[a]));
+            light_at(scene, bracket, registration.view.camera_from_slab(at))
         };
-        scene.dots(shot).iter().zip(seen).zip(windows).filter_map(of).collect()
-    }
+        let (core, there, opposite) = (light(0.0)?, light(1.0)?, light(-1.0)?);
+        (core > 0.0).then(|| (there - opposite) / core)
+    };
+    scene.dots(shot).iter().zip(seen).zip(windows).filter_map(of).collect()
 }
 
 /// Mean luminance of three by three pixels, ambient light taken out; `None` outside and where some were not measured.
@@ -168,7 +186,7 @@ impl Common {
             depths.extend(result.lit.iter().map(|l| l.half_light_mm));
             for (at, &dot) in result.seen.iter().zip(scene.dots(shot)) {
                 all += 1;
-                if let DotSeen::At { off_mm, .. } = at {
+                if let DotSeen::At { off_mm } = at {
                     let p = scene.nominal_mm(dot);
                     let tangent = eye_mm.map_or([0.0; 2], |eye| [0, 1].map(|a| (eye[a] - p[a]) / -eye[2]));
                     seen.push((tangent, *off_mm));
@@ -190,7 +208,7 @@ impl Common {
         let depth = (offset_mm[0] * tangent[0] + offset_mm[1] * tangent[1]) / square.max(1e-12);
         let depth = depth.clamp(0.0, DEEPEST * median(&mut depths));
         let unexplained_mm = [0, 1].map(|a| offset_mm[a] - depth * tangent[a]);
-        let spread = [0, 1].map(|a| 1.4826 * middle(&|s| (s.1[a] - offset_mm[a]).abs()));
+        let spread = [0, 1].map(|a| scaled_deviation(seen.iter().map(|s| s.1[a]), offset_mm[a]));
         let sd_mm = scene.registration.position_sd_mm.hypot(spread[0].max(spread[1]) / (seen.len() as f64).sqrt());
         Some(Self { offset_mm, unexplained_mm, sd_mm, found })
     }
@@ -243,9 +261,8 @@ fn lag(results: &[ShotResult], options: &BuildOptions) -> Result<Option<Warning>
         return Ok(None);
     }
     let share = median(&mut all);
-    let spread = 1.4826 * median(&mut all.iter().map(|r| (r - share).abs()).collect::<Vec<_>>());
     // Of the median.
-    let sd = 1.25 * spread / (n as f64).sqrt();
+    let sd = 1.25 * scaled_deviation(all.iter().copied(), share) / (n as f64).sqrt();
     if share < LEAST_LAG.max(SIGMA * sd) {
         return Ok(None);
     }
@@ -275,7 +292,7 @@ fn other_patterns(
     for (k, result) in results.iter().enumerate() {
         let drift = result.drift.map_or([0.0; 2], |d| d.slab_mm);
         let far = |seen: &DotSeen| match seen {
-            DotSeen::At { off_mm, .. } => {
+            DotSeen::At { off_mm } => {
                 let left = common.left(*off_mm);
                 let walked = before.filter(|_| !on_frame).map_or([0.0; 2], |b| [drift[0] - b[0], drift[1] - b[1]]);
                 (left[0] + walked[0]).hypot(left[1] + walked[1]) > STEP_SHARE * step_mm
@@ -316,7 +333,7 @@ fn shown(scene: &Scene<'_>, results: &[ShotResult], common: &Common, lattice: &[
     let dots = results[k].seen.iter().zip(scene.dots(lattice[k]));
     let seen: Vec<Point> = dots
         .filter_map(|(seen, &dot)| match seen {
-            DotSeen::At { off_mm, .. } => {
+            DotSeen::At { off_mm } => {
                 let (p, left) = (scene.nominal_mm(dot), common.left(*off_mm));
                 Some([p[0] + left[0], p[1] + left[1]])
             }

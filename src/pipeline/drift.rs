@@ -138,7 +138,8 @@ fn search_px(scene: &Scene<'_>, shot: usize) -> f64 {
     half_spacing_px(scene, shot).min(scene.drift_search_px())
 }
 
-fn half_spacing_px(scene: &Scene<'_>, shot: usize) -> f64 {
+/// Half the way from a dot of a shot to the next, px.
+pub(super) fn half_spacing_px(scene: &Scene<'_>, shot: usize) -> f64 {
     scene.shot_spacing(shot).map_or(f64::INFINITY, |s| 0.5 * s * scene.cell_px)
 }
 
@@ -149,14 +150,25 @@ fn locate(
     windows: &[Bracket],
     dots: &SampleDots,
 ) -> Vec<Option<Located>> {
-    let (search_px, size_px) = (search_px(scene, shot), scene.capture.rig.camera.size_px);
+    let search_px = search_px(scene, shot);
     let reach = dots.shape.radius_px() + search_px + 2.0;
-    let around = |(&dot, bracket): (&[usize; 2], &Bracket)| {
+    let find = |(&dot, bracket): (&[usize; 2], &Bracket)| {
         let expected = scene.nominal_mm(dot);
-        let near = square(registration.view.camera_from_slab(expected), reach, size_px)?;
-        dots.locate(expected, &scene.picture(bracket, overlap(near, bracket.rect())?, STILL), registration, search_px)
+        dots.locate(expected, &around(scene, registration, bracket, expected, reach)?, registration, search_px)
     };
-    scene.dots(shot).iter().zip(windows).map(around).collect()
+    scene.dots(shot).iter().zip(windows).map(find).collect()
+}
+
+/// What a bracket shows of the square of half side `reach_px` around a place on the slab; `None` when it shows nothing of it.
+pub(super) fn around(
+    scene: &Scene<'_>,
+    registration: &Registration,
+    bracket: &Bracket,
+    at_mm: Point,
+    reach_px: f64,
+) -> Option<Radiance> {
+    let near = square(registration.view.camera_from_slab(at_mm), reach_px, scene.capture.rig.camera.size_px)?;
+    Some(scene.picture(bracket, overlap(near, bracket.rect())?, STILL))
 }
 
 /// Refuses a shot without dots on the frame whose own dots may be each other's neighbours.

@@ -1,15 +1,13 @@
 //! What the shots together say: the header, the warnings, the provenance, the overview.
 
 use super::lattice::{LightCorrections, ShotResult};
-use super::noise::FoundNoise;
-use super::radiometry::Radiometry;
 use super::register::Registered;
 use super::scene::Scene;
-use super::{BuildReport, BuildSecs, CrossTalk, Overview, Working};
+use super::{Before, BuildReport, BuildSecs, CrossTalk, Overview};
 use crate::capture::{Manifest, Pattern};
 use crate::geometry::Point;
 use crate::radiance::HotPixel;
-use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps, median};
+use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps, median, scaled_deviation};
 use crate::transport::{MatrixHeader, ShotRecord};
 use crate::warning::bounds::{LARGEST_ALBEDO, SPREAD_VARIES_PX, STRAY_TOLD, STRONG_BLUR_PX};
 use crate::{
@@ -19,11 +17,7 @@ use std::path::Path;
 
 /// What the stages before the lattice shots found.
 pub(super) struct Stages<'a> {
-    pub noise: &'a FoundNoise,
-    pub working: Working,
-    /// Hot photosites that were left out of the blocks' means.
-    pub defects: &'a [HotPixel],
-    pub radiometry: &'a Radiometry,
+    pub before: &'a Before<'a>,
     pub registered: &'a Registered,
     pub light: &'a LightCorrections,
 }
@@ -37,14 +31,14 @@ pub(super) fn summarize(
     secs: BuildSecs,
 ) -> Result<(MatrixHeader, BuildReport)> {
     let capture = scene.capture;
-    let hot: Vec<&HotPixel> = scene.references.hot.iter().chain(found.defects).collect();
+    let hot: Vec<&HotPixel> = scene.references.hot.iter().chain(found.before.defects).collect();
     let mut header = unmeasured(&capture.manifest);
     // Pixels of the photographs in one of the working resolution.
-    let full = found.working.factor as f64;
+    let full = found.before.working.factor as f64;
     let mut warnings: Vec<Warning> = capture.warnings.iter().cloned().map(Warning::from).collect();
     warnings.extend(found.registered.warnings.iter().cloned());
-    warnings.extend(found.noise.warnings.iter().cloned());
-    warnings.extend(found.radiometry.warnings.iter().cloned());
+    warnings.extend(found.before.noise.warnings.iter().cloned());
+    warnings.extend(found.before.radiometry.warnings.iter().cloned());
     if !hot.is_empty() {
         let stuck = hot.iter().filter(|h| h.excess.is_none()).count();
         let strongest = hot.iter().filter_map(|h| h.excess).map(f64::from).fold(0.0, f64::max);
@@ -114,12 +108,12 @@ pub(super) fn summarize(
     header.warnings = warnings.clone();
     let report = BuildReport {
         registration: scene.registration.clone(),
-        noise: found.noise.noise.clone(),
+        noise: found.before.noise.noise.clone(),
         sensor: scene.photographs.sensor.clone(),
         shots: header.shots.clone(),
         crosstalk,
         warnings,
-        working: found.working,
+        working: found.before.working,
         drift_followed_px: full * scene.drift_followed_px(),
         photographs: capture.photographs(),
         points: header.points,
@@ -189,7 +183,7 @@ fn provenance(
     let capture = scene.capture;
     let hash_file =
         |p: &Path| Ok::<_, Error>(blake3::hash(&std::fs::read(p).map_err(Error::io("read", p))?).to_string());
-    let found = stages.noise;
+    let found = stages.before.noise;
     let noise = serde_json::json!({
         "used": found.noise,
         "source": if found.from_rig { "rig.toml" } else { "photographs" },
@@ -204,8 +198,8 @@ fn provenance(
         "rig_toml_blake3": hash_file(&capture.rig_path)?,
         "photographs_blake3": scene.photographs.hash()?.to_string(),
         "noise": noise,
-        "working_resolution": stages.working,
-        "radiometry": stages.radiometry.record,
+        "working_resolution": stages.before.working,
+        "radiometry": stages.before.radiometry.record,
         "flicker": stages.light.flicker.record(flicker_variance),
         "registration": registration,
         "stray_light": serde_json::to_value(&stages.light.stray).map_err(Error::internal)?,
@@ -315,7 +309,7 @@ fn reference_dots(results: &[ShotResult], header: &MatrixHeader) -> Vec<Consiste
     }
     let mut spreads: Vec<f64> = results.iter().filter_map(|r| r.dots_show.spread_px2).collect();
     let middle = median(&mut spreads);
-    let deviation = 1.4826 * median(&mut spreads.iter().map(|s| (s - middle).abs()).collect::<Vec<_>>());
+    let deviation = scaled_deviation(spreads.iter().copied(), middle);
     let limit = middle + (WIDER * middle).max(SPREAD_SIGMA * deviation);
     let wide = all(&|r| r.dots_show.spread_px2.is_some_and(|s| s > limit));
     let widest = wide.iter().filter_map(|&k| results[k].dots_show.spread_px2).fold(0.0, f64::max);

@@ -7,12 +7,10 @@
 //!   as a whole where a shot is off by more than that;
 //! - the white reference against the Gray-code shots, each of which adds up with its inverse to the same white (`references.rs`).
 
-use super::scene::{STILL, Scene};
-use crate::capture::Rect;
+use super::reference_dots::{DotLight, DotsShow, Level, reference_light};
+use super::scene::Scene;
 use crate::cholesky::solve;
-use crate::geometry::Point;
-use crate::radiance::{Bracket, Radiance, Sensor, evenly, stack_scales};
-use crate::registration::{measure_drift, median};
+use crate::radiance::{Bracket, Sensor, evenly, stack_scales};
 use crate::{RadianceWarning, Result};
 use rayon::prelude::*;
 
@@ -25,22 +23,6 @@ pub(super) struct Flicker {
     /// Relative variance that remains in the white reference.
     white_variance: f64,
 }
-
-/// The light of the reference dots, over some shots.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-struct Level {
-    /// Mean light of each dot and channel; `None` where it was not measured.
-    mean: Vec<Option<f64>>,
-    /// Variance of a shot's level about the mean, beyond that of its measurement.
-    variance: f64,
-    /// Variance of the mean itself.
-    mean_variance: f64,
-    /// The last shots' light over the first ones', where the lamp changes over the sweep; the mean is that of the first then.
-    drift: Option<f64>,
-}
-
-/// Light of each reference dot and channel in one shot with its variance, `None` where no exposure measured it.
-type DotLight = Vec<Option<[f64; 2]>>;
 
 /// Lattice shots whose reference dots make the mean. Their own flicker is in it: a sixth of a shot's.
 const SHOTS: usize = 36;
@@ -57,26 +39,6 @@ pub(super) struct Steadied {
     /// What the reference dots show besides.
     pub dots: DotsShow,
 }
-
-/// What the reference dots of a shot show besides the lamp's level.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct DotsShow {
-    /// How many of them have another light than the others say.
-    pub strange: usize,
-    /// Light of R, G, B over that of most shots, where the channels differ.
-    pub colour: Option<[f64; 3]>,
-    /// Mean square distance of their light from their middle, px².
-    pub spread_px2: Option<f64>,
-}
-
-/// A shot's light that is off by more standard deviations than this of what shots differ by, and by this share, is another level of the lamp.
-const LAMP_SIGMA: f64 = 6.0;
-const LEAST_LAMP: f64 = 0.01;
-
-/// A reference dot that is off by more than this share and by `LAMP_SIGMA` from what the others of its shot say is covered, or dirty.
-const STRANGE_DOT: f64 = 0.1;
-/// Channels that differ by more than this share and by `LAMP_SIGMA` are of another white balance or order.
-const LEAST_COLOUR: f64 = 0.03;
 
 /// A photograph that is off by more than this many standard deviations of the flicker is off by something else.
 const FLICKER_SIGMA: f64 = 5.0;
@@ -122,7 +84,6 @@ impl Flicker {
         for bracket in references.iter_mut().chain(windows) {
             bracket.scale_secs(&vec![found.log_level.exp(); bracket.exposures().len()]);
         }
-        let own = if found.log_level == 0.0 { common + own } else { own };
         let lamp = found.is_lamp.then(|| [found.log_level.exp(), found.variance.sqrt()]);
         Steadied { variance: found.variance + own + self.white_variance, lamp, dots }
     }
@@ -130,10 +91,10 @@ impl Flicker {
     /// Corrects the times of a stack's photographs against each other. Returns the relative variances that remain: one that all have in
     /// common, and the mean of what each has besides.
     fn steady_stack(&self, sensor: &Sensor, brackets: Vec<&mut Bracket>) -> [f64; 2] {
+        let Some(sd) = self.sd else { return [0.0; 2] };
         let samples: usize = brackets.iter().map(|b| 3 * b.rect().area()).sum();
         let parts: Vec<_> = brackets.iter().map(|b| b.exposures()).collect();
         let n = parts.first().map_or(1, |p| p.len());
-        let Some(sd) = self.sd else { return [0.0; 2] };
         let prior = sd * sd;
         let untouched = [prior / n as f64, prior * (1.0 - 1.0 / n as f64)];
         let scales = stack_scales(&parts, sensor, samples.div_ceil(SAMPLES));
@@ -183,196 +144,6 @@ fn shrink(log_scale: &[f64], information: &[f64], prior: f64) -> Option<(Vec<f64
     Some((mean, covariance.concat()))
 }
 
-/// What is taken out of a shot.
-struct Scale {
-    log_level: f64,
-    /// Variance that remains.
-    variance: f64,
-    /// Whether it is another level of the lamp, and no flicker.
-    is_lamp: bool,
-}
-
-impl Level {
-    /// Medians over shots, so that a few that were lit otherwise do not count. `None` with fewer than four shots.
-    fn of(lights: &[DotLight]) -> Option<Self> {
-        let shots = lights.len();
-        let mean: Vec<Option<f64>> = (0..lights.first()?.len())
-            .map(|k| {
-                let mut all: Vec<f64> = lights.iter().filter_map(|l| l[k]).map(|[light, _]| light).collect();
-                // A dot that some shots do not measure would give them another mean.
-                (all.len() == shots).then(|| median(&mut all)).filter(|m| *m > 0.0)
-            })
-            .collect();
-        let mut level = Self { mean, variance: 0.0, mean_variance: 0.0, drift: None };
-        let found: Vec<(f64, f64)> = lights.iter().filter_map(|l| level.measured(l)).collect();
-        if found.len() < 4 {
-            return None;
-        }
-        // A lamp that warms up or steps: the references were taken beside the first shots.
-        let third = found.len() / 3;
-        let level_of = |shots: &[(f64, f64)]| median(&mut shots.iter().map(|f| f.0).collect::<Vec<_>>());
-        let (first, last) = (level_of(&found[..third.max(1)]), level_of(&found[found.len() - third.max(1)..]));
-        let (rough, steady) = (spread_within(&found), 1.0 + first);
-        if (last - first).abs() > LEAST_LAMP.max(LAMP_SIGMA * rough) && steady > 0.0 {
-            level.mean.iter_mut().flatten().for_each(|m| *m *= steady);
-            // All that shots differ by is the lamp's.
-            (level.variance, level.mean_variance) = ((last - first).powi(2).max(1e-4), rough * rough);
-            level.drift = Some((1.0 + last) / steady);
-            return Some(level);
-        }
-        let scale = 1.4826 * median(&mut found.iter().map(|f| f.0.abs()).collect::<Vec<_>>());
-        let noise = found.iter().map(|(_, variance)| variance).sum::<f64>() / found.len() as f64;
-        let usual = LAMP_SIGMA * scale.max(noise.sqrt());
-        let kept: Vec<f64> = found.iter().map(|f| f.0).filter(|l| l.abs() <= usual).collect();
-        let n = kept.len() as f64;
-        let spread = kept.iter().map(|level| level * level).sum::<f64>() / (n - 1.0);
-        // Significant: the spread of n shots is known to √(2/n) of itself.
-        let excess = spread - noise;
-        level.variance = if excess > 3.0 * noise * (2.0 / n).sqrt() { excess } else { 0.0 };
-        level.mean_variance = spread / n;
-        Some(level)
-    }
-
-    /// A shot's light over the mean less one, and its variance; dots that the others contradict do not count.
-    fn measured(&self, light: &DotLight) -> Option<(f64, f64)> {
-        let all = self.ratios(light);
-        let middle = median(&mut all.iter().flatten().map(|r| r.0).collect::<Vec<_>>());
-        mean(all.into_iter().flatten().filter(|r| !is_strange(*r, middle)))
-    }
-
-    /// Light of each dot and channel over the mean less one with its variance, `None` where it was not measured.
-    fn ratios(&self, light: &DotLight) -> Vec<Option<(f64, f64)>> {
-        let ratio = |(mean, light): (&Option<f64>, &Option<[f64; 2]>)| {
-            let (mean, [light, variance]) = ((*mean)?, (*light)?);
-            Some((light / mean - 1.0, variance.max(1e-12 * mean * mean) / (mean * mean)))
-        };
-        self.mean.iter().zip(light).map(ratio).collect()
-    }
-
-    /// How many dots are off from what the others of the shot say, in all channels that were measured.
-    fn strange(&self, light: &DotLight) -> usize {
-        let all = self.ratios(light);
-        let middle = median(&mut all.iter().flatten().map(|r| r.0).collect::<Vec<_>>());
-        let off = |dot: &&[Option<(f64, f64)>]| {
-            dot.iter().any(Option::is_some) && dot.iter().flatten().all(|r| is_strange(*r, middle))
-        };
-        all.chunks(3).filter(off).count()
-    }
-
-    /// Light of the channels over the mean, where they differ.
-    fn colour(&self, light: &DotLight) -> Option<[f64; 3]> {
-        let all = self.ratios(light);
-        let middle = |c: usize| median(&mut all.iter().skip(c).step_by(3).flatten().map(|r| r.0).collect::<Vec<_>>());
-        let channel = |c: usize| {
-            let own = all.iter().skip(c).step_by(3).flatten().copied();
-            mean(own.filter(|r| !is_strange(*r, middle(c))))
-        };
-        let [r, g, b] = [channel(0)?, channel(1)?, channel(2)?];
-        let differ =
-            |a: (f64, f64), b: (f64, f64)| (a.0 - b.0).abs() > LEAST_COLOUR.max(LAMP_SIGMA * (a.1 + b.1).sqrt());
-        (differ(r, g) || differ(g, b) || differ(r, b)).then_some([1.0 + r.0, 1.0 + g.0, 1.0 + b.0])
-    }
-
-    /// The level of a shot: all of it where it is none of what shots usually differ by, else drawn towards none; `None` where shots do not differ.
-    fn scale_of(&self, light: &DotLight) -> Option<Scale> {
-        let (level, variance) = self.measured(light)?;
-        let usual = (self.variance + variance + self.mean_variance).sqrt();
-        if self.drift.is_none() && level.abs() > (LAMP_SIGMA * usual).max(LEAST_LAMP) && level > -1.0 {
-            return Some(Scale { log_level: level.ln_1p(), variance: variance + self.mean_variance, is_lamp: true });
-        }
-        if self.variance == 0.0 {
-            return None;
-        }
-        let share = self.variance / (self.variance + variance);
-        Some(Scale { log_level: share * level, variance: share * variance + self.mean_variance, is_lamp: false })
-    }
-}
-
-/// How far shots differ from the one before, as a standard deviation of each: what a slow change does not make.
-fn spread_within(shots: &[(f64, f64)]) -> f64 {
-    let mut steps: Vec<f64> = shots.windows(2).map(|w| (w[1].0 - w[0].0).abs()).collect();
-    1.4826 * median(&mut steps) / 2f64.sqrt()
-}
-
-/// Whether a dot's light is not the others'
-fn is_strange((ratio, variance): (f64, f64), middle: f64) -> bool {
-    (ratio - middle).abs() > (STRANGE_DOT * (1.0 + middle)).max(LAMP_SIGMA * variance.sqrt())
-}
-
-/// Mean by inverse variances, and its variance; `None` for nothing.
-fn mean(ratios: impl Iterator<Item = (f64, f64)>) -> Option<(f64, f64)> {
-    let (top, bottom) = ratios.fold((0.0, 0.0), |(top, bottom), (r, v)| (top + r / v, bottom + 1.0 / v));
-    (bottom > 0.0).then(|| (top / bottom, 1.0 / bottom))
-}
-
-/// Light of the reference dots where the drift has put them, and the mean square distance of it from their middles, px².
-fn reference_light(scene: &Scene<'_>, seen: &[Bracket]) -> Option<(DotLight, Option<f64>)> {
-    let pictures: Vec<(Point, Radiance)> =
-        scene.reference_mm().into_iter().zip(seen).map(|(p, b)| (p, scene.picture(b, b.rect(), STILL))).collect();
-    let moved = measure_drift(&pictures, scene.registration, scene.dot_radius_px())?.slab_mm;
-    let reach = scene.dot_radius_px() + 2.0;
-    let light = |(p, picture): &(Point, Radiance)| {
-        let at = scene.registration.view.camera_from_slab([p[0] + moved[0], p[1] + moved[1]]);
-        light_around(scene, picture, at, reach)
-    };
-    let mut spreads: Vec<f64> = pictures
-        .iter()
-        .filter_map(|(p, picture)| {
-            let at = scene.registration.view.camera_from_slab([p[0] + moved[0], p[1] + moved[1]]);
-            spread_around(picture, at, reach)
-        })
-        .collect();
-    let spread = (2 * spreads.len() > pictures.len()).then(|| median(&mut spreads));
-    Some((pictures.iter().flat_map(light).collect(), spread))
-}
-
-/// Mean square distance of the light within `reach` of a dot's middle from it, px²; `None` where some of it was not measured.
-fn spread_around(picture: &Radiance, at: Point, reach: f64) -> Option<f64> {
-    let Rect { x, y, width, .. } = picture.rect;
-    let light = picture.luminance();
-    let (mut sum, mut square) = (0.0, 0.0);
-    for (k, (v, used)) in light.iter().zip(picture.used.as_chunks::<3>().0).enumerate() {
-        let r = ((x + k % width) as f64 - at[0]).hypot((y + k / width) as f64 - at[1]);
-        if r <= reach {
-            if used.contains(&0) {
-                return None;
-            }
-            (sum, square) = (sum + f64::from(*v), square + f64::from(*v) * r * r);
-        }
-    }
-    (sum > 0.0).then(|| square / sum)
-}
-
-/// Light within a square of half side `reach`, its border pixels by their share, so that it does not jump when a dot moves.
-fn light_around(scene: &Scene<'_>, picture: &Radiance, at: Point, reach: f64) -> [Option<[f64; 2]>; 3] {
-    let Rect { x, y, width, height } = picture.rect;
-    let mut sum = [Some([0.0; 2]); 3];
-    let share = |pixel: usize, center: f64| (reach + 0.5 - (pixel as f64 - center).abs()).clamp(0.0, 1.0);
-    let inside = |a: usize, first: usize, size: usize| {
-        at[a] - reach >= first as f64 && at[a] + reach <= (first + size - 1) as f64
-    };
-    if !inside(0, x, width) || !inside(1, y, height) {
-        return [None; 3];
-    }
-    for py in y..y + height {
-        for px in x..x + width {
-            let share = share(px, at[0]) * share(py, at[1]);
-            if share == 0.0 {
-                continue;
-            }
-            let weight = share * f64::from(scene.references.irradiance.sensitivity().inverse_at(px, py));
-            let k = picture.at(px, py);
-            for (c, sum) in sum.iter_mut().enumerate() {
-                *sum = sum.filter(|_| picture.used[k + c] > 0).map(|[light, variance]| {
-                    let value = f64::from(picture.value[k + c]);
-                    [light + weight * value, variance + weight * weight * f64::from(picture.variance[k + c])]
-                });
-            }
-        }
-    }
-    sum
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -395,55 +166,5 @@ mod tests {
         let (mean, covariance) = shrink(&[0.05, 0.01], &[3e4, 0.0, 0.0, 1e3], prior).unwrap();
         assert!((mean[0] - 0.05 * 0.75).abs() < 1e-12 && (mean[1] - 0.01 / 11.0).abs() < 1e-12);
         assert!((covariance[0] - 1.0 / 4e4).abs() < 1e-12 && (covariance[3] - 1.0 / 1.1e4).abs() < 1e-12);
-    }
-
-    /// Two dots in three channels, one of them not measured in green, at `level` of their mean.
-    fn light(level: f64, variance: f64) -> DotLight {
-        let of = |mean: f64| Some([mean * (1.0 + level), variance * mean * mean]);
-        vec![of(100.0), of(250.0), of(40.0), of(900.0), None, of(60.0)]
-    }
-
-    #[test]
-    fn a_shots_level_is_the_mean_over_dots_and_channels_by_their_relative_variances() {
-        let mean = vec![Some(100.0), Some(200.0), None, Some(10.0)];
-        let level = Level { mean, variance: 4e-4, mean_variance: 1e-5, drift: None };
-        // Relative: 0.02 ± 0.01, 0.05 ± 0.02; the third has no mean, the last no light.
-        let seen = vec![Some([102.0, 1.0]), Some([210.0, 16.0]), Some([7.0, 1e-9]), None];
-        let (weights, total) = ([1e4, 2500.0], 12_500.0);
-        let expected = (weights[0] * 0.02 + weights[1] * 0.05) / total;
-        let (found, variance) = level.measured(&seen).unwrap();
-        // f64.
-        assert!((found - expected).abs() < 1e-12 && (variance * total - 1.0).abs() < 1e-12, "{found} {variance}");
-        // Drawn towards none by its own variance of 8e-5 against that of shots, 4e-4.
-        let found = level.scale_of(&seen).unwrap();
-        let share = 4e-4 / (4e-4 + 8e-5);
-        assert!((found.log_level - share * expected).abs() < 1e-12 && !found.is_lamp);
-        assert!((found.variance - (share * 8e-5 + 1e-5)).abs() < 1e-12);
-        assert!(level.measured(&vec![None; 4]).is_none());
-        // A light without any noise does not rule alone for ever: 1e-12 of itself is left to it.
-        let (_, variance) = level.measured(&vec![Some([100.0, 0.0]), None, None, None]).unwrap();
-        assert!((variance - 1e-12).abs() < 1e-18);
-    }
-
-    #[test]
-    fn the_level_of_shots_varies_by_what_their_measurement_does_not_explain() {
-        let levels = [0.03, -0.01, 0.02, -0.04, 0.01, -0.01];
-        let level = Level::of(&levels.map(|l| light(l, 5e-5))).unwrap();
-        let expected = [Some(100.0), Some(250.0), Some(40.0), Some(900.0), None, Some(60.0)];
-        for (found, expected) in level.mean.iter().zip(expected) {
-            assert_eq!(found.is_some(), expected.is_some());
-            // The levels add up to none.
-            assert!(found.zip(expected).is_none_or(|(f, e)| (f / e - 1.0).abs() < 1e-9));
-        }
-        // Σ level² / 5, less a fifth (five lights of one shot) of their variance; a sixth of the spread is the mean's.
-        let spread = (9.0 + 1.0 + 4.0 + 16.0 + 1.0 + 1.0) * 1e-4 / 5.0;
-        assert!((level.variance - (spread - 1e-5)).abs() < 1e-9, "{}", level.variance);
-        assert!((level.mean_variance - spread / 6.0).abs() < 1e-9);
-        // Noise that explains it: 6.4e-4 against 2e-4 and 3 · 2e-4 · √(2/6).
-        assert_eq!(Level::of(&levels.map(|l| light(l, 1.5e-3))).unwrap().variance, 0.0);
-        assert!(Level::of(&levels.map(|l| light(l, 1.0e-3))).unwrap().variance > 0.0);
-        // Too few shots, and none.
-        assert!(Level::of(&levels.map(|l| light(l, 5e-5))[..3]).is_none());
-        assert!(Level::of(&[]).is_none());
     }
 }

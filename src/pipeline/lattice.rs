@@ -1,9 +1,10 @@
 //! The lattice shots: drift, windows, rows.
 
-use super::dots_seen::{DotSearch, DotSeen};
+use super::dots_seen::{DotSearch, DotSeen, remains};
 use super::drift::Movements;
-use super::flicker::{DotsShow, Flicker, Steadied};
-use super::scene::{STILL, Scene, grown, overlap};
+use super::flicker::{Flicker, Steadied};
+use super::reference_dots::DotsShow;
+use super::scene::{STILL, Scene, grown, on_slab, overlap};
 use super::sink::RowSink;
 use crate::capture::{Sampling, Window};
 use crate::geometry::Point;
@@ -61,7 +62,7 @@ pub(super) fn check_dots(scene: &Scene<'_>) -> Result<()> {
     for shot in scene.lattice() {
         for &dot in scene.dots(shot) {
             let at = scene.nominal_mm(dot);
-            if !(0..2).all(|a| at[a] >= 0.0 && at[a] <= size[a]) {
+            if !on_slab(at, size, 0.0) {
                 return Err(Error::DotOutsideSlab {
                     path: scene.capture.manifest_path(),
                     shot: scene.capture.manifest.shots[shot].name.clone(),
@@ -90,17 +91,19 @@ pub(super) fn extract(
     let shots = scene.lattice();
     let photographs = shots.iter().map(|&s| scene.photographs.brackets[s].len()).sum();
     let stage = progress.stage("extract", photographs);
+    let before = |k: usize| k.checked_sub(1).map(|k| shots[k]);
     let mut results: Vec<ShotResult> = shots
         .par_iter()
+        .enumerate()
         .with_max_len(1)
-        .map(|&shot| {
-            let result = extract_shot(scene, light, shot, movements, Camera::Measured, search, rows)?;
+        .map(|(k, &shot)| {
+            let result = extract_shot(scene, light, (shot, before(k)), movements, Camera::Measured, search, rows)?;
             stage.advance(scene.photographs.brackets[shot].len());
             Ok(result)
         })
         .collect::<Result<_>>()?;
     for k in unlikely_movements(&results) {
-        results[k] = extract_shot(scene, light, shots[k], movements, Camera::Still, search, rows)?;
+        results[k] = extract_shot(scene, light, (shots[k], before(k)), movements, Camera::Still, search, rows)?;
     }
     Ok(results)
 }
@@ -149,7 +152,7 @@ fn unlikely_movements(results: &[ShotResult]) -> Vec<usize> {
 fn extract_shot(
     scene: &Scene<'_>,
     light: &LightCorrections,
-    shot: usize,
+    (shot, before): (usize, Option<usize>),
     movements: &Movements,
     believed: Camera,
     search: &DotSearch,
@@ -178,9 +181,7 @@ fn extract_shot(
     let drift = movements.drift(scene, shot, registration, &references_seen, &windows)?;
     let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
     let seen = search.look(scene, shot, registration, drift, &windows);
-    let lattice = scene.lattice();
-    let before = lattice.iter().position(|&s| s == shot).and_then(|k| lattice.get(k.checked_sub(1)?).copied());
-    let remains = before.map_or(vec![], |b| search.remains(scene, [shot, b], registration, (drift, &seen), &windows));
+    let remains = before.map_or(vec![], |b| remains(scene, [shot, b], registration, (drift, &seen), &windows));
 
     let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance, lamp, dots_show, seen, remains };
     // What all samples of a row have in common: the lamp, and the response curve's own error.
@@ -222,7 +223,7 @@ fn extract_shot(
         scene.check_peak(shot, dot, center, &picture)?;
         rows.put(manifest.grid.row_index(dot), &row)?;
         let albedo = albedo(&row, &manifest.window);
-        let half_light_mm = half_light_mm(&row, &manifest.window);
+        let half_light_mm = search.half_light_mm(&row);
         result.lit.push(LitPoint { dot, center_mm: center, flux: lit.flux.value, findings, albedo, half_light_mm });
     }
     Ok(result)
@@ -257,28 +258,6 @@ fn lit_dot(scene: &Scene<'_>, shot: usize, dot: [usize; 2], center: Point, drift
 pub(super) fn albedo(row: &Row, window: &Window) -> f64 {
     let sums = (0..3).map(|c| row.response.iter().skip(c).step_by(3).map(|&r| f64::from(r)).sum::<f64>());
     sums.fold(0.0, f64::max) * window.pitch_mm.powi(2)
-}
-
-/// The radius around the middle of a row's window within which half of its light leaves, mm; 0 for no light.
-fn half_light_mm(row: &Row, window: &Window) -> f64 {
-    let [nx, ny] = window.samples;
-    let mut cells: Vec<(f64, f64)> = (0..nx * ny)
-        .map(|k| {
-            let d = [k % nx, k / nx].map(|v| v as f64);
-            let r = (d[0] - (nx / 2) as f64).hypot(d[1] - (ny / 2) as f64);
-            let light: f32 = row.response[3 * k..3 * k + 3].iter().sum();
-            (r * window.pitch_mm, f64::from(light).max(0.0))
-        })
-        .collect();
-    cells.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * cells.iter().map(|c| c.1).sum::<f64>();
-    let mut sum = 0.0;
-    // A cell's own light is spread over half its width.
-    let found = cells.iter().find(|(_, light)| {
-        sum += light;
-        sum >= half
-    });
-    found.filter(|_| half > 0.0).map_or(0.0, |(r, _)| r.max(0.5 * window.pitch_mm))
 }
 
 #[cfg(test)]

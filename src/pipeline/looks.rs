@@ -32,11 +32,7 @@ pub(super) fn looks(
     let mut candidates: Vec<(f64, String)> = Vec::new();
     for near in [shot.checked_sub(1), Some(shot + 1)].into_iter().flatten() {
         if near < photographs.brackets.len() {
-            let picture = Picture::new(&photographs.merge_some(near, |_| true)?, &levels);
-            candidates.push((
-                seen.correlation(|x, y| picture.at(x, y)),
-                format!("it shows shot \"{}\"", photographs.name(near)),
-            ));
+            candidates.push(seen.as_shot(photographs, near, &levels)?);
         }
     }
     let mut push = |r: f64, words: &str| candidates.push((r, words.to_owned()));
@@ -50,8 +46,7 @@ pub(super) fn looks(
     if let Some((r, (dx, dy))) = best {
         candidates.push((r - MOVED_GAIN, format!("it has moved by about {dx}, {dy} px")));
     }
-    let best = candidates.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
-    Ok(best.filter(|b| b.0 > SAME).map(|b| b.1))
+    Ok(likeliest(candidates))
 }
 
 /// Which of some shots a picture shows, if any: the one that agrees best in the logarithm of its light.
@@ -61,15 +56,13 @@ pub(super) fn looks(
 pub(super) fn shown_shot(photographs: &Photographs<'_>, own: &Radiance, shots: &[usize]) -> Result<Option<String>> {
     let Some(levels) = Levels::of(own) else { return Ok(None) };
     let seen = Picture::new(own, &levels);
-    let mut best = (SAME, None);
-    for &shot in shots {
-        let picture = Picture::new(&photographs.merge_some(shot, |_| true)?, &levels);
-        let r = seen.correlation(|x, y| picture.at(x, y));
-        if r > best.0 {
-            best = (r, Some(shot));
-        }
-    }
-    Ok(best.1.map(|shot| format!("it shows shot \"{}\"", photographs.name(shot))))
+    let candidates = shots.iter().map(|&shot| seen.as_shot(photographs, shot, &levels));
+    Ok(likeliest(candidates.collect::<Result<_>>()?))
+}
+
+/// What agrees best, if anything does.
+fn likeliest(candidates: Vec<(f64, String)>) -> Option<String> {
+    candidates.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)).filter(|best| best.0 > SAME).map(|best| best.1)
 }
 
 /// The range of light that a picture shows.
@@ -109,6 +102,13 @@ impl Picture {
             if u.contains(&0) { levels.high.ln() } else { v.clamp(levels.low, levels.high).ln() }
         };
         Self { size: [picture.rect.width as isize, picture.rect.height as isize], light: light.map(log).collect() }
+    }
+
+    /// How well this agrees with what a shot shows, and the words for that.
+    fn as_shot(&self, photographs: &Photographs<'_>, shot: usize, levels: &Levels) -> Result<(f64, String)> {
+        let picture = Self::new(&photographs.merge_some(shot, |_| true)?, levels);
+        let r = self.correlation(|x, y| picture.at(x, y));
+        Ok((r, format!("it shows shot \"{}\"", photographs.name(shot))))
     }
 
     /// Outside, the nearest pixel.

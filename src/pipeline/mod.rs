@@ -4,6 +4,7 @@ mod crosstalk;
 mod defects;
 mod dots_seen;
 mod drift;
+mod exposure_times;
 mod findings;
 mod flicker;
 mod lattice;
@@ -13,6 +14,7 @@ mod memory;
 mod noise;
 mod photographs;
 mod radiometry;
+mod reference_dots;
 mod references;
 mod register;
 mod resolution;
@@ -153,8 +155,7 @@ pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &P
     let stage = progress.stage("write", 1);
     // Here, so that neither a check nor a capture that cannot be built replaces an earlier curve.
     let not_saved = radiometry::save_curve(&capture, &report.sensor).map(Warning::from);
-    header.warnings.extend(not_saved.clone());
-    report.warnings.extend(not_saved);
+    tell(&mut header, &mut report, not_saved.into_iter().collect());
     *rows.header_mut() = header;
     rows.finish()?;
     stage.advance(1);
@@ -220,9 +221,14 @@ fn measure_at(
     let built = built.map_err(|error| likeliest::in_gray_code(&photographs, error));
     let ((mut header, mut report), findings) = strangers::with_findings(&photographs, options, built)
         .map_err(|error| likeliest::in_noise(&noise.warnings, error))?;
+    tell(&mut header, &mut report, findings);
+    Ok((header, report))
+}
+
+/// Adds findings to what was told before.
+fn tell(header: &mut MatrixHeader, report: &mut BuildReport, findings: Vec<Warning>) {
     header.warnings.extend(findings.iter().cloned());
     report.warnings.extend(findings);
-    Ok((header, report))
 }
 
 /// What was found before the first shot was looked at as a picture.
@@ -262,18 +268,10 @@ fn build_rows(
         true => None,
         false => crosstalk::separate(&scene, &mut shots, rows, progress)?,
     };
-    let stages = Stages {
-        noise: before.noise,
-        working: before.working,
-        defects: before.defects,
-        radiometry,
-        registered: &registered,
-        light: &light,
-    };
+    let stages = Stages { before, registered: &registered, light: &light };
     let secs = BuildSecs { once: (prepared - before.start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
     let (mut header, mut report) = findings::summarize(&scene, &stages, &shots, crosstalk, secs)?;
-    header.warnings.extend(seen.iter().cloned());
-    report.warnings.extend(seen);
+    tell(&mut header, &mut report, seen);
     Ok((header, report))
 }
 

@@ -236,15 +236,14 @@ impl Reader<'_> {
     fn histograms(&self) -> Result<[Vec<u32>; 3]> {
         let mut counts = [0, 1, 2].map(|_| vec![0u32; 1 << 16]);
         for photograph in self.brightest() {
-            let mut count = |k: usize, code: f64| {
-                if code.is_finite() {
-                    counts[k % 3][(code.round().max(0.0) as usize).min((1 << 16) - 1)] += 1;
-                }
-            };
-            self.each_row(photograph, |row| match row {
-                Samples::U8(v) => v.iter().enumerate().for_each(|(k, &c)| count(k, f64::from(c))),
-                Samples::U16(v) => v.iter().enumerate().for_each(|(k, &c)| count(k, f64::from(c))),
-                Samples::F32(v) => v.iter().enumerate().for_each(|(k, &c)| count(k, f64::from(c))),
+            self.each_row(photograph, |row| {
+                let mut k = 0;
+                row.for_each(|code| {
+                    if code.is_finite() {
+                        counts[k % 3][(code.round().max(0.0) as usize).min((1 << 16) - 1)] += 1;
+                    }
+                    k += 1;
+                });
             })?;
         }
         Ok(counts)
@@ -279,18 +278,13 @@ fn pairs(capture: &Capture) -> Vec<(&Photograph, &Photograph)> {
 
 /// Sum and number of the code values below `saturation_dn`, and how many are not.
 fn sums(samples: &Samples, saturation_dn: f64) -> (f64, f64, f64) {
-    fn over<T: Copy>(v: &[T], f: impl Fn(T) -> f64, saturation_dn: f64) -> (f64, f64, f64) {
-        let (mut sum, mut n) = (0.0, 0.0);
-        for code in v.iter().map(|&c| f(c)).filter(|&c| c < saturation_dn) {
+    let (mut sum, mut n) = (0.0, 0.0);
+    samples.for_each(|code| {
+        if code < saturation_dn {
             (sum, n) = (sum + code, n + 1.0);
         }
-        (sum, n, v.len() as f64 - n)
-    }
-    match samples {
-        Samples::U8(v) => over(v, f64::from, saturation_dn),
-        Samples::U16(v) => over(v, f64::from, saturation_dn),
-        Samples::F32(v) => over(v, f64::from, saturation_dn),
-    }
+    });
+    (sum, n, samples.len() as f64 - n)
 }
 
 /// Where a rig's figures and the photographs' cannot both be right.
@@ -342,11 +336,8 @@ const BLACK_MOVES: f64 = 5e-4;
 pub(super) fn black_moves(capture: &Capture, noise: &Noise) -> Result<Option<Warning>> {
     let reader = Reader { capture, unit_dn: None };
     let darkest = |p: &Photograph| -> Result<f64> {
-        let mut values = match reader.decode(p)?.0 {
-            Samples::U8(v) => v.into_iter().map(f64::from).collect::<Vec<_>>(),
-            Samples::U16(v) => v.into_iter().map(f64::from).collect(),
-            Samples::F32(v) => v.into_iter().map(f64::from).filter(|v| v.is_finite()).collect(),
-        };
+        let mut values = Vec::new();
+        reader.decode(p)?.0.for_each(|code| values.extend(code.is_finite().then_some(code)));
         let at = values.len() / DARKEST;
         if values.is_empty() {
             return Ok(noise.black_dn);

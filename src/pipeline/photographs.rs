@@ -4,7 +4,8 @@ use super::radiometry::Radiometry;
 use crate::capture::{Camera, Capture, Pattern, Photograph, Rect, Reduction, Samples};
 use crate::geometry::{CameraView, Homography, Lens};
 use crate::radiance::{
-    Bracket, Brightness, Exposure, Radiance, Sensor, decode_shot, disagreements, merge_keeping, merge_shot, pile_up,
+    Bracket, Brightness, Disagreement, Exposure, Radiance, Sensor, decode_shot, disagreements, merge_keeping,
+    merge_shot, pile_up,
 };
 use crate::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,21 +23,11 @@ pub(super) struct Photographs<'a> {
     pub(super) fine: Fine<'a>,
     /// BLAKE3 of every file that was read.
     hashes: Mutex<BTreeMap<PathBuf, blake3::Hash>>,
-    /// Photographs that do not show what the others of their shot show, by shot and place in its bracket: left out from then on.
-    strangers: Mutex<BTreeMap<[usize; 2], Stranger>>,
+    /// Photographs that do not show what the others of their shot show, by shot and place in its bracket: left out from then on, unless
+    /// another one may be the wrong one as well.
+    strangers: Mutex<BTreeMap<[usize; 2], Disagreement>>,
     /// Where the code values of photographs pile up below saturation, DN, by shot and place.
     piles: Mutex<BTreeMap<[usize; 2], f64>>,
-}
-
-/// A photograph that does not show what the others of its shot show.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Stranger {
-    /// The place of another one that may be the stranger as well; neither is left out then.
-    pub(super) or: Option<usize>,
-    /// Share of the samples with light that differ, 0 to 1.
-    pub(super) share: f64,
-    /// How many times as bright as the others it is, where it shows the same.
-    pub(super) factor: Option<f64>,
 }
 
 /// Pixels of a shot in which its photographs are compared.
@@ -170,14 +161,14 @@ impl<'a> Photographs<'a> {
         }
         let mut strangers = self.strangers.lock().map_err(Error::internal)?;
         for d in &found {
-            let stranger = Stranger { or: d.or.map(|k| kept[k]), share: d.share, factor: d.factor };
-            strangers.insert([shot, kept[d.photograph]], stranger);
+            let stranger = Disagreement { photograph: kept[d.photograph], or: d.or.map(|k| kept[k]), ..d.clone() };
+            strangers.insert([shot, stranger.photograph], stranger);
         }
         Ok(found.into_iter().filter(|d| d.or.is_none()).map(|d| d.photograph).collect())
     }
 
     /// Photographs that do not show what the others of their shot show, by shot and place in its bracket.
-    pub(super) fn strangers(&self) -> Result<BTreeMap<[usize; 2], Stranger>> {
+    pub(super) fn strangers(&self) -> Result<BTreeMap<[usize; 2], Disagreement>> {
         Ok(self.strangers.lock().map_err(Error::internal)?.clone())
     }
 

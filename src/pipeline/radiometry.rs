@@ -1,18 +1,17 @@
 //! Before any registration: what code values, exposure times and the lamp are really like, from a few of the capture's shots.
 
 use super::BuildOptions;
+use super::exposure_times::{Settings, agrees, fit_settled, judge};
 use crate::capture::{
     Axis, Capture, ExposureFrom, Noise, Pattern, Photograph, ResponseCurve, Samples, Surface, compression_variance,
-    stated_encoding,
 };
 use crate::progress::Progress;
 use crate::radiance::{
-    Bracket, Brightness, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, MOST_FLICKER, Sensor,
-    Stack, StackScales, decode_spread, disagreements, estimate_curve, evenly, fit_exposures, pick_pixels, stack_scales,
-    take,
+    Bracket, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, Sensor, Stack, decode_spread,
+    estimate_curve, evenly, pick_pixels, stack_scales, take,
 };
-use crate::warning::bounds::{REFUSED_SLOPE, REFUSED_TIME, TIME_SIGMA, TIME_TOLERANCE};
-use crate::{ConsistencyWarning, Error, RadianceWarning, Result, Warning};
+use crate::warning::bounds::REFUSED_TIME;
+use crate::{Error, RadianceWarning, Result, Warning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -46,8 +45,6 @@ const LOOKS: [usize; 2] = [8, 16];
 const BITS_PER_AXIS: usize = 6;
 /// Pixels of a light sum, half of them on edges.
 const SUM_PIXELS: usize = 6000;
-/// Compressed dark parts mislead by half a per cent and more: a measured time is worth a word there when it differs by more than this.
-const COMPRESSED_TIME_TOLERANCE: f64 = 0.015;
 /// The brightness of a photograph that is off by more is a mistake, in files in proportion to light and in others. A shutter of a good camera
 /// repeats to a per cent; an unknown curve's error is of some.
 const LINEAR_TOLERANCE: f64 = 0.05;
@@ -140,10 +137,7 @@ pub(super) fn calibrate(
         .collect();
     let mut fit = fit_settled(scales, settings.secs.len());
     let least_flicker = if file.is_compressed() { LEAST_COMPRESSED_FLICKER } else { LEAST_FLICKER };
-    fit.flicker_sd = fit.flicker_sd.filter(|sd| *sd > least_flicker);
-    if !agree {
-        fit.flicker_sd = None;
-    }
+    fit.flicker_sd = fit.flicker_sd.filter(|sd| agree && *sd > least_flicker);
     warnings.extend(judge(&fit, agree, &settings, options, file, capture)?);
     let mut brackets = capture.brackets.clone();
     let mut corrected = false;
@@ -160,35 +154,6 @@ pub(super) fn calibrate(
     Ok(Radiometry { noise, curve, file, brackets, flicker_sd, log_scales, corrected, warnings, record })
 }
 
-/// The fit of the settings, without single stacks whose times contradict those of most: their photographs are told one by one.
-fn fit_settled(mut stacks: Vec<(&Stack, StackScales)>, settings: usize) -> ExposureFit {
-    let most = stacks.len() / 4;
-    for _ in 0..=most {
-        let fit = fit_exposures(&stacks, settings);
-        let off = |(stack, scales): &(&Stack, StackScales)| {
-            let n = scales.log_scale.len();
-            let left: Vec<f64> = (0..n)
-                .filter(|&j| scales.information[j * n + j] > 100.0)
-                .map(|j| scales.log_scale[j] - fit.log_scale[stack.settings[j]])
-                .collect();
-            let mean = left.iter().sum::<f64>() / left.len().max(1) as f64;
-            left.iter().map(|l| (l - mean).abs()).fold(0.0, f64::max)
-        };
-        let worst = (0..stacks.len()).max_by(|&a, &b| off(&stacks[a]).total_cmp(&off(&stacks[b])));
-        match worst.filter(|&k| off(&stacks[k]) > REFUSED_TIME && stacks.len() > 3) {
-            Some(k) => drop(stacks.remove(k)),
-            None => return fit,
-        }
-    }
-    fit_exposures(&stacks, settings)
-}
-
-/// Whether the photographs of a stack show the same, whatever their brightness.
-fn agrees(stack: &Stack, sensor: &Sensor) -> bool {
-    let brightness = Brightness { log_scale: &vec![0.0; stack.exposures.len()], tolerance: f64::INFINITY };
-    disagreements(&[&stack.exposures], sensor, 1, brightness).is_empty()
-}
-
 /// Pixels of a shot that are looked at. Dots are lit in several rows: every one is met.
 const LOOKED_AT_PX: usize = 1 << 20;
 
@@ -201,42 +166,6 @@ fn decode(capture: &Capture, shot: usize) -> Result<Bracket> {
 fn block_px(brackets: &[Vec<Photograph>]) -> usize {
     brackets.iter().flatten().find_map(|p| p.reduction.as_ref()).map_or(1, |by| by.factor)
 }
-
-/// The distinct nominal exposures of a capture, shortest first.
-struct Settings {
-    secs: Vec<f64>,
-}
-
-impl Settings {
-    fn of(capture: &Capture) -> Self {
-        let mut secs: Vec<f64> = capture.brackets.iter().flatten().map(|p| p.effective_secs).collect();
-        secs.sort_by(f64::total_cmp);
-        secs.dedup_by(|b, a| *b / *a < SAME);
-        Self { secs }
-    }
-
-    fn index(&self, photograph: &Photograph) -> usize {
-        self.secs.partition_point(|s| s * SAME <= photograph.effective_secs).min(self.secs.len() - 1)
-    }
-
-    /// The first photograph of a setting.
-    fn first_file(&self, setting: usize, capture: &Capture) -> String {
-        let first = capture.brackets.iter().flatten().find(|p| self.index(p) == setting);
-        first.map_or_else(String::new, |p| capture.name_of(&p.path))
-    }
-
-    fn apply(&self, fit: &ExposureFit, brackets: &mut [Vec<Photograph>]) {
-        for bracket in brackets {
-            for photograph in bracket.iter_mut() {
-                photograph.effective_secs *= fit.log_scale[self.index(photograph)].exp();
-            }
-            bracket.sort_by(|a, b| a.effective_secs.total_cmp(&b.effective_secs));
-        }
-    }
-}
-
-/// Nominal exposures nearer than this are one setting.
-const SAME: f64 = 1.000_001;
 
 /// Some lattice shots, evenly spaced; board, white and black; and whatever else has a setting that these have not.
 fn choose_shots(capture: &Capture, settings: &Settings) -> Vec<usize> {
@@ -364,86 +293,6 @@ pub(super) fn save_curve(capture: &Capture, sensor: &Sensor) -> Option<RadianceW
     Some(RadianceWarning::CurveNotSaved { file: path.display().to_string(), reason: refused.to_string() })
 }
 
-fn judge(
-    fit: &ExposureFit,
-    agree: bool,
-    settings: &Settings,
-    options: &BuildOptions,
-    file: FileNoise,
-    capture: &Capture,
-) -> Result<Vec<Warning>> {
-    let mut warnings = Vec::new();
-    if fit.failed {
-        warnings.push(ConsistencyWarning::ExposuresUnmeasured { settings: settings.secs.len() }.into());
-        return Ok(warnings);
-    }
-    let names: BTreeSet<usize> = fit.group.iter().copied().collect();
-    let of = |g: usize| (0..settings.secs.len()).filter(move |&s| fit.group[s] == g);
-    if let Some(slope) = names.iter().find_map(|&g| curve_slope(fit, settings, &of(g).collect::<Vec<_>>())) {
-        let encoding = capture.brackets.iter().flatten().next().and_then(|p| stated_encoding(&p.path));
-        warnings.push(options.refuse(ConsistencyWarning::ResponseCurve {
-            given: capture.rig.camera.response_curve.clone().into(),
-            slope,
-            encoding,
-        })?);
-        return Ok(warnings);
-    }
-    if !agree {
-        // What the photographs of stacks show differs, not only how bright: that is told shot by shot.
-        return Ok(warnings);
-    }
-    if let Some(relative_sd) = fit.flicker_sd.filter(|sd| *sd > 0.99 * MOST_FLICKER) {
-        warnings.push(options.refuse(ConsistencyWarning::BrightnessVaries { relative_sd })?);
-    }
-    if options.exposure_from == ExposureFrom::Estimate {
-        if names.len() > 1 {
-            let groups = names.into_iter().map(|g| of(g).map(|s| settings.secs[s]).collect()).collect();
-            warnings.push(RadianceWarning::ExposuresUnlinked { groups }.into());
-        }
-        return Ok(warnings);
-    }
-    let tolerance = if file.is_compressed() { COMPRESSED_TIME_TOLERANCE } else { TIME_TOLERANCE };
-    let significant = |s: &usize| {
-        let (off, sd) = (fit.log_scale[*s].abs(), fit.variance[*s].sqrt());
-        off > tolerance && off > TIME_SIGMA * sd
-    };
-    let off = |s: usize| fit.log_scale[s].abs();
-    let Some(worst) = (0..settings.secs.len()).filter(significant).max_by(|&a, &b| off(a).total_cmp(&off(b))) else {
-        return Ok(warnings);
-    };
-    let (nominal_secs, measured_secs) = (settings.secs[worst], settings.secs[worst] * fit.log_scale[worst].exp());
-    let relative_sd = fit.variance[worst].sqrt();
-    warnings.push(match off(worst) > REFUSED_TIME {
-        true => options.refuse(ConsistencyWarning::ExposureTimes {
-            file: settings.first_file(worst, capture),
-            nominal_secs,
-            measured_secs,
-            relative_sd,
-            settings: (0..settings.secs.len()).filter(|s| significant(s) && off(*s) > REFUSED_TIME).count(),
-        })?,
-        false => RadianceWarning::ExposureRatios { nominal_secs, measured_secs, relative_sd }.into(),
-    });
-    Ok(warnings)
-}
-
-/// The slope of ln(actual) over ln(nominal) of linked settings when it is not 1 and explains most of what they are off by: that of a response
-/// curve that was not taken into account.
-fn curve_slope(fit: &ExposureFit, settings: &Settings, of: &[usize]) -> Option<f64> {
-    if of.len() < 3 {
-        return None;
-    }
-    let n = of.len() as f64;
-    let x: Vec<f64> = of.iter().map(|&s| settings.secs[s].ln()).collect();
-    let y: Vec<f64> = of.iter().zip(&x).map(|(&s, x)| x + fit.log_scale[s]).collect();
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
-    let (mx, my) = (mean(&x), mean(&y));
-    let square: f64 = x.iter().map(|x| (x - mx).powi(2)).sum();
-    let slope = x.iter().zip(&y).map(|(x, y)| (x - mx) * (y - my)).sum::<f64>() / square;
-    // What 1 leaves, and what the slope leaves.
-    let left = |slope: f64| x.iter().zip(&y).map(|(x, y)| (y - my - slope * (x - mx)).powi(2)).sum::<f64>();
-    ((slope - 1.0).abs() > REFUSED_SLOPE && left(slope) < 0.1 * left(1.0)).then_some(slope)
-}
-
 fn record(
     fit: &ExposureFit,
     settings: &Settings,
@@ -479,25 +328,6 @@ fn record(
 mod tests {
     use super::*;
 
-    fn photograph(secs: f64) -> Photograph {
-        Photograph {
-            path: "a.png".into(),
-            shot: "white".into(),
-            exposure_secs: 9.0,
-            effective_secs: secs,
-            reduction: None,
-        }
-    }
-
-    #[test]
-    fn a_photograph_belongs_to_the_setting_of_its_effective_time() {
-        let settings = Settings { secs: vec![0.01, 0.04, 0.16] };
-        let index = |secs: f64| settings.index(&photograph(secs));
-        assert_eq!([0.01, 0.04, 0.16].map(index), [0, 1, 2]);
-        // Nearer than a millionth is the same.
-        assert_eq!([0.040_000_02, 0.039_999_98].map(index), [1, 1]);
-    }
-
     #[test]
     fn pixels_of_light_sums_are_lit_and_half_of_them_show_both_parts() {
         let noise = Noise { black_dn: 0.0, saturation_dn: 200.0, gain_dn_per_electron: 1.0, read_noise_electrons: 1.0 };
@@ -509,77 +339,6 @@ mod tests {
         assert_eq!(sum_pixels([&samples[0], &samples[1], &samples[2]], &sensor), [0, 1, 4]);
         let none = Samples::U8(vec![]);
         assert!(sum_pixels([&none, &samples[1], &samples[2]], &sensor).is_empty());
-    }
-
-    #[test]
-    fn the_worst_exposure_time_is_told_when_it_is_off_by_more_than_noise_and_nominal_rounding() {
-        let settings = Settings { secs: vec![0.01, 0.04, 0.16] };
-        let of = |log_scale: [f64; 3], sd: f64, compression: f64| {
-            let fit = ExposureFit {
-                log_scale: log_scale.to_vec(),
-                variance: vec![sd * sd; 3],
-                group: vec![0; 3],
-                flicker_sd: None,
-                failed: false,
-            };
-            let file = FileNoise { sixteen_bit: false, compression: [compression; 3] };
-            judge(&fit, true, &settings, &BuildOptions::default(), file, &super::super::tests::capture(&[])).unwrap()
-        };
-        assert!(of([0.004, -0.004, 0.0], 1e-5, 0.0).is_empty());
-        assert!(of([0.0, -0.02, 0.02], 0.01, 0.0).is_empty(), "two standard deviations");
-        assert!(of([0.0, -0.014, 0.014], 1e-5, 0.3).is_empty(), "of compressed files");
-        for compression in [0.0, 0.3] {
-            let warnings = of([0.02, -0.05, 0.03], 0.001, compression);
-            let [Warning::Radiance(RadianceWarning::ExposureRatios { nominal_secs, measured_secs, relative_sd })] =
-                warnings[..]
-            else {
-                panic!("{warnings:?}")
-            };
-            // 0.04 e^−0.05; the standard deviation is the root of the variance (f64).
-            assert_eq!(nominal_secs, 0.04);
-            assert!((measured_secs - 0.038_049_177).abs() < 1e-8 && (relative_sd - 0.001).abs() < 1e-12);
-        }
-        let fit = ExposureFit {
-            log_scale: vec![0.9; 3],
-            variance: vec![0.0; 3],
-            group: vec![0, 1, 0],
-            flicker_sd: None,
-            failed: false,
-        };
-        let options = BuildOptions { exposure_from: ExposureFrom::Estimate, ..BuildOptions::default() };
-        let warnings =
-            judge(&fit, true, &settings, &options, FileNoise::default(), &super::super::tests::capture(&[])).unwrap();
-        let [Warning::Radiance(RadianceWarning::ExposuresUnlinked { groups })] = &warnings[..] else {
-            panic!("{warnings:?}")
-        };
-        assert_eq!(*groups, [vec![0.01, 0.16], vec![0.04]]);
-    }
-
-    #[test]
-    fn settings_are_the_distinct_times_and_are_corrected_each_by_its_own_factor() {
-        let mut capture = super::super::tests::capture(&[
-            (Pattern::Board, &[0.01, 0.04]),
-            (Pattern::ReferenceWhite, &[0.04, 0.160_000_01]),
-            (Pattern::SampleBlack, &[0.16]),
-        ]);
-        let settings = Settings::of(&capture);
-        assert_eq!(settings.secs, [0.01, 0.04, 0.16]);
-        let fit = ExposureFit {
-            // 0.04 is really 0.2: longer than what 0.16 is.
-            log_scale: vec![0.0, 5f64.ln(), 0.5f64.ln()],
-            variance: vec![0.0; 3],
-            group: vec![0; 3],
-            flicker_sd: None,
-            failed: false,
-        };
-        settings.apply(&fit, &mut capture.brackets);
-        let secs = |k: usize| capture.brackets[k].iter().map(|p| p.effective_secs).collect::<Vec<_>>();
-        let close = |found: Vec<f64>, expected: &[f64]| {
-            found.len() == expected.len() && found.iter().zip(expected).all(|(f, e)| (f / e - 1.0).abs() < 1e-6)
-        };
-        assert!(close(secs(0), &[0.01, 0.2]) && close(secs(1), &[0.08, 0.2]) && close(secs(2), &[0.08]));
-        // What the camera was set to stays.
-        assert_eq!(capture.brackets[1][1].exposure_secs, 0.04);
     }
 
     #[test]

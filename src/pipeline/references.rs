@@ -4,6 +4,7 @@ use super::BuildOptions;
 use super::looks::shown_shot;
 use super::photographs::Photographs;
 use super::register::{Registered, SUM_STEP};
+use super::scene::on_slab;
 use crate::capture::Pattern;
 use crate::progress::Progress;
 use crate::radiance::{HotPixel, Radiance, find_hot_pixels, mend};
@@ -137,7 +138,7 @@ fn white_level(sums: &[Vec<f32>], white: &Radiance, black: &Radiance) -> Option<
 
 /// Light of the sample under black over that of the white reference under black: no sample is as dark.
 const DARKEST_BLACK: f64 = 0.01;
-/// A reference dot in the black shot of this share of what the white reference has is none of a black pattern.
+/// Reference dots in the black shot with more than this share of the white reference's light come from a lattice, not from black.
 const BLACK_DOT: f64 = 0.05;
 
 /// Reference shots that show something else than they should, by their light where the sample lies.
@@ -152,7 +153,7 @@ fn exchanged(
     let view = &registered.registration.view;
     let on_sample = |k: usize| {
         let [x, y] = [k % white.rect.width, k / white.rect.width].map(|v| v as f64);
-        view.slab_from_camera([x, y]).is_some_and(|p| (0..2).all(|a| p[a] > 0.0 && p[a] < size_mm[a]))
+        view.slab_from_camera([x, y]).is_some_and(|p| on_slab(p, size_mm, 0.0))
     };
     let places: Vec<usize> = (0..white.rect.area()).step_by(SUM_STEP).filter(|&k| on_sample(k)).collect();
     let level = |picture: &Radiance| {
@@ -177,21 +178,19 @@ fn exchanged(
     }
     // A dot of the pattern on the frame, where black has none.
     let dots = photographs.capture.manifest.reference_dots.iter().flat_map(|r| &r.projector_px);
-    let at_dots: Vec<f64> = dots
+    let seen = sample_black.luminance();
+    let mut at_dots: Vec<f64> = dots
         .filter_map(|&p| {
             let [x, y] = view.camera_from_slab(registered.registration.slab_from_projector.map(p));
             let inside =
                 x >= 0.0 && y >= 0.0 && x < white.rect.width as f64 - 0.5 && y < white.rect.height as f64 - 0.5;
             let k = inside.then(|| y.round() as usize * white.rect.width + x.round() as usize)?;
-            Some(f64::from(sample_black.luminance()[k]) / light)
+            Some(f64::from(seen[k]) / light)
         })
         .collect();
-    if !at_dots.is_empty() && median(&mut at_dots.clone()) > BLACK_DOT {
-        return refused(
-            sample_shot,
-            "it shows reference dots: the projector still had a lattice",
-            median(&mut at_dots.clone()),
-        );
+    let at_dots = median(&mut at_dots);
+    if at_dots > BLACK_DOT {
+        return refused(sample_shot, "it shows reference dots: the projector still had a lattice", at_dots);
     }
     let noise = |picture: &Radiance| {
         let mut all: Vec<f64> = picture.luminance_variance().iter().step_by(SUM_STEP).map(|v| f64::from(*v)).collect();
@@ -249,7 +248,7 @@ fn unevenness(
     let margin_mm = 2.0 * reach as f64 / registered.registration.px_per_mm();
     let inside = |x: usize, y: usize| {
         let at = registered.registration.view.slab_from_camera([x as f64, y as f64]);
-        at.is_some_and(|p| (0..2).all(|a| p[a] > margin_mm && p[a] < manifest.slab.size_mm[a] - margin_mm))
+        at.is_some_and(|p| on_slab(p, manifest.slab.size_mm, margin_mm))
     };
     let (mut all, mut uneven, mut levels) = (0usize, 0usize, Vec::new());
     for y in (reach..h.saturating_sub(reach)).step_by(2) {

@@ -2,6 +2,7 @@
 
 use super::BuildOptions;
 use super::photographs::Photographs;
+use super::scene::on_slab;
 use crate::capture::{Board, Pattern, Surface};
 use crate::geometry::{CameraView, Lens, Point};
 use crate::progress::{Progress, Stage};
@@ -75,7 +76,7 @@ fn mirrored(photographs: &Photographs<'_>, view: &CameraView, options: &BuildOpt
     options.refuse(ConsistencyWarning::MirroredSlab { shot }).map(Some)
 }
 
-/// The projector's map by the Gray code's pairs; why there is none in words.
+/// The projector's map from the pairs of the Gray code; the inner error says in words why none was found.
 fn projector_fit(
     photographs: &Photographs<'_>,
     codes: &[usize],
@@ -89,7 +90,7 @@ fn projector_fit(
     Ok(register_projector(pairs, rig.camera.size_px, view, surface, lens))
 }
 
-/// A fit that is worse than another by this factor is none beside it.
+/// Of two fits, one whose RMS is larger by this factor does not count.
 const WORSE: f64 = 2.0;
 
 /// The shots of the pattern and its inverse that, exchanged, make the Gray code fit with all dots on the slab. `None` when it fits as it is, when no
@@ -106,12 +107,12 @@ pub(super) fn exchanged_pair(photographs: &Photographs<'_>) -> Result<Option<[us
     let [nx, ny] = manifest.grid.points;
     let rms = |pairs: &[BitPair]| -> Result<Option<f64>> {
         let Ok(fit) = projector_fit(photographs, &codes, &camera.view, pairs)? else { return Ok(None) };
-        let on_slab = |dot: [usize; 2]| {
+        let lies = |dot: [usize; 2]| {
             let at = fit.slab_from_projector.map(manifest.grid.dot_projector_px(dot));
-            (0..2).all(|a| (0.0..=manifest.slab.size_mm[a]).contains(&at[a]))
+            on_slab(at, manifest.slab.size_mm, 0.0)
         };
         let corners = [[0, 0], [nx - 1, 0], [0, ny - 1], [nx - 1, ny - 1]];
-        Ok(corners.into_iter().all(on_slab).then_some(fit.rms_px))
+        Ok(corners.into_iter().all(lies).then_some(fit.rms_px))
     };
     if rms(&pairs)?.is_some() {
         return Ok(None);

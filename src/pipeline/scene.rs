@@ -143,6 +143,11 @@ impl<'a> Scene<'a> {
     }
 }
 
+/// Whether a place lies on the slab, `inside_mm` or more from its rim.
+pub(super) fn on_slab(at: Point, size_mm: Point, inside_mm: f64) -> bool {
+    (0..2).all(|a| at[a] >= inside_mm && at[a] <= size_mm[a] - inside_mm)
+}
+
 /// The square of half side `radius` around `at`, cut to the photograph; `None` when it lies outside.
 pub(super) fn square(at: Point, radius: f64, size_px: [usize; 2]) -> Option<Rect> {
     let range = |a: usize| {

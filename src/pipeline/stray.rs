@@ -1,7 +1,7 @@
 //! Looking for the camera's halo where no light falls: on the opaque frame.
 
 use super::BuildOptions;
-use super::scene::Scene;
+use super::scene::{Scene, on_slab};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Radiance, StrayLight, evenly};
@@ -82,9 +82,8 @@ fn dark_pixels(scene: &Scene<'_>) -> Vec<bool> {
         for x in (0..width).step_by(MASK_PX) {
             let q = [x as f64, y as f64];
             let Some(p) = scene.registration.view.slab_from_camera(q) else { continue };
-            let on_sample = (0..2).all(|a| p[a] > -rim_mm && p[a] < size_mm[a] + rim_mm);
             let near_dot = dots.iter().any(|d| (d[0] - q[0]).abs().max((d[1] - q[1]).abs()) < reach);
-            if on_sample || near_dot {
+            if on_slab(p, size_mm, -rim_mm) || near_dot {
                 continue;
             }
             for j in y..(y + MASK_PX).min(height) {

@@ -70,27 +70,28 @@ impl Pair {
 /// The photographs of a stack that do not show what the others show, worst first.
 ///
 /// Each two are compared sample by sample, one time corrected against the other by the median of their ratios: what is unsaturated and
-/// above noise in one has to be in the other within its noise and 8 % (25 % where files are compressed); what saturates in one bounds the other. `parts` are rectangles of one shot,
-/// the same photographs in each, sorted by time; `stride` leaves out all but every so many blocks of pixels.
+/// above noise in one has to be in the other within its noise and 8 % (25 % where files are compressed); what saturates in one bounds
+/// the other. `parts` are rectangles of one shot, the same photographs in each, sorted by time; `stride` leaves out all but every so many
+/// blocks of pixels.
 ///
 /// Of three photographs or more the one is named without which the others agree.
 ///
-/// Not detected: movements of less than about a tenth
-/// of the width of what is seen; differences below noise or of few samples.
+/// Not detected: movements of less than about a tenth of the width of what is seen; differences below noise or of few samples.
 pub fn disagreements(
     parts: &[&[Exposure]],
     sensor: &Sensor,
     stride: usize,
     brightness: Brightness<'_>,
 ) -> Vec<Disagreement> {
-    let n = parts.first().map_or(0, |p| p.len());
+    let light = linear_light(parts, sensor, stride);
+    let n = light.len();
     let mut pairs = vec![Pair::default(); n * n];
     for a in 0..n {
         for b in a + 1..n {
-            let both: Vec<[&Exposure; 2]> = parts.iter().map(|p| [&p[a], &p[b]]).collect();
-            let ratio = median_ratio(&both, sensor, stride.max(1));
+            let both = [&light[a], &light[b]];
+            let ratio = median_ratio(both, sensor);
             let pair = &mut pairs[a * n + b];
-            *pair = compare(&both, sensor, stride.max(1), ratio.map_or(1.0, |r| r.median));
+            *pair = compare(both, sensor, ratio.map_or(1.0, |r| r.median));
             pair.log_factor = ratio.and_then(|r| {
                 let off = f64::from(r.median).ln() - (brightness.log_scale[b] - brightness.log_scale[a]);
                 (off.abs() > brightness.tolerance + r.five_sd()).then_some(off)
@@ -129,32 +130,34 @@ fn top(sensor: &Sensor) -> f32 {
     if sensor.is_curved() { 0.9 * sensor.range() } else { sensor.range() }
 }
 
-/// The shorter exposure first.
-fn compare(parts: &[[&Exposure; 2]], sensor: &Sensor, stride: usize, ratio: f32) -> Pair {
-    let compressed = sensor.is_compressed();
-    let tolerance = if compressed { COMPRESSED_TOLERANCE } else { TOLERANCE };
+/// The shorter exposure first; the second has `ratio` times the light per stated time.
+fn compare([first, second]: [&LinearLight; 2], sensor: &Sensor, ratio: f32) -> Pair {
+    let tolerance = if sensor.is_compressed() { COMPRESSED_TOLERANCE } else { TOLERANCE };
     let top = top(sensor);
+    let (t, u) = (first.secs, second.secs * ratio);
+    // What the longer one says of the shorter.
+    let scale = t / u;
+    let sd = |linear: f32, c: usize| sensor.variance(linear, c).sqrt();
+    let noise = |y: f32, z: f32, c: usize| sd(y, c).hypot(sd(z, c) * scale);
+    let dark = [0, 1, 2].map(|c| SIGMA * noise(0.0, 0.0, c));
     let mut sums = Pair::default();
-    each(parts, sensor, stride, |c, [y, z], [t, u]| {
-        let u = u * ratio;
-        let sd = |linear: f32| sensor.variance(linear, c).sqrt();
+    for (k, (&y, &z)) in first.values.iter().zip(&second.values).enumerate() {
+        let c = k % 3;
         let mut bounded = |seen: f32, scale: f32| {
             let least = top * scale.min(1.0);
-            if least > 2.0 * SIGMA * sd(least) {
+            if least > 2.0 * SIGMA * sd(least, c) {
                 sums.lit += 1;
-                sums.differ += u64::from(seen < least * (1.0 - 2.0 * tolerance) - SIGMA * sd(least));
+                sums.differ += u64::from(seen < least * (1.0 - 2.0 * tolerance) - SIGMA * sd(least, c));
             }
         };
         match [y.is_finite(), z.is_finite()] {
             [true, true] => {
-                // What the longer one says of the shorter.
-                let (scale, light) = (t / u, ((y + z) / (t + u)).max(0.0));
-                let noise = |y: f32, z: f32| sd(y).hypot(sd(z) * scale);
+                let light = ((y + z) / (t + u)).max(0.0);
                 let most = y.max(z * scale);
-                if most > SIGMA * noise(0.0, 0.0) && light * u < top {
+                if most > dark[c] && light * u < top {
                     sums.lit += 1;
                     let off = (y - z * scale).abs();
-                    sums.differ += u64::from(off > SIGMA * noise(light * t, light * u) + tolerance * most);
+                    sums.differ += u64::from(off > SIGMA * noise(light * t, light * u, c) + tolerance * most);
                 }
             }
             // The one that saturates says how much the other has at least: all, where its time is the longer one.
@@ -162,7 +165,7 @@ fn compare(parts: &[[&Exposure; 2]], sensor: &Sensor, stride: usize, ratio: f32)
             [false, true] if y == f32::INFINITY => bounded(z, u / t),
             _ => {}
         }
-    });
+    }
     sums
 }
 
@@ -181,25 +184,20 @@ impl Ratio {
 }
 
 /// The median of the ratios of two photographs; `None` where too little is lit in both.
-pub(super) fn median_ratio(parts: &[[&Exposure; 2]], sensor: &Sensor, stride: usize) -> Option<Ratio> {
+pub(super) fn median_ratio([first, second]: [&LinearLight; 2], sensor: &Sensor) -> Option<Ratio> {
     let top = top(sensor);
-    let mut ratios = Vec::new();
+    let (t, u) = (first.secs, second.secs);
     // Where noise is less than a code value, rounding makes ratios of small values too large or too small, and so does black.
     let least = if sensor.range() >= 100.0 && !sensor.is_curved() { LEAST_LEVEL_DN } else { 0.0 };
-    each(parts, sensor, stride, |c, [y, z], [t, u]| {
+    let ratio = |(k, (&y, &z)): (usize, (&f32, &f32))| {
         let light = (y + z) / (t + u);
-        let sd = |linear: f32| sensor.variance(linear, c).sqrt();
+        let sd = |linear: f32| sensor.variance(linear, k % 3).sqrt();
         // Chosen by the light of both, on which a chance high of one hardly acts.
-        if light * t > least + SIGMA * sd(light * t)
-            && y > 0.0
-            && z > 0.0
-            && z < 0.9 * top
-            && y < 0.9 * top
-            && ratios.len() < RATIOS
-        {
-            ratios.push((z / u) / (y / t));
-        }
-    });
+        let lit = light * t > least + SIGMA * sd(light * t);
+        (lit && y > 0.0 && z > 0.0 && z < 0.9 * top && y < 0.9 * top).then(|| (z / u) / (y / t))
+    };
+    let both = first.values.iter().zip(&second.values).enumerate();
+    let mut ratios: Vec<f32> = both.filter_map(ratio).take(RATIOS).collect();
     if ratios.len() < LEAST_SAMPLES as usize {
         return None;
     }
@@ -219,26 +217,19 @@ const LEAST_NOISE_DN: f32 = 0.25;
 ///
 /// `parts` are rectangles of it. Means of blocks pile up where all pixels of a block clip. Not detected: where a response curve ends below.
 pub fn pile_up(parts: &[&Samples], sensor: &Sensor) -> Option<f64> {
-    let saturation = sensor.full_range() + sensor.black();
-    let mut top = f32::NEG_INFINITY;
-    let mut beyond = 0usize;
-    let look = |see: &mut dyn FnMut(f32)| {
-        for part in parts {
-            match part {
-                Samples::U8(v) => v.iter().for_each(|&c| see(f32::from(c))),
-                Samples::U16(v) => v.iter().for_each(|&c| see(f32::from(c))),
-                Samples::F32(v) => v.iter().for_each(|&c| see(c)),
-            }
-        }
-    };
+    if sensor.is_curved() {
+        return None;
+    }
+    let saturation = f64::from(sensor.full_range() + sensor.black());
+    let look = |see: &mut dyn FnMut(f64)| parts.iter().for_each(|part| part.for_each(&mut *see));
+    let (mut top, mut beyond) = (f64::NEG_INFINITY, 0usize);
     look(&mut |c| match c >= saturation {
         true => beyond += 1,
         false => top = top.max(c),
     });
-    let level = top - sensor.black();
+    let level = top as f32 - sensor.black();
     // What saturates where the rig says does not end below; in the dark values are few and equal.
-    if sensor.is_curved()
-        || beyond >= LEAST_PILE
+    if beyond >= LEAST_PILE
         || !(level > 0.05 * sensor.full_range())
         || sensor.variance(level, 1) < LEAST_NOISE_DN * LEAST_NOISE_DN
     {
@@ -251,24 +242,32 @@ pub fn pile_up(parts: &[&Samples], sensor: &Sensor) -> Option<f64> {
     });
     let codes = match parts.first()? {
         Samples::F32(_) => 1.0,
-        _ => f64::from(0.01 * top).max(1.0),
+        _ => (0.01 * top).max(1.0),
     };
-    (equal >= LEAST_PILE && equal as f64 > PILE_GAIN * near as f64 / codes).then_some(f64::from(top))
+    (equal >= LEAST_PILE && equal as f64 > PILE_GAIN * near as f64 / codes).then_some(top)
 }
 
-/// Calls `look` with channel, linear values and times of each sample.
-fn each(parts: &[[&Exposure; 2]], sensor: &Sensor, stride: usize, mut look: impl FnMut(usize, [f32; 2], [f32; 2])) {
-    let mut linear = [[0.0f32; BLOCK]; 2];
+/// Linear values of one photograph, R G B after each other: saturated ones +∞, what is no measurement NaN.
+pub(super) struct LinearLight {
+    values: Vec<f32>,
+    /// Stated time, s.
+    secs: f32,
+}
+
+/// The photographs of a stack in all `parts`, every `stride`th block of their pixels.
+pub(super) fn linear_light(parts: &[&[Exposure]], sensor: &Sensor, stride: usize) -> Vec<LinearLight> {
+    let Some(stack) = parts.first() else { return vec![] };
+    let mut all: Vec<LinearLight> = stack.iter().map(|e| LinearLight { values: vec![], secs: e.secs as f32 }).collect();
     for part in parts {
-        let secs = part.map(|e| e.secs as f32);
-        let samples = part[0].samples.len().min(part[1].samples.len());
-        for first in (0..samples).step_by(BLOCK * stride) {
+        let samples = part.iter().map(|e| e.samples.len()).min().unwrap_or(0);
+        for first in (0..samples).step_by(BLOCK * stride.max(1)) {
             let len = BLOCK.min(samples - first);
-            for (y, e) in linear.iter_mut().zip(part) {
-                sensor.linearize(&e.samples, first, &mut y[..len]);
+            for (light, exposure) in all.iter_mut().zip(*part) {
+                let from = light.values.len();
+                light.values.resize(from + len, 0.0);
+                sensor.linearize(&exposure.samples, first, &mut light.values[from..]);
             }
-            let [y, z] = &linear;
-            (0..len).for_each(|k| look(k % 3, [y[k], z[k]], secs));
         }
     }
+    all
 }

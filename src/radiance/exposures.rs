@@ -1,6 +1,6 @@
 //! How much light each photograph of a stack really took: the shutter's actual times, and a lamp that flickers.
 
-use super::agreement::median_ratio;
+use super::agreement::{linear_light, median_ratio};
 use super::merge::BLOCK;
 use super::{Exposure, Sensor};
 use crate::capture::Samples;
@@ -103,11 +103,11 @@ pub fn stack_scales(parts: &[&[Exposure]], sensor: &Sensor, stride: usize) -> Op
 
 /// Log scales from the medians of the ratios of neighbours, however wrong the times are; 0 on average.
 fn start(parts: &[&[Exposure]], sensor: &Sensor, stride: usize) -> Vec<f64> {
-    let n = parts.first().map_or(0, |p| p.len());
+    let light = linear_light(parts, sensor, stride);
+    let n = light.len();
     let mut log_scale = vec![0.0; n];
     for j in 1..n {
-        let both: Vec<[&Exposure; 2]> = parts.iter().map(|p| [&p[j - 1], &p[j]]).collect();
-        let ratio = median_ratio(&both, sensor, stride.max(1)).map_or(1.0, |r| r.median);
+        let ratio = median_ratio([&light[j - 1], &light[j]], sensor).map_or(1.0, |r| r.median);
         log_scale[j] = log_scale[j - 1] + f64::from(ratio).ln();
     }
     let mean = log_scale.iter().sum::<f64>() / n.max(1) as f64;

@@ -59,12 +59,15 @@ pub fn measure_drift(dots: &[(Point, Radiance)], registration: &Registration, do
 /// Mean of the values within three scaled median deviations of the median, and that deviation.
 pub(super) fn robust_mean(mut values: Vec<f64>) -> (f64, f64) {
     let median = median(&mut values);
-    let mut deviations: Vec<f64> = values.iter().map(|v| (v - median).abs()).collect();
-    // 1.4826 makes the median deviation of a normal distribution its standard deviation.
-    let scale = 1.4826 * self::median(&mut deviations);
+    let scale = scaled_deviation(values.iter().copied(), median);
     let kept: Vec<f64> =
         values.into_iter().filter(|v| (v - median).abs() <= 3.0 * scale.max(f64::MIN_POSITIVE)).collect();
     (kept.iter().sum::<f64>() / kept.len() as f64, scale)
+}
+
+/// The median deviation from `middle`, scaled to be the standard deviation of a normal distribution; 0 for no values.
+pub(crate) fn scaled_deviation(values: impl Iterator<Item = f64>, middle: f64) -> f64 {
+    1.4826 * median(&mut values.map(|v| (v - middle).abs()).collect::<Vec<_>>())
 }
 
 /// The middle of some values; 0 for none.

@@ -16,7 +16,7 @@ fn light_goes_with_the_iso_speed_and_with_the_inverse_square_of_the_f_number() {
     assert_eq!(factor(Some(100.0), Some(2.0)), 4.0);
     assert!((factor(Some(100.0), Some(5.6)) - 16.0 / 31.36).abs() < 1e-15);
     assert!((factor(Some(320.0), Some(5.0)) - 3.2 * 0.64).abs() < 1e-15);
-    // What either does not tell is taken for the same.
+    // A figure that one of the two lacks counts as equal.
     assert_eq!((factor(None, Some(8.0)), factor(Some(50.0), None), factor(None, None)), (0.25, 0.5, 1.0));
     assert_eq!(relative_sensitivity(&first, &exif(None, None)), 1.0);
 }
