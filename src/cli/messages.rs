@@ -83,8 +83,9 @@ pub(super) fn hint(error: &Error) -> Option<String> {
             _ => "copy the photograph again from the camera, or write exposure_secs = … for it in capture.toml",
         },
         Error::BrokenMatrix { .. } => {
-            "the store may come from a stopped run; build it again with `acquire build-matrix`"
+            "the store may be an incomplete copy; copy it again, or build it again with `acquire build-matrix`"
         }
+        Error::MatrixFormat { .. } => "docs/matrix-format.md describes a matrix store, and what may be left out of one",
         Error::BrokenMaterial { .. } => "the file may have been cut short; make it again with `acquire factor`",
         Error::BrokenImage { .. } => "give an OpenEXR, PNG or JPEG image",
         Error::Mismatch { .. } => "compare outputs of one capture, with one grid and window",
