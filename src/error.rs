@@ -187,6 +187,18 @@ pub enum Error {
         /// What it was.
         found: String,
     },
+    /// An array that a matrix should be made from holds what makes none.
+    #[error("{}: {array}: expected {expected}, found {found}", path.display())]
+    Arrays {
+        /// The file, or the output that the arrays are for.
+        path: PathBuf,
+        /// The array, or "archive", "file".
+        array: String,
+        /// What it should have been.
+        expected: String,
+        /// What it was.
+        found: String,
+    },
     /// A material file cannot be read.
     #[error("{}: incomplete or damaged material: {reason}", path.display())]
     BrokenMaterial {

@@ -1,5 +1,6 @@
 //! Matrix: the store R_d(x_i, x_o) on disk, its rows, their shift and normalization.
 
+pub mod arrays;
 pub mod normalize;
 mod open;
 mod positioned;

@@ -31,9 +31,10 @@ pub(super) struct Opened {
     pub(super) valid: Option<RowArray>,
 }
 
-/// Opens `path` and reads all but the rows.
-pub(super) fn open(path: &Path) -> Result<Opened> {
-    let group = StoreGroup::open(path)?;
+/// Opens `path` and reads all but the rows; `instead` takes the place of attributes of the same name.
+pub(super) fn open(path: &Path, instead: &Map<String, Value>) -> Result<Opened> {
+    let mut group = StoreGroup::open(path)?;
+    group.attributes.extend(instead.clone());
     let attributes = &group.attributes;
     if let Some(found) = attributes.get("acquire_format")
         && !found.as_u64().is_some_and(|format| FORMATS.contains(&format))
@@ -174,7 +175,7 @@ fn lit_pitch(group: &StoreGroup) -> Result<Option<Point>> {
 }
 
 /// The median distance of neighbours along an axis; `None` where there is none that can be a pitch.
-fn distance(lit_mm: &[Point], [nx, ny]: [usize; 2], axis: usize) -> Option<f64> {
+pub(super) fn distance(lit_mm: &[Point], [nx, ny]: [usize; 2], axis: usize) -> Option<f64> {
     let step = [1, nx][axis];
     let neighbours = (0..nx * ny).filter(|k| if axis == 0 { k % nx + 1 < nx } else { k / nx + 1 < ny });
     let mut all: Vec<f64> =

@@ -139,6 +139,17 @@ impl MatrixHeader {
     }
 }
 
+/// Refuses a length, mm, that no slab has.
+pub(super) fn check_mm(setting: &'static str, value: f64) -> Result<()> {
+    match (1.0 / LARGEST_MM..=LARGEST_MM).contains(&value) {
+        true => Ok(()),
+        false => {
+            let expected = format!("{:e} to {LARGEST_MM:e} mm", 1.0 / LARGEST_MM);
+            Err(Error::Setting { setting, expected, found: value.to_string() })
+        }
+    }
+}
+
 /// A lattice shot as the matrix remembers it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShotRecord {
@@ -493,7 +504,12 @@ impl MatrixReader {
     /// # Errors
     /// [`Error::Io`] when there is nothing at `path`, [`Error::MatrixFormat`] when it is no matrix, [`Error::BrokenMatrix`] when it is not a whole one.
     pub fn open(path: &Path) -> Result<Self> {
-        let Opened { header, layout, response, variance, valid } = open::open(path)?;
+        Self::open_with(path, &serde_json::Map::new())
+    }
+
+    /// [`Self::open`] with attributes that take the place of those of the same name.
+    pub(super) fn open_with(path: &Path, attributes: &serde_json::Map<String, serde_json::Value>) -> Result<Self> {
+        let Opened { header, layout, response, variance, valid } = open::open(path, attributes)?;
         Ok(Self { path: path.to_path_buf(), header, layout, response, variance, valid })
     }
 
@@ -505,6 +521,11 @@ impl MatrixReader {
     /// Where it is.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Channels that are stored: 3, or 1, which is read as all three.
+    pub fn channels(&self) -> usize {
+        self.response.sides[4]
     }
 
     /// Ranges of rows that lie in chunks that no other range has, as far as memory allows; together all rows, in order.
