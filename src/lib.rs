@@ -61,6 +61,6 @@ pub mod cli;
 
 pub use error::{Error, Result};
 pub use warning::{
-    ArraysWarning, Bound, CaptureWarning, CheckWarning, ConsistencyWarning, Culprit, Done, DriftJump, FactorWarning, FindingRecord,
-    RadianceWarning, RegistrationWarning, ResponseWarning, Severity, SimulateWarning, Topic, Warning,
+    ArraysWarning, Bound, CaptureWarning, CheckWarning, ConsistencyWarning, Culprit, Done, DriftJump, FactorWarning,
+    FindingRecord, RadianceWarning, RegistrationWarning, ResponseWarning, Severity, SimulateWarning, Topic, Warning,
 };

@@ -425,7 +425,8 @@ fn a_matrix_that_announces_more_than_it_holds_is_refused() {
         rewrite(name, &|v| v["shape"] = serde_json::json!([65535, 65535]));
     }
     let out = bench.path("m.safetensors");
-    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["response", "4294836225 rows"]);
+    bench
+        .fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["response", "4294836225 rows"]);
     rewrite("response", &|v| v["shape"] = serde_json::json!([3, 0, 5, 7, 3]));
     bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["response", "x_i"]);
     // Chunks that would take 10^19 bytes: the shape is possible, memory for one of them is not.

@@ -148,7 +148,9 @@ fn chunks_codecs_and_types_make_no_difference() {
         let bench = Bench::new(json!({ "pitch_mm": 0.25 }));
         let double = ArrayBuilder::new(SHAPE.to_vec(), chunk.to_vec(), data_type::float64(), f64::NAN);
         let array = bench.array("response", &double);
-        array.store_array_subset(&array.subset_all(), values.iter().map(|&v| f64::from(v)).collect::<Vec<_>>()).unwrap();
+        array
+            .store_array_subset(&array.subset_all(), values.iter().map(|&v| f64::from(v)).collect::<Vec<_>>())
+            .unwrap();
         assert_eq!(all(&bench.open()).response, values, "f64, {chunk:?}");
     }
 }
@@ -201,7 +203,8 @@ fn a_chunk_that_is_lost_is_named() {
     for (name, fill) in [("response", zarrs::array::FillValue::from(f32::NAN)), ("valid", 255_u8.into())] {
         let bench = Bench::new(json!({ "pitch_mm": 0.25 }));
         let chunk = vec![1, 1, 3, 5, 3];
-        let response = bench.array("response", &ArrayBuilder::new(SHAPE.to_vec(), chunk.clone(), data_type::float32(), f32::NAN));
+        let response =
+            bench.array("response", &ArrayBuilder::new(SHAPE.to_vec(), chunk.clone(), data_type::float32(), f32::NAN));
         response.store_array_subset(&response.subset_all(), vec![1.0_f32; 270]).unwrap();
         let fill = if name == "valid" { fill } else { 0_u8.into() };
         let valid = bench.array("valid", &ArrayBuilder::new(SHAPE.to_vec(), chunk, data_type::uint8(), fill));
@@ -215,7 +218,9 @@ fn a_chunk_that_is_lost_is_named() {
 #[test]
 fn a_crop_keeps_every_sample_at_its_offset() {
     // Columns −1 … 2 of dx, line 1 of dy alone, every other lit column: what isel leaves, with attributes of the whole.
-    let bench = Bench::new(json!({ "acquire_format": 2, "pitch_mm": 0.5, "lit_pitch_mm": [1.0, 1.0], "points": [9, 9], "window": [7, 7] }));
+    let bench = Bench::new(
+        json!({ "acquire_format": 2, "pitch_mm": 0.5, "lit_pitch_mm": [1.0, 1.0], "points": [9, 9], "window": [7, 7] }),
+    );
     let values: Vec<f32> = (0..2 * 2 * 4).map(number).collect();
     bench.plain("response", &[2, 2, 4], Some(&["y_i", "x_i", "dx"]), values.clone());
     bench.f64s("dx", &[4], &["dx"], vec![-0.5, 0.0, 0.5, 1.0]);
@@ -249,19 +254,81 @@ fn what_does_not_fit_is_named_with_what_was_expected() {
         (json!({}), &plain, "attribute pitch_mm: expected the side of a sample"),
         (json!({"pitch_mm": "0.5"}), &plain, "attribute pitch_mm: expected a number of mm, found \"0.5\""),
         (json!({"pitch_mm": -0.5}), &plain, "attribute pitch_mm: expected 1e-9 to 1e9 mm"),
-        (json!({"pitch_mm": 0.5, "acquire_format": 7}), &plain, "attribute acquire_format: expected one of [1, 2], or none"),
-        (json!({"pitch_mm": 0.5, "channels": ["B", "G", "R"]}), &plain, "attribute channels: expected [\"R\",\"G\",\"B\"]"),
+        (
+            json!({"pitch_mm": 0.5, "acquire_format": 7}),
+            &plain,
+            "attribute acquire_format: expected one of [1, 2], or none",
+        ),
+        (
+            json!({"pitch_mm": 0.5, "channels": ["B", "G", "R"]}),
+            &plain,
+            "attribute channels: expected [\"R\",\"G\",\"B\"]",
+        ),
         (pitch(), &|_| (), "array response: expected an array of this name, found none"),
         (pitch(), &|b| drop(b.plain("response", &[2, 3, 3, 5, 2], None, vec![1.0; 180])), "1 or 3 channels, found 2"),
-        (pitch(), &|b| drop(b.plain("response", &[6, 45], None, vec![1.0; 270])), "the 5 dimensions y_i, x_i, dy, dx, channel, found 2"),
-        (pitch(), &|b| drop(b.plain("response", &SHAPE, Some(&["x_i", "y_i", "dy", "dx", "channel"]), vec![1.0; 270])), "in this order, found x_i, y_i"),
-        (pitch(), &|b| drop(b.plain("response", &[2, 3, 3, 4, 3], None, vec![1.0; 216])), "an odd number of samples along dx, or the array dx"),
-        (pitch(), &|b| { plain(b); b.f64s("dx", &[5], &["dx"], vec![-2.0, -1.0, 0.0, 1.0, 2.0]) }, "array dx: expected offsets in mm, 0.5 mm apart"),
-        (pitch(), &|b| { plain(b); b.f64s("dy", &[3], &["dy"], vec![-0.3, 0.2, 0.7]) }, "array dy: expected offsets that are whole multiples of 0.5 mm"),
-        (pitch(), &|b| { plain(b); b.f64s("x_i_mm", &[2, 3], &["y_i", "x_i"], vec![0.0; 6]) }, "array y_i_mm: expected an array of this name beside x_i_mm"),
-        (pitch(), &|b| { plain(b); b.f64s("position_sd_mm", &[3, 2], &["x_i", "y_i"], vec![0.0; 6]) }, "array position_sd_mm: expected shape [2, 3]"),
-        (pitch(), &|b| { plain(b); b.f64s("shot", &[2, 3], &["y_i", "x_i"], vec![0.0; 6]) }, "array shot: expected -1, or numbers below 0"),
-        (pitch(), &|b| { plain(b); b.plain("variance", &[2, 3, 3, 5, 1], None, vec![0.0; 90]); }, "array variance: expected the shape of response"),
+        (
+            pitch(),
+            &|b| drop(b.plain("response", &[6, 45], None, vec![1.0; 270])),
+            "the 5 dimensions y_i, x_i, dy, dx, channel, found 2",
+        ),
+        (
+            pitch(),
+            &|b| drop(b.plain("response", &SHAPE, Some(&["x_i", "y_i", "dy", "dx", "channel"]), vec![1.0; 270])),
+            "in this order, found x_i, y_i",
+        ),
+        (
+            pitch(),
+            &|b| drop(b.plain("response", &[2, 3, 3, 4, 3], None, vec![1.0; 216])),
+            "an odd number of samples along dx, or the array dx",
+        ),
+        (
+            pitch(),
+            &|b| {
+                plain(b);
+                b.f64s("dx", &[5], &["dx"], vec![-2.0, -1.0, 0.0, 1.0, 2.0])
+            },
+            "array dx: expected offsets in mm, 0.5 mm apart",
+        ),
+        (
+            pitch(),
+            &|b| {
+                plain(b);
+                b.f64s("dy", &[3], &["dy"], vec![-0.3, 0.2, 0.7])
+            },
+            "array dy: expected offsets that are whole multiples of 0.5 mm",
+        ),
+        (
+            pitch(),
+            &|b| {
+                plain(b);
+                b.f64s("x_i_mm", &[2, 3], &["y_i", "x_i"], vec![0.0; 6])
+            },
+            "array y_i_mm: expected an array of this name beside x_i_mm",
+        ),
+        (
+            pitch(),
+            &|b| {
+                plain(b);
+                b.f64s("position_sd_mm", &[3, 2], &["x_i", "y_i"], vec![0.0; 6])
+            },
+            "array position_sd_mm: expected shape [2, 3]",
+        ),
+        (
+            pitch(),
+            &|b| {
+                plain(b);
+                b.f64s("shot", &[2, 3], &["y_i", "x_i"], vec![0.0; 6])
+            },
+            "array shot: expected -1, or numbers below 0",
+        ),
+        (
+            pitch(),
+            &|b| {
+                plain(b);
+                b.plain("variance", &[2, 3, 3, 5, 1], None, vec![0.0; 90]);
+            },
+            "array variance: expected the shape of response",
+        ),
     ];
     for (attributes, change, words) in cases {
         let said = refused(attributes.clone(), *change);

@@ -5,7 +5,9 @@ use crate::material::NativeMaterial;
 use crate::work::{Report, run};
 use acquire::material::{Precision, Source};
 use acquire::transport::MatrixReader;
-use acquire::transport::arrays::{ArraysInput, ArraysOptions, ImportedMatrix, import_arrays, import_store, open_arrays};
+use acquire::transport::arrays::{
+    ArraysInput, ArraysOptions, ImportedMatrix, import_arrays, import_store, open_arrays,
+};
 use acquire::{Error, Warning};
 use pyo3::prelude::*;
 use serde_json::{Value, json};

@@ -3,7 +3,9 @@
 use crate::commands::text;
 use crate::errors::{raised, refused};
 use acquire::material::{Evaluator, Light, LightImage, LitArea, Material, Precision, Quadrature, Responses, coded};
-use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use numpy::{
+    PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use rand::{RngExt, SeedableRng};
@@ -277,7 +279,9 @@ impl NativeMaterial {
         });
         match exported.map_err(raised)? {
             true => Ok(()),
-            false => Err(refused(format_args!("path: expected a name that ends in .npz or .exr, found {}", path.display()))),
+            false => {
+                Err(refused(format_args!("path: expected a name that ends in .npz or .exr, found {}", path.display())))
+            }
         }
     }
 }
@@ -295,7 +299,8 @@ impl NativeMaterial {
                 let [from, to] = [0.0, 1.0].map(|end| (area[a][0] + (k as f64 + end) * step - low) / side);
                 let (from, to) = (from.min(to).max(0.0), from.max(to).min(image.size[a] as f64));
                 let pixels = from.floor().max(0.0) as usize..(to.ceil().max(0.0) as usize).min(image.size[a]);
-                let share = |p: usize| ((to.min(p as f64 + 1.0) - from.max(p as f64)).max(0.0) * side.abs() / step) as f32;
+                let share =
+                    |p: usize| ((to.min(p as f64 + 1.0) - from.max(p as f64)).max(0.0) * side.abs() / step) as f32;
                 pixels.map(|p| (p, share(p))).collect()
             };
             (0..size[a]).map(of).collect()

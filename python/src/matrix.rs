@@ -3,8 +3,8 @@
 use crate::commands::{text, told};
 use crate::errors::{raised, refused};
 use crate::work::{Report, run};
-use acquire::transport::arrays::{ArrayOf, ArraysOptions, MatrixArrays, import_arrays};
 use acquire::transport::MatrixReader;
+use acquire::transport::arrays::{ArrayOf, ArraysOptions, MatrixArrays, import_arrays};
 use numpy::{PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods, ToPyArray};
 use pyo3::prelude::*;
 use std::borrow::Cow;
@@ -32,7 +32,8 @@ impl NativeMatrix {
         object["points"] = serde_json::json!(h.points);
         object["window"] = serde_json::json!(h.window);
         object["channels"] = serde_json::json!(self.reader.channels());
-        object["findings"] = serde_json::Value::Array(crate::commands::findings(h.warnings.iter().cloned()).map_err(raised)?);
+        object["findings"] =
+            serde_json::Value::Array(crate::commands::findings(h.warnings.iter().cloned()).map_err(raised)?);
         text(&object)
     }
 
@@ -56,12 +57,19 @@ impl NativeMatrix {
     fn read<'py>(&self, py: Python<'py>, start: usize, stop: usize) -> PyResult<Rows<'py>> {
         let h = self.reader.header();
         if start > stop || stop > h.rows() {
-            return Err(refused(format_args!("rows: expected a range within 0 to {}, found {start} to {stop}", h.rows())));
+            return Err(refused(format_args!(
+                "rows: expected a range within 0 to {}, found {start} to {stop}",
+                h.rows()
+            )));
         }
         let block = py.detach(|| self.reader.read(start..stop)).map_err(raised)?;
         let shape = vec![stop - start, h.window[1], h.window[0], 3];
         let of = |values: Vec<f32>| numpy::PyArray1::from_vec(py, values).reshape(shape.clone());
-        Ok((of(block.response)?, of(block.variance)?, numpy::PyArray1::from_vec(py, block.valid).reshape(shape.clone())?))
+        Ok((
+            of(block.response)?,
+            of(block.variance)?,
+            numpy::PyArray1::from_vec(py, block.valid).reshape(shape.clone())?,
+        ))
     }
 }
 

@@ -55,7 +55,9 @@ pub(super) struct Args {
 
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let input = args.input.canonicalize().map_err(Error::io("read", &args.input))?;
-    if std::path::absolute(&args.out).is_ok_and(|out| out.ancestors().any(|p| p.canonicalize().is_ok_and(|p| p == input))) {
+    if std::path::absolute(&args.out)
+        .is_ok_and(|out| out.ancestors().any(|p| p.canonicalize().is_ok_and(|p| p == input)))
+    {
         let expected = "another path than the input".into();
         return Err(Error::Setting { setting: "out", expected, found: args.out.display().to_string() });
     }
@@ -118,7 +120,8 @@ fn json(imported: &ImportedMatrix, out: &Path) -> Result<String> {
 }
 
 fn summary(m: &ImportedMatrix, out: &Path) -> String {
-    let outside = m.light_outside_window.map(|share| format!(", {:.4} % of the light outside the windows", 100.0 * share));
+    let outside =
+        m.light_outside_window.map(|share| format!(", {:.4} % of the light outside the windows", 100.0 * share));
     format!(
         "{}: {}×{} points {} mm × {} mm apart, windows of {}×{} samples of {} mm, {}{}, {:.2} % measured{}",
         out.display(),

@@ -86,7 +86,9 @@ pub(super) fn hint(error: &Error) -> Option<String> {
             "the store may be an incomplete copy; copy it again, or build it again with `acquire build-matrix`"
         }
         Error::MatrixFormat { .. } => "docs/matrix-format.md describes a matrix store, and what may be left out of one",
-        Error::Arrays { .. } => "`acquire help import-matrix` lists arrays and shapes; docs/matrix-format.md describes them",
+        Error::Arrays { .. } => {
+            "`acquire help import-matrix` lists arrays and shapes; docs/matrix-format.md describes them"
+        }
         Error::BrokenMaterial { .. } => "the file may have been cut short; make it again with `acquire factor`",
         Error::BrokenImage { .. } => "give an OpenEXR, PNG or JPEG image",
         Error::Mismatch { .. } => "compare outputs of one capture, with one grid and window",

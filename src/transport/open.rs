@@ -82,10 +82,18 @@ fn windows(group: &StoreGroup, points: [usize; 2], stored: [usize; 2]) -> Result
         Some((values[values.len() - 1] - values[0]) / (values.len() - 1) as f64)
     };
     let Some(pitch_mm) = stated.or(spacing(0)).or(spacing(1)) else {
-        return Err(group.unfit("attribute pitch_mm", "the side of a sample in mm, or an array dx of two offsets or more", "neither"));
+        return Err(group.unfit(
+            "attribute pitch_mm",
+            "the side of a sample in mm, or an array dx of two offsets or more",
+            "neither",
+        ));
     };
     if !(1.0 / LARGEST_MM..=LARGEST_MM).contains(&pitch_mm) {
-        return Err(group.unfit("attribute pitch_mm", format!("{:e} to {LARGEST_MM:e} mm", 1.0 / LARGEST_MM), pitch_mm));
+        return Err(group.unfit(
+            "attribute pitch_mm",
+            format!("{:e} to {LARGEST_MM:e} mm", 1.0 / LARGEST_MM),
+            pitch_mm,
+        ));
     }
     let (mut window, mut before) = ([0; 2], [0; 2]);
     for (a, name) in ["dx", "dy"].into_iter().enumerate() {
@@ -97,10 +105,18 @@ fn windows(group: &StoreGroup, points: [usize; 2], stored: [usize; 2]) -> Result
                 return Err(group.unfit("array response", expected, format_args!("{} samples and none", stored[a])));
             }
             Some(values) => {
-                if let Some((k, v)) = values.iter().enumerate().find(|(k, v)| (**v - values[0] - *k as f64 * pitch_mm).abs() > SAME * pitch_mm) {
+                if let Some((k, v)) = values
+                    .iter()
+                    .enumerate()
+                    .find(|(k, v)| (**v - values[0] - *k as f64 * pitch_mm).abs() > SAME * pitch_mm)
+                {
                     let expected = format!("offsets in mm, {pitch_mm} mm apart as pitch_mm and the spacing of dx say");
                     let first = values[0];
-                    return Err(group.unfit(&format!("array {name}"), expected, format_args!("{first} first and {v} at {k}")));
+                    return Err(group.unfit(
+                        &format!("array {name}"),
+                        expected,
+                        format_args!("{first} first and {v} at {k}"),
+                    ));
                 }
                 -values[0] / pitch_mm
             }
@@ -127,7 +143,9 @@ fn header(group: &StoreGroup, layout: &RowLayout, pitch_mm: f64) -> Result<Matri
         lit_mm: Vec::new(),
         position_sd_mm: Vec::new(),
         shot_of: Vec::new(),
-        shots: group.attribute::<Vec<ShotRecord>>("shots", "a list of {name, drift_px, drift_sd_px}")?.unwrap_or_default(),
+        shots: group
+            .attribute::<Vec<ShotRecord>>("shots", "a list of {name, drift_px, drift_sd_px}")?
+            .unwrap_or_default(),
         camera_px_per_mm: group.attribute("camera_px_per_mm", "a number")?,
         warnings: group.attribute("warnings", "findings that this version of acquire knows")?.unwrap_or_default(),
         provenance: group.attributes.get("provenance").cloned().unwrap_or_default(),
@@ -159,10 +177,17 @@ fn header(group: &StoreGroup, layout: &RowLayout, pitch_mm: f64) -> Result<Matri
     let shots = header.shots.len() as f64;
     let shot = group.over_points("shot", points)?.unwrap_or_else(|| vec![-1.0; header.rows()]);
     if let Some(v) = shot.iter().find(|v| **v >= shots || v.fract() != 0.0) {
-        return Err(group.unfit("array shot", format!("-1, or numbers below {shots}, the length of the attribute shots"), v));
+        return Err(group.unfit(
+            "array shot",
+            format!("-1, or numbers below {shots}, the length of the attribute shots"),
+            v,
+        ));
     }
     header.shot_of = shot.into_iter().map(|v| (v >= 0.0).then_some(v as usize)).collect();
-    header.check().and_then(|()| header.check_places()).map_err(|reason| Error::BrokenMatrix { path: group.path.clone(), reason })?;
+    header
+        .check()
+        .and_then(|()| header.check_places())
+        .map_err(|reason| Error::BrokenMatrix { path: group.path.clone(), reason })?;
     Ok(header)
 }
 
@@ -224,7 +249,11 @@ impl StoreGroup {
         match self.attributes.get(name) {
             None | Some(Value::Null) => Ok(None),
             Some(value) => serde_json::from_value(value.clone()).map(Some).map_err(|e| {
-                self.unfit(&format!("attribute {name}"), expected, format_args!("{} ({e})", shortened(&value.to_string())))
+                self.unfit(
+                    &format!("attribute {name}"),
+                    expected,
+                    format_args!("{} ({e})", shortened(&value.to_string())),
+                )
             }),
         }
     }
@@ -233,7 +262,10 @@ impl StoreGroup {
         let folder = self.path.join(name);
         if !["zarr.json", ".zarray"].iter().any(|file| folder.join(file).is_file()) {
             return match folder.is_dir() {
-                true => Err(Error::BrokenMatrix { path: self.path.clone(), reason: format!("array {name}: zarr.json is missing") }),
+                true => Err(Error::BrokenMatrix {
+                    path: self.path.clone(),
+                    reason: format!("array {name}: zarr.json is missing"),
+                }),
                 false => Ok(None),
             };
         }
@@ -262,9 +294,11 @@ impl StoreGroup {
             return Err(self.unfit(&part, format!("at most {most} numbers"), format_args!("shape {shape:?}")));
         }
         check_chunks(&array).map_err(|[expected, found]| self.unfit(&part, expected, found))?;
-        let values = wide_numbers(&array, &array.subset_all()).map_err(|reason| match reason.starts_with("numbers of type") {
-            true => self.unfit(&part, "numbers", reason),
-            false => Error::BrokenMatrix { path: self.path.clone(), reason: format!("{part}: {reason}") },
+        let values = wide_numbers(&array, &array.subset_all()).map_err(|reason| {
+            match reason.starts_with("numbers of type") {
+                true => self.unfit(&part, "numbers", reason),
+                false => Error::BrokenMatrix { path: self.path.clone(), reason: format!("{part}: {reason}") },
+            }
         })?;
         Ok(Some((values, shape, dimension_names(&array))))
     }
@@ -274,14 +308,20 @@ impl StoreGroup {
         let Some((values, shape, _)) = self.small(name, samples)? else { return Ok(None) };
         match values.len() == samples {
             true => Ok(Some(values)),
-            false => Err(self.unfit(&format!("array {name}"), format!("{samples} offsets, one a sample"), format_args!("shape {shape:?}"))),
+            false => Err(self.unfit(
+                &format!("array {name}"),
+                format!("{samples} offsets, one a sample"),
+                format_args!("shape {shape:?}"),
+            )),
         }
     }
 
     /// One number for each lit point, row-major: an array over both of the points' axes, over one, or of one number.
     fn over_points(&self, name: &str, [nx, ny]: [usize; 2]) -> Result<Option<Vec<f64>>> {
         let Some((values, shape, names)) = self.small(name, nx * ny)? else { return Ok(None) };
-        let wrong = || self.unfit(&format!("array {name}"), format!("shape [{ny}, {nx}] over y_i, x_i"), format_args!("{shape:?}"));
+        let wrong = || {
+            self.unfit(&format!("array {name}"), format!("shape [{ny}, {nx}] over y_i, x_i"), format_args!("{shape:?}"))
+        };
         // Axes that are not named are told by their number.
         let axes = match names {
             Some(names) => names,
@@ -289,7 +329,8 @@ impl StoreGroup {
             None if shape.is_empty() => Vec::new(),
             None => return Err(wrong()),
         };
-        let sides: Vec<usize> = axes.iter().map(|axis| [ny, nx, 0][AXES[..2].iter().position(|a| a == axis).unwrap_or(2)]).collect();
+        let sides: Vec<usize> =
+            axes.iter().map(|axis| [ny, nx, 0][AXES[..2].iter().position(|a| a == axis).unwrap_or(2)]).collect();
         if sides != shape || axes.len() == 2 && axes[0] != AXES[0] {
             return Err(wrong());
         }

@@ -141,7 +141,12 @@ impl RowArray {
         let columns = if lines == 1 { x..x + rows.len() } else { 0..nx };
         let [_, _, h, w, c] = self.sides;
         let ranges = [y..y + lines, columns, 0..h, 0..w, 0..c];
-        let ranges: Vec<Range<u64>> = ranges.into_iter().zip(self.has).filter(|(_, has)| *has).map(|(r, _)| r.start as u64..r.end as u64).collect();
+        let ranges: Vec<Range<u64>> = ranges
+            .into_iter()
+            .zip(self.has)
+            .filter(|(_, has)| *has)
+            .map(|(r, _)| r.start as u64..r.end as u64)
+            .collect();
         ArraySubset::new_with_ranges(&ranges)
     }
 

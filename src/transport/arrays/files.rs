@@ -84,7 +84,10 @@ fn by_name(path: &Path, from: &mut impl Named) -> Result<MatrixArrays<'static>> 
     let pitch = from.array("pitch_mm", |v| v)?;
     let lit_pitch = from.array("lit_pitch_mm", |v| v)?;
     let wrong = |name: &str, expected: &str, shape: &[usize]| refused(path, name, expected, format!("shape {shape:?}"));
-    let pitch_mm = pitch.map(|a| match *a.values { [v] => Ok(v), _ => Err(wrong("pitch_mm", "one number", &a.shape)) });
+    let pitch_mm = pitch.map(|a| match *a.values {
+        [v] => Ok(v),
+        _ => Err(wrong("pitch_mm", "one number", &a.shape)),
+    });
     let lit_pitch_mm = lit_pitch.map(|a| match *a.values {
         [v] => Ok([v; 2]),
         [x, y] => Ok([x, y]),
@@ -106,9 +109,10 @@ fn by_name(path: &Path, from: &mut impl Named) -> Result<MatrixArrays<'static>> 
 /// How many numbers a shape has, unless they are too many.
 fn count(path: &Path, name: &str, shape: &[u64]) -> Result<usize> {
     let product = shape.iter().try_fold(1u64, |all, &n| all.checked_mul(n));
-    product.filter(|n| *n <= MOST_NUMBERS).map(|n| n as usize).ok_or_else(|| {
-        refused(path, name, &format!("at most {MOST_NUMBERS} numbers"), format!("shape {shape:?}"))
-    })
+    product
+        .filter(|n| *n <= MOST_NUMBERS)
+        .map(|n| n as usize)
+        .ok_or_else(|| refused(path, name, &format!("at most {MOST_NUMBERS} numbers"), format!("shape {shape:?}")))
 }
 
 fn npy<T: Copy>(path: &Path, name: &str, reader: &mut impl Read, make: fn(f64) -> T) -> Result<ArrayOf<'static, T>> {
@@ -165,7 +169,10 @@ impl Named for Zarr<'_> {
             // Scalars are attributes.
             let Some(value) = self.attributes.get(name).filter(|_| name.ends_with("pitch_mm")) else { return Ok(None) };
             let values = numbers(value).ok_or_else(|| refused(self.path, name, "a number", value.to_string()))?;
-            return Ok(Some(ArrayOf { shape: vec![values.len()], values: Cow::Owned(values.into_iter().map(make).collect()) }));
+            return Ok(Some(ArrayOf {
+                shape: vec![values.len()],
+                values: Cow::Owned(values.into_iter().map(make).collect()),
+            }));
         };
         count(self.path, name, array.shape())?;
         check_chunks(&array).map_err(|[expected, found]| refused(self.path, name, &expected, found))?;

@@ -5,7 +5,12 @@ const LEFT_OUT: f64 = 1e-3;
 
 /// The window along x and y, and the share of the light (the sum of magnitudes) that lies outside it. `asked`, or the smallest with as many samples
 /// to all sides that leaves out [`LEFT_OUT`] at most; along an axis with fewer points no more than reach all of them.
-pub(super) fn window(response: &[f32], points: [usize; 2], channels: usize, asked: Option<[usize; 2]>) -> ([usize; 2], f64) {
+pub(super) fn window(
+    response: &[f32],
+    points: [usize; 2],
+    channels: usize,
+    asked: Option<[usize; 2]>,
+) -> ([usize; 2], f64) {
     let [nx, ny] = points;
     let n = nx * ny;
     let within = |half: [usize; 2], i: usize, o: usize| {

@@ -127,12 +127,23 @@ impl Form {
 ///
 /// # Errors
 /// [`Error::Arrays`] and [`Error::NotFinite`], naming the array and the place; [`Error::Setting`]; [`Error::Io`].
-pub fn import_arrays(arrays: &MatrixArrays<'_>, options: &ArraysOptions, out: &Path, progress: &Progress) -> Result<ImportedMatrix> {
+pub fn import_arrays(
+    arrays: &MatrixArrays<'_>,
+    options: &ArraysOptions,
+    out: &Path,
+    progress: &Progress,
+) -> Result<ImportedMatrix> {
     let refused = |array: &str, expected: String, found: String| arrays.refused(array, expected, found);
     let mut form = form(arrays, options)?;
-    for (name, shape) in [("variance", arrays.variance.as_ref().map(|a| &a.shape)), ("valid", arrays.valid.as_ref().map(|a| &a.shape))] {
+    for (name, shape) in
+        [("variance", arrays.variance.as_ref().map(|a| &a.shape)), ("valid", arrays.valid.as_ref().map(|a| &a.shape))]
+    {
         if let Some(shape) = shape.filter(|shape| **shape != arrays.response.shape) {
-            return Err(refused(name, format!("the shape of response, {:?}", arrays.response.shape), format!("{shape:?}")));
+            return Err(refused(
+                name,
+                format!("the shape of response, {:?}", arrays.response.shape),
+                format!("{shape:?}"),
+            ));
         }
     }
     let mut outside = None;
@@ -257,7 +268,11 @@ fn form(arrays: &MatrixArrays<'_>, options: &ArraysOptions) -> Result<Form> {
                 Some(points) if points[0].checked_mul(points[1]) == Some(n) => points,
                 Some(points) => {
                     let expected = format!("two numbers whose product is {n}, the points of response");
-                    return Err(Error::Setting { setting: "points", expected, found: format!("{}x{}", points[0], points[1]) });
+                    return Err(Error::Setting {
+                        setting: "points",
+                        expected,
+                        found: format!("{}x{}", points[0], points[1]),
+                    });
                 }
                 None if n.isqrt().pow(2) == n => [n.isqrt(); 2],
                 None => {
@@ -269,10 +284,14 @@ fn form(arrays: &MatrixArrays<'_>, options: &ArraysOptions) -> Result<Form> {
         }
         &[ny, nx, h, w] => {
             if options.full && [ny, nx] != [h, w] {
-                return Err(refused("[y_i, x_i, y_o, x_o] with as many outgoing as lit points, as it is said to be full"));
+                return Err(refused(
+                    "[y_i, x_i, y_o, x_o] with as many outgoing as lit points, as it is said to be full",
+                ));
             }
             if !options.full && (h % 2 == 0 || w % 2 == 0) {
-                return Err(refused("odd numbers of samples along dy and dx, with the lit point in the middle (a matrix over y_o, x_o is imported as full)"));
+                return Err(refused(
+                    "odd numbers of samples along dy and dx, with the lit point in the middle (a matrix over y_o, x_o is imported as full)",
+                ));
             }
             Form { points: [nx, ny], window: [w, h], channels, full: options.full }
         }
@@ -296,7 +315,12 @@ fn form(arrays: &MatrixArrays<'_>, options: &ArraysOptions) -> Result<Form> {
     Ok(form)
 }
 
-fn header(arrays: &MatrixArrays<'_>, options: &ArraysOptions, form: &Form, defaults: &mut Vec<String>) -> Result<MatrixHeader> {
+fn header(
+    arrays: &MatrixArrays<'_>,
+    options: &ArraysOptions,
+    form: &Form,
+    defaults: &mut Vec<String>,
+) -> Result<MatrixHeader> {
     let [nx, ny] = form.points;
     let Some(pitch_mm) = options.pitch_mm.or(arrays.pitch_mm) else {
         let expected = "the side of a sample in mm, as the input does not say it".into();
@@ -306,7 +330,10 @@ fn header(arrays: &MatrixArrays<'_>, options: &ArraysOptions, form: &Form, defau
     let lit = if form.full { Some([pitch_mm; 2]) } else { None };
     let stated = options.lit_pitch_mm.or(arrays.lit_pitch_mm).or(lit);
     stated.into_iter().flatten().try_for_each(|v| super::store::check_mm("lit_pitch_mm", v))?;
-    let places = [arrays.over_points("x_i_mm", &arrays.x_i_mm, form.points)?, arrays.over_points("y_i_mm", &arrays.y_i_mm, form.points)?];
+    let places = [
+        arrays.over_points("x_i_mm", &arrays.x_i_mm, form.points)?,
+        arrays.over_points("y_i_mm", &arrays.y_i_mm, form.points)?,
+    ];
     let (lit_mm, lit_pitch_mm): (Vec<Point>, Point) = match places {
         [Some(x), Some(y)] => {
             let lit_mm: Vec<Point> = x.into_iter().zip(y).map(|(x, y)| [x, y]).collect();
@@ -361,7 +388,12 @@ impl MatrixArrays<'_> {
     }
 
     /// A number for each lit point.
-    fn over_points(&self, name: &str, array: &Option<ArrayOf<'_, f64>>, [nx, ny]: [usize; 2]) -> Result<Option<Vec<f64>>> {
+    fn over_points(
+        &self,
+        name: &str,
+        array: &Option<ArrayOf<'_, f64>>,
+        [nx, ny]: [usize; 2],
+    ) -> Result<Option<Vec<f64>>> {
         let Some(array) = array else { return Ok(None) };
         let fits = array.shape == [ny, nx] || array.shape == [nx * ny];
         if !fits || array.values.len() != nx * ny {
@@ -385,7 +417,10 @@ impl MatrixArrays<'_> {
         for dy in 0..h {
             let Some((first, from, count)) = form.line(index, dy) else { continue };
             for k in 0..count * CHANNELS {
-                let (out, at) = ((dy * w + first) * CHANNELS + k, from + k / CHANNELS * channels + (k % CHANNELS).min(channels - 1));
+                let (out, at) = (
+                    (dy * w + first) * CHANNELS + k,
+                    from + k / CHANNELS * channels + (k % CHANNELS).min(channels - 1),
+                );
                 let value = self.response.values[at];
                 let valid = match &self.valid {
                     Some(valid) => valid.values[at] != 0,
@@ -402,7 +437,11 @@ impl MatrixArrays<'_> {
                     }
                 }
                 if variance < 0.0 {
-                    return Err(self.refused("variance", "0 or more".into(), format!("{variance} at variance{:?}", self.index(at))));
+                    return Err(self.refused(
+                        "variance",
+                        "0 or more".into(),
+                        format!("{variance} at variance{:?}", self.index(at)),
+                    ));
                 }
                 (row.response[out], row.variance[out], row.valid[out]) = (value, variance, true);
             }
@@ -413,11 +452,17 @@ impl MatrixArrays<'_> {
     /// The indices of a number of the arrays.
     fn index(&self, at: usize) -> Vec<usize> {
         let mut rest = at;
-        let mut index: Vec<usize> = self.response.shape.iter().rev().map(|&n| {
-            let one = rest % n;
-            rest /= n;
-            one
-        }).collect();
+        let mut index: Vec<usize> = self
+            .response
+            .shape
+            .iter()
+            .rev()
+            .map(|&n| {
+                let one = rest % n;
+                rest /= n;
+                one
+            })
+            .collect();
         index.reverse();
         index
     }

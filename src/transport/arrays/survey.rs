@@ -72,7 +72,10 @@ impl Survey {
         if self.negative > 0 {
             let share = self.negative_sum / self.positive_sum.max(f64::MIN_POSITIVE);
             let (lowest, at) = self.lowest;
-            found.push(ArraysWarning::NegativeResponses { entries: self.negative, share: share.min(f64::MAX), lowest, at }.into());
+            found.push(
+                ArraysWarning::NegativeResponses { entries: self.negative, share: share.min(f64::MAX), lowest, at }
+                    .into(),
+            );
         }
         if let (entries @ 1.., Some(at)) = self.unmeasured {
             found.push(ArraysWarning::UnmeasuredSamples { entries, of: self.entries, at }.into());

@@ -19,7 +19,10 @@ fn pitch() -> ArraysOptions {
     ArraysOptions { pitch_mm: Some(0.5), ..ArraysOptions::default() }
 }
 
-fn import(arrays: &MatrixArrays<'_>, options: &ArraysOptions) -> Result<(ImportedMatrix, MatrixHeader, super::super::RowBlock)> {
+fn import(
+    arrays: &MatrixArrays<'_>,
+    options: &ArraysOptions,
+) -> Result<(ImportedMatrix, MatrixHeader, super::super::RowBlock)> {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("m.rd.zarr");
     let imported = import_arrays(arrays, options, &out, &Progress::silent())?;
@@ -52,7 +55,9 @@ fn windows_of_three_channels_and_of_one_are_rows() {
 fn a_full_matrix_is_cut_into_windows_and_says_what_lies_outside() {
     let values: Vec<f32> = (0..144).map(|k| full(k / 12, k % 12)).collect();
     let options = |window, points| ArraysOptions { window, points, ..pitch() };
-    for (shape, flag) in [(vec![12, 12], false), (vec![12, 12, 1], false), (vec![3, 4, 3, 4], true), (vec![3, 4, 3, 4, 1], true)] {
+    for (shape, flag) in
+        [(vec![12, 12], false), (vec![12, 12, 1], false), (vec![3, 4, 3, 4], true), (vec![3, 4, 3, 4, 1], true)]
+    {
         let points = (!flag).then_some([4, 3]);
         let options = ArraysOptions { full: flag, ..options(Some([3, 5]), points) };
         let (imported, header, block) = import(&arrays(&shape, values.clone()), &options).unwrap();
@@ -123,9 +128,15 @@ fn arrays_beside_the_response_are_used() {
     let refused = |given: MatrixArrays<'_>| import(&given, &ArraysOptions::default()).unwrap_err().to_string();
     let wide = MatrixArrays { x_i_mm: own(&[2, 1], vec![3.0, 4.5]), ..given.clone() };
     assert!(refused(wide).contains("x_i_mm: expected shape [1, 2]"));
-    assert!(refused(MatrixArrays { y_i_mm: None, ..given.clone() }).contains("y_i_mm: expected x_i_mm and y_i_mm, or neither"));
+    assert!(
+        refused(MatrixArrays { y_i_mm: None, ..given.clone() })
+            .contains("y_i_mm: expected x_i_mm and y_i_mm, or neither")
+    );
     let negative = Some(ArrayOf { shape: vec![1, 2, 1, 1], values: Cow::Owned(vec![-0.1, 0.2]) });
-    assert!(refused(MatrixArrays { variance: negative, ..given.clone() }).contains("variance: expected 0 or more, found -0.1 at variance[0, 0, 0, 0]"));
+    assert!(
+        refused(MatrixArrays { variance: negative, ..given.clone() })
+            .contains("variance: expected 0 or more, found -0.1 at variance[0, 0, 0, 0]")
+    );
     let short = Some(ArrayOf { shape: vec![2], values: Cow::Owned(vec![0.1, 0.2]) });
     assert!(refused(MatrixArrays { variance: short, ..given }).contains("variance: expected the shape of response"));
 }
@@ -147,9 +158,15 @@ fn shapes_and_options_that_do_not_fit_are_refused() {
     }
     assert!(refused(&[2, 2, 3, 3], &ArraysOptions::default()).contains("pitch_mm: expected the side of a sample"));
     assert!(refused(&[2, 2, 3, 3], &ArraysOptions { pitch_mm: Some(0.0), ..pitch() }).contains("pitch_mm"));
-    assert!(refused(&[2, 2, 3, 3], &ArraysOptions { lit_pitch_mm: Some([1.0, f64::NAN]), ..pitch() }).contains("lit_pitch_mm"));
+    assert!(
+        refused(&[2, 2, 3, 3], &ArraysOptions { lit_pitch_mm: Some([1.0, f64::NAN]), ..pitch() })
+            .contains("lit_pitch_mm")
+    );
     assert!(refused(&[2, 2, 3, 3], &ArraysOptions { window: Some([3, 3]), ..pitch() }).contains("window"));
     assert!(refused(&[2, 2, 3, 3], &ArraysOptions { full: true, ..pitch() }).contains("as many outgoing"));
-    assert!(refused(&[12, 12], &ArraysOptions { points: Some([5, 2]), ..pitch() }).contains("product is 12, the points of response, found 5x2"));
+    assert!(
+        refused(&[12, 12], &ArraysOptions { points: Some([5, 2]), ..pitch() })
+            .contains("product is 12, the points of response, found 5x2")
+    );
     assert!(refused(&[4, 4], &ArraysOptions { window: Some([2, 3]), ..pitch() }).contains("odd numbers"));
 }

@@ -296,13 +296,22 @@ fn a_folder_that_is_no_whole_matrix_is_refused() {
     };
     assert_eq!(after(&|_| ()), None);
     let said = |change: &dyn Fn(&Path), part: &str| assert!(after(change).unwrap().contains(part), "{part}");
-    said(&edit("zarr.json", "\"acquire_format\": 2", "\"acquire_format\": 3"), "acquire_format: expected one of [1, 2]");
+    said(
+        &edit("zarr.json", "\"acquire_format\": 2", "\"acquire_format\": 3"),
+        "acquire_format: expected one of [1, 2]",
+    );
     said(&|path: &Path| std::fs::write(path.join("shot/c/0/0"), [2u8, 0, 0, 0].repeat(6)).unwrap(), "numbers below 2");
     said(&|path: &Path| std::fs::write(path.join("x_i_mm/c/0/0"), [0; 47]).unwrap(), "array x_i_mm");
-    said(&|path: &Path| std::fs::write(path.join("y_i_mm/c/0/0"), [0xff; 48]).unwrap(), "array y_i_mm: expected finite");
+    said(
+        &|path: &Path| std::fs::write(path.join("y_i_mm/c/0/0"), [0xff; 48]).unwrap(),
+        "array y_i_mm: expected finite",
+    );
     said(&|path: &Path| std::fs::remove_file(path.join("variance/zarr.json")).unwrap(), "array variance: zarr.json");
     said(&|path: &Path| std::fs::remove_dir_all(path.join("response")).unwrap(), "array response: expected an array");
-    said(&edit("valid/zarr.json", "3,\n    3,\n    5,", "3,\n    5,\n    3,"), "array valid: expected the shape of response");
+    said(
+        &edit("valid/zarr.json", "3,\n    3,\n    5,", "3,\n    5,\n    3,"),
+        "array valid: expected the shape of response",
+    );
     assert!(matches!(MatrixReader::open(&folder.path().join("none")), Err(Error::Io { .. })));
     // Whatever else is there is not overwritten.
     std::fs::create_dir(folder.path().join("other")).unwrap();
