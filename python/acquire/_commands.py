@@ -24,11 +24,11 @@ def _words(options: dict[str, Any]) -> list[str]:
         if value is None or value is False:
             continue
         if value is True:
-            words.append("--maps=yes" if name == "maps" else flag)
-        elif isinstance(value, (tuple, list, np.ndarray)) and len(value) > 0 and isinstance(value[0], str):
-            words.append(f"{flag}={','.join(value)}")
+            words.append(flag)
         elif isinstance(value, (tuple, list, np.ndarray)):
-            words.append(f"{flag}={'x'.join(_number(v) for v in value)}")
+            # Names are lists, numbers are pairs; an empty list is the option alone.
+            separator = "," if all(isinstance(v, str) for v in value) else "x"
+            words.append(f"{flag}={separator.join(map(_number, value))}" if len(value) else flag)
         else:
             words.append(f"{flag}={_number(value)}")
     return words

@@ -51,6 +51,10 @@ class Material:
             return cls(native.NativeMaterial.from_bytes(bytes(source)))
         return cls(native.NativeMaterial.load(os.fspath(source)))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Workers of dask and multiprocessing get the file's bytes.
+        return (Material.load, (self.to_bytes("f32"),))
+
     def __repr__(self) -> str:
         x, y = self._header["points"]
         return f"<acquire.Material: {self._native.describe()}; {x} × {y} points, {self.bytes_f32} bytes of f32>"

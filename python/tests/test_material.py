@@ -1,5 +1,6 @@
 """Materials: evaluated, drawn from, relit, saved."""
 
+import pickle
 import threading
 
 import numpy as np
@@ -109,6 +110,7 @@ def test_files_and_bytes_come_back(material, tmp_path):
         assert worst <= bound, (precision, worst)
         np.testing.assert_array_equal(acquire.Material.load(name.read_bytes()).row(5), back.row(5))
     assert acquire.Material.load(material.to_bytes()).info == material.info
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(material)).row(5), material.row(5))
     factors = material.factors
     assert factors["lit_mm"].shape == (80, 2) and factors["incident_factors"].shape[1:] == (80, 6)
     material.export(tmp_path / "m.npz")
