@@ -107,6 +107,11 @@ pub struct Stage<'a> {
 }
 
 impl Stage<'_> {
+    /// A step may begin. After [`Progress::stop`] none does: steps that wait for a core would otherwise be made in vain.
+    pub fn begin(&self) {
+        self.progress.unwind_if_stopped();
+    }
+
     /// `n` more steps are done; callable from any thread.
     pub fn advance(&self, n: usize) {
         self.bar.inc(n as u64);
@@ -138,7 +143,10 @@ mod tests {
         let stage = progress.stage("rows", 3);
         stage.advance(2);
         assert_eq!(progress.running(), Some(("rows".into(), 2, 3)));
+        stage.begin();
         progress.stop();
+        let begun = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| stage.begin()));
+        assert!(begun.unwrap_err().is::<Stopped>());
         let step = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| stage.advance(1)));
         assert!(step.unwrap_err().is::<Stopped>());
         drop(stage);

@@ -2,17 +2,24 @@
 
     python matrix_in_xarray.py [FOLDER]
 
-Needs xarray, zarr 3 and dask. Simulates a small matrix in FOLDER, by default the working directory.
+Needs xarray, zarr 3 and dask. Works in FOLDER, by default the working directory.
 """
 
 import sys
 from pathlib import Path
 
+import numpy as np
+
 import acquire
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-acquire.simulate(folder / "capture", material="chessboard-2x2", grid=(12, 9), window=(11, 11), seed=1, truth_only=True, force=True)
-matrix = acquire.Matrix.open(folder / "capture/truth.rd.zarr")
+
+# A matrix of 12 × 9 lit points whose light spreads further from left to right.
+dy, dx = 0.5 * (np.mgrid[0:11, 0:11] - 5)
+spread_mm = np.linspace(0.5, 1.0, 12)[:, None, None, None] * np.array([1.2, 1.0, 0.7])
+response = 0.05 * np.exp(-np.hypot(dx, dy)[..., None] / spread_mm)
+acquire.write_matrix(folder / "slab.rd.zarr", np.broadcast_to(response, (9, *response.shape)), pitch_mm=0.5, force=True)
+matrix = acquire.Matrix.open(folder / "slab.rd.zarr")
 print(matrix)
 
 lazy = matrix.to_xarray()

@@ -30,7 +30,7 @@ def program():
 def truth(tmp_path_factory):
     """The true matrix of a chessboard: 10 × 8 points, windows of 11 × 9 samples."""
     folder = tmp_path_factory.mktemp("simulated") / "c"
-    acquire.simulate(folder, material="chessboard-2x2", grid=(10, 8), window=(11, 9), seed=3, truth_only=True)
+    acquire.simulate(folder, material="chessboard-2x2", grid=(10, 8), window=(11, 9), seed=3, truth_only=True, voxels_per_sample=1)
     return folder / "truth.rd.zarr"
 
 

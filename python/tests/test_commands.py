@@ -114,7 +114,8 @@ def test_factor_and_evaluate_are_those_of_the_program(truth, tmp_path, program):
     measures = acquire.evaluate(material, truth)
     status, out, _ = program("evaluate", tmp_path / "m.safetensors", truth, "--json", "-q")
     for name, value in json.loads(out).items():
-        assert measures[name] == pytest.approx(value, rel=1e-3), name
+        # Places are f32 in files: 1e-7 of some millimetres.
+        assert measures[name] == (None if value is None else pytest.approx(value, rel=1e-3, abs=1e-6)), name
     assert acquire.evaluate(acquire.Matrix.open(truth), truth)["rel_rmse"] == 0
     assert acquire.evaluate(tmp_path / "m.safetensors", truth).keys() == measures.keys()
 
@@ -132,14 +133,15 @@ def test_options_are_those_of_the_program(truth):
 
 def test_a_target_that_is_missed_is_a_warning_with_its_finding(truth):
     with pytest.warns(acquire.FindingWarning, match="goal-missed") as told:
-        material = acquire.factor(truth, target_psnr=500)
-    assert told[0].message.finding["id"] == "goal-missed"
-    assert told[0].filename == __file__
-    assert material.report["findings"][0]["figures"]["asked"] == "500 dB"
+        material = acquire.factor(truth, max_bytes=50)
+    told = next(w for w in told if w.message.finding["id"] == "goal-missed")
+    assert told.filename == __file__
+    finding = next(f for f in material.report["findings"] if f["id"] == "goal-missed")
+    assert finding == told.message.finding and finding["figures"]["asked"] == "50 bytes"
 
 
 def test_a_capture_is_simulated_and_built(tmp_path):
-    report = acquire.simulate(tmp_path / "c", grid=(4, 3), window=(7, 5), exposures=3, frame_marks=True, without_board=True, seed=2)
+    report = acquire.simulate(tmp_path / "c", grid=(8, 6), window=(9, 9), exposures=3, frame_marks=True, without_board=True, seed=2)
     assert report["photographs"] > 10
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", acquire.FindingWarning)
@@ -157,14 +159,15 @@ def test_a_capture_is_simulated_and_built(tmp_path):
 
 def test_progress_is_told_and_what_it_raises_stops_the_work(tmp_path):
     stages = []
-    acquire.simulate(tmp_path / "c", grid=8, window=15, truth_only=True, progress=lambda *step: stages.append(step))
+    acquire.simulate(tmp_path / "c", grid=24, window=5, truth_only=True, progress=lambda *step: stages.append(step))
+    assert stages
     assert all(done <= total for _, done, total in stages)
 
     def stop(*step):
         raise RuntimeError("enough")
 
     with pytest.raises(RuntimeError, match="enough"):
-        acquire.simulate(tmp_path / "d", grid=40, window=31, progress=stop)
+        acquire.simulate(tmp_path / "d", grid=60, window=5, progress=stop)
     assert not (tmp_path / "d").exists()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c"], "nothing unfinished is left"
 
@@ -177,7 +180,7 @@ def test_ctrl_c_stops_and_leaves_nothing(tmp_path):
         def tell(*step):
             print("running", flush=True)
         try:
-            acquire.simulate(sys.argv[1], grid=40, window=31, progress=tell)
+            acquire.simulate(sys.argv[1], grid=60, window=5, progress=tell)
         except KeyboardInterrupt:
             sys.exit(42)
         """
@@ -202,7 +205,7 @@ def test_the_interpreter_goes_on_while_a_call_works(tmp_path):
     thread = threading.Thread(target=count)
     thread.start()
     try:
-        acquire.simulate(tmp_path / "c", grid=16, window=21, truth_only=True, progress=False)
+        acquire.simulate(tmp_path / "c", grid=12, window=5, truth_only=True, progress=False)
     finally:
         done.set()
         thread.join()
