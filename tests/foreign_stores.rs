@@ -323,6 +323,14 @@ fn what_does_not_fit_is_named_with_what_was_expected() {
             pitch(),
             &|b| {
                 plain(b);
+                b.f64s("x_i", &[3], &["x_i"], vec![0.0, 1.5, 3.0])
+            },
+            "array x_i: expected whole numbers, or none (places in mm are the arrays x_i_mm and y_i_mm)",
+        ),
+        (
+            pitch(),
+            &|b| {
+                plain(b);
                 b.f64s("shot", &[2, 3], &["y_i", "x_i"], vec![0.0; 6])
             },
             "array shot: expected -1, or numbers below 0",
@@ -336,6 +344,18 @@ fn what_does_not_fit_is_named_with_what_was_expected() {
             "array variance: expected the shape of response",
         ),
     ];
+    let with_unit = |name: &str, unit: &str| {
+        let bench = Bench::new(pitch());
+        bench.plain("response", &SHAPE, Some(&NAMES), vec![1.0; 270]);
+        bench.f64s("dx", &[5], &["dx"], vec![-1.0, -0.5, 0.0, 0.5, 1.0]);
+        let mut array = Array::open(bench.store.clone(), &format!("/{name}")).unwrap();
+        array.attributes_mut().insert("units".into(), json!(unit));
+        array.store_metadata().unwrap();
+        bench
+    };
+    assert!(with_unit("response", "cm^-2").refused().contains("array response: expected units mm^-2, found cm^-2"));
+    assert!(with_unit("dx", "px").refused().contains("array dx: expected units mm, found px"));
+    assert_eq!(with_unit("response", "1/mm^2").open().header().pitch_mm, 0.5);
     for (attributes, change, words) in cases {
         let said = refused(attributes.clone(), *change);
         assert!(said.contains(words), "{words}\nis not in\n{said}");

@@ -180,6 +180,8 @@ MISTAKES = [
     (lambda ds: ds.assign_attrs(acquire_format=9), "attribute acquire_format: expected one of [1, 2], or none"),
     (lambda ds: ds.assign(valid=ds.response.astype("u1") * 0 + 3), "array valid: expected 1 where measured and 0 where not, found 3"),
     (lambda ds: ds.where(ds.dx != 0, np.inf), "response: expected finite numbers, found inf at lit point [0, 0]"),
+    (lambda ds: ds.assign_coords(x_i=1.5 * np.arange(4)), "array x_i: expected whole numbers, or none"),
+    (lambda ds: ds.assign(response=ds.response.assign_attrs(units="cm^-2")), "array response: expected units mm^-2, found cm^-2"),
     (lambda ds: ds.assign(variance=ds.response.isel(dx=0, drop=True)), "array variance: expected the shape of response"),
 ]
 

@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use zarrs::array::{Array, ArrayCreateError};
+use zarrs::array::{Array, ArrayCreateError, data_type};
 use zarrs::filesystem::FilesystemStore;
 
 /// Lit points up to this number are believed whatever a store holds: their places take 40 MB.
@@ -21,6 +21,19 @@ const SAME: f64 = 1e-3;
 /// A stated lit pitch further than this share from the distance of the lit points is that of the matrix which this one was cut out of: leaving out every
 /// other line doubles the distance, and measured places scatter by far less.
 const STALE: f64 = 0.25;
+
+/// How other programs spell the units of this store.
+const UNITS: [(&str, &[&str]); 3] = [
+    (
+        "mm^-2",
+        &["mm^-2", "mm-2", "mm**-2", "mm⁻²", "1/mm^2", "1/mm2", "1/mm**2", "1/mm²", "/mm^2", "1 / millimeter ** 2"],
+    ),
+    (
+        "mm^-4",
+        &["mm^-4", "mm-4", "mm**-4", "mm⁻⁴", "1/mm^4", "1/mm4", "1/mm**4", "1/mm⁴", "/mm^4", "1 / millimeter ** 4"],
+    ),
+    ("mm", &["mm", "millimeter", "millimeters", "millimetre", "millimetres"]),
+];
 
 /// A store that is open.
 pub(super) struct Opened {
@@ -68,6 +81,8 @@ pub(super) fn open(path: &Path, instead: &Map<String, Value>) -> Result<Opened> 
     {
         return Err(group.unfit("attribute channels", r#"["R","G","B"]"#, names));
     }
+    group.refuse_places_as_indices()?;
+    group.check_channel_names(channels)?;
     let (pitch_mm, layout) = windows(&group, [nx, ny], [w, h])?;
     let header = header(&group, &layout, pitch_mm)?;
     Ok(Opened { header, layout, response, variance, valid })
@@ -282,6 +297,7 @@ impl StoreGroup {
     fn row_array(&self, name: &str) -> Result<Option<RowArray>> {
         let Some(array) = self.array(name)? else { return Ok(None) };
         let part = format!("array {name}");
+        self.check_unit(name, &array)?;
         RowArray::new(array).map(Some).map_err(|[expected, found]| self.unfit(&part, expected, found))
     }
 
@@ -294,6 +310,7 @@ impl StoreGroup {
             return Err(self.unfit(&part, format!("at most {most} numbers"), format_args!("shape {shape:?}")));
         }
         check_chunks(&array).map_err(|[expected, found]| self.unfit(&part, expected, found))?;
+        self.check_unit(name, &array)?;
         let values = wide_numbers(&array, &array.subset_all()).map_err(|reason| {
             match reason.starts_with("numbers of type") {
                 true => self.unfit(&part, "numbers", reason),
@@ -301,6 +318,52 @@ impl StoreGroup {
             }
         })?;
         Ok(Some((values, shape, dimension_names(&array))))
+    }
+
+    /// Refuses another unit than this store's, where an array states one.
+    fn check_unit(&self, name: &str, array: &Array<FilesystemStore>) -> Result<()> {
+        let unit = match name {
+            "response" => 0,
+            "variance" => 1,
+            "valid" | "shot" => return Ok(()),
+            _ => 2,
+        };
+        let (expected, spelled) = UNITS[unit];
+        match array.attributes().get("units").and_then(Value::as_str).map(str::trim) {
+            Some(found) if !spelled.contains(&found) => {
+                Err(self.unfit(&format!("array {name}"), format!("units {expected}"), found))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Refuses places under the names of the axes, as xarray's coordinates of the axes are written: they would not be read.
+    fn refuse_places_as_indices(&self) -> Result<()> {
+        for name in ["x_i", "y_i"] {
+            let Some(array) = self.array(name)? else { continue };
+            let float = [data_type::float64(), data_type::float32(), data_type::float16()].contains(array.data_type());
+            if float && self.array(&format!("{name}_mm"))?.is_none() {
+                let expected = "whole numbers, or none (places in mm are the arrays x_i_mm and y_i_mm)";
+                return Err(self.unfit(&format!("array {name}"), expected, "numbers of floating point"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Refuses channels in another order, where an array of strings names them.
+    fn check_channel_names(&self, channels: usize) -> Result<()> {
+        // Other kinds of text are for other programs.
+        let Ok(array) = Array::open(self.store.clone(), "/channel") else { return Ok(()) };
+        if channels != CHANNELS || *array.data_type() != data_type::string() || array.shape() != [CHANNELS as u64] {
+            return Ok(());
+        }
+        let names: Vec<String> = array.retrieve_array_subset(&array.subset_all()).unwrap_or_default();
+        let initials: Vec<String> =
+            names.iter().map(|n| n.chars().take(1).collect::<String>().to_uppercase()).collect();
+        match initials == ["R", "G", "B"] || initials.iter().all(|n| !["R", "G", "B"].contains(&n.as_str())) {
+            true => Ok(()),
+            false => Err(self.unfit("array channel", "R, G, B in this order", names.join(", "))),
+        }
     }
 
     /// Offsets of samples from the lit point along one axis, mm.

@@ -63,7 +63,7 @@ fn a_full_matrix_is_cut_into_windows_and_says_what_lies_outside() {
         let (imported, header, block) = import(&arrays(&shape, values.clone()), &options).unwrap();
         assert_eq!((header.points, header.window, header.lit_pitch_mm), ([4, 3], [3, 5], [0.5; 2]));
         let (mut inside, all): (f64, f64) = (0.0, values.iter().map(|&v| f64::from(v)).sum());
-        for (i, k) in (0..12).flat_map(|i| (0..15).map(move |k| (i, k))) {
+        for (i, k) in (0..12_usize).flat_map(|i| (0..15_usize).map(move |k| (i, k))) {
             let (x, y) = ((i % 4 + k % 3).checked_sub(1), (i / 4 + k / 3).checked_sub(2));
             let o = x.zip(y).filter(|(x, y)| *x < 4 && *y < 3).map(|(x, y)| x + 4 * y);
             let expected = o.map(|o| full(i, o));
