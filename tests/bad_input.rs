@@ -418,7 +418,6 @@ fn a_matrix_that_announces_more_than_it_holds_is_refused() {
         change(&mut value);
         std::fs::write(path, value.to_string()).unwrap();
     };
-    rewrite("", &|v| v["attributes"]["points"] = serde_json::json!([65535, 65535]));
     for name in ["response", "variance", "valid"] {
         rewrite(name, &|v| v["shape"] = serde_json::json!([65535, 65535, 5, 7, 3]));
     }
@@ -426,9 +425,16 @@ fn a_matrix_that_announces_more_than_it_holds_is_refused() {
         rewrite(name, &|v| v["shape"] = serde_json::json!([65535, 65535]));
     }
     let out = bench.path("m.safetensors");
-    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["x_i_mm", "bytes"]);
-    rewrite("", &|v| v["attributes"]["points"] = serde_json::json!([0, 3]));
-    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["points"]);
+    bench
+        .fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["response", "4294836225 rows"]);
+    rewrite("response", &|v| v["shape"] = serde_json::json!([3, 0, 5, 7, 3]));
+    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["response", "x_i"]);
+    // Chunks that would take 10^19 bytes: the shape is possible, memory for one of them is not.
+    rewrite("response", &|v| {
+        v["shape"] = serde_json::json!([3, 4, 5, 7, 3]);
+        v["chunk_grid"]["configuration"]["chunk_shape"] = serde_json::json!([1, 1_u64 << 63, 5, 7, 3]);
+    });
+    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["response", "chunks"]);
 }
 
 #[test]

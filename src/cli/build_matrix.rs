@@ -1,4 +1,6 @@
-use super::{Context, options};
+pub(super) use super::options::Build as Options;
+
+use super::Context;
 use crate::pipeline::{BuildReport, build_matrix};
 use crate::simulate::TRUTH_MATRIX;
 use crate::words::count;
@@ -22,7 +24,7 @@ pub(super) struct Args {
     /// Folder of capture.toml.
     capture: PathBuf,
     #[command(flatten)]
-    build: options::Build,
+    build: Options,
     /// Where the matrix goes; an older one there is replaced.
     #[arg(long, short, value_name = "X.rd.zarr", default_value = "matrix.rd.zarr")]
     out: PathBuf,

@@ -102,6 +102,11 @@ const WRITTEN: &[&str] = &[
     r#"{"warning":"refractive-index-differs","used":"wax","used_index":1.5,"other":"ink","other_index":1.25}"#,
     r#"{"warning":"diffusion-too-clear","medium":"wax","channel":"R","mean_free_path_mm":null,"exceeds":"window","length_mm":7.5}"#,
     r#"{"warning":"diffusion-too-dark","medium":"ink","channel":"B","reduced_scattering_per_mm":0.5,"absorption_per_mm":2.0}"#,
+    r#"{"warning":"negative-responses","entries":2,"share":0.001,"lowest":-0.5,"at":"response[0, 0, 1, 1, 2]"}"#,
+    r#"{"warning":"unmeasured-samples","entries":3,"of":90,"at":"response[0, 0, 1, 1, 2]"}"#,
+    r#"{"warning":"light-outside-window","share":0.0005,"window":[7,7]}"#,
+    r#"{"warning":"light-outside-window","share":0.25,"window":[3,3]}"#,
+    r#"{"warning":"imported-albedo","rows":4,"largest":3.25,"pitch_mm":0.5}"#,
 ];
 
 /// Each finding, and what is written of it.
