@@ -4,6 +4,7 @@
 
 mod cholesky;
 mod error;
+mod files;
 mod output;
 mod warning;
 mod words;

@@ -70,6 +70,9 @@ pub(super) struct Args {
     /// The material to write [default: the matrix's name with .safetensors, in the working directory].
     #[arg(long, short, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Replace an earlier material there.
+    #[arg(long)]
+    force: bool,
 }
 
 /// Refuses options that contradict each other.
@@ -115,7 +118,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
         Some(Precision::Coded) => &["acq"],
         Some(_) => &["safetensors"],
     };
-    super::check_output(&out, &[&args.matrix], endings)?;
+    super::check_output(&out, &[&args.matrix], endings, args.force)?;
     let reader = MatrixReader::open(&args.matrix)?;
     let options = FactorOptions {
         model: args.model,
@@ -138,7 +141,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     };
     let storage = Storage { precision, added_error: args.added_error };
     let stored = factor_and_store(&reader, &options, &storage, &context.progress)?;
-    write_whole(&out, &stored.file)?;
+    write_whole(&out, stored.file.clone())?;
     let factored = &stored.factored;
     context.tell(&factored.warnings);
     let how = match precision {

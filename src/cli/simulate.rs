@@ -56,6 +56,7 @@ pub(super) struct Args {
 
 /// Runs the command.
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
+    super::check_folder("DIR", &args.dir, args.voxels.as_deref().as_slice(), false)?;
     let mut options = SimulateOptions::from(args.options);
     if let Some(file) = args.voxels {
         options.material = SlabMaterial::Voxels(file);

@@ -12,14 +12,16 @@
 //!
 //! Everything else is in the group's attributes, see [`MatrixHeader`]; `findings` are the records ([`FindingRecord`]) of `warnings`, one for one.
 
-use super::positioned;
-use crate::{Error, FindingRecord, Result, Warning, geometry::Point, output::ScratchFolder};
+use super::checksum::{self, Checksums};
+use super::{earlier, positioned};
+use crate::output::{ScratchFolder, put};
+use crate::{Error, FindingRecord, Result, Warning, geometry::Point};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
-use zarrs::array::codec::ZstdCodec;
+use zarrs::array::codec::{Crc32cCodec, ZstdCodec};
 use zarrs::array::{Array, ArrayBuilder, ArraySubset, ChunkKeySeparator, ElementOwned, data_type};
 use zarrs::filesystem::FilesystemStore;
 
@@ -177,6 +179,7 @@ pub struct MatrixWriter {
     path: PathBuf,
     header: MatrixHeader,
     folder: ScratchFolder,
+    replaces: bool,
     scratch: File,
     written: Mutex<Vec<bool>>,
 }
@@ -185,24 +188,22 @@ impl MatrixWriter {
     /// Prepares to write the store `path`; an older store there is replaced by [`Self::finish`].
     ///
     /// # Errors
-    /// [`Error::Io`] when the folder of `path` cannot be written, [`Error::Setting`] when something other than a store is at `path`.
+    /// [`Error::Io`] when the folder of `path` cannot be written; [`Error::NotOurs`], [`Error::Changed`] when something other than a matrix of this
+    /// program is at `path`.
     pub fn create(path: &Path, header: MatrixHeader) -> Result<Self> {
         if path.to_str().is_none() {
             // The Zarr crate could not read it back.
             let reason = "the path of a matrix must be UTF-8";
             return Err(Error::io("create", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
         }
-        if path.symlink_metadata().is_ok()
-            && let Err(found) = only_a_matrix(path)
-        {
-            let expected = "a new path, or an older matrix with nothing else in its folder to replace".into();
-            return Err(Error::Setting { setting: "out", expected, found });
-        }
+        let replaces = earlier::check(path, true)?;
+        // Where a link leads: it stays.
+        let path = &if replaces { path.canonicalize().map_err(Error::io("create", path))? } else { path.to_path_buf() };
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let folder = ScratchFolder::new(parent, ".acquire-matrix-", path)?;
+        let folder = ScratchFolder::new(parent, path)?;
         let scratch = tempfile::tempfile_in(folder.path()).map_err(Error::io("create", path))?;
         let written = Mutex::new(vec![false; header.rows()]);
-        Ok(Self { path: path.to_path_buf(), header, folder, scratch, written })
+        Ok(Self { path: path.clone(), header, folder, replaces, scratch, written })
     }
 
     /// What will be written besides the rows.
@@ -262,16 +263,14 @@ impl MatrixWriter {
     pub fn finish(self) -> Result<()> {
         self.header.check().and_then(|()| self.header.check_places()).map_err(Error::internal)?;
         let written = self.written.lock().map_err(Error::internal)?.clone();
-        let store_path = self.folder.path().join("store");
+        let store_path = self.folder.new_path();
         self.write_store(&store_path, &written).map_err(|reason| Error::Io {
             path: self.path.clone(),
             action: "write",
             source: std::io::Error::other(reason.to_string()),
         })?;
-        if self.path.exists() {
-            std::fs::rename(&self.path, self.folder.path().join("older")).map_err(Error::io("rename", &self.path))?;
-        }
-        std::fs::rename(&store_path, &self.path).map_err(Error::io("rename", &self.path))
+        earlier::check(&self.path, self.replaces)?;
+        put(&self.folder, &self.path, self.replaces).map_err(Error::io("write", &self.path))
     }
 
     fn write_store(&self, store_path: &Path, written: &[bool]) -> Result<(), BoxedError> {
@@ -286,7 +285,6 @@ impl MatrixWriter {
         // What `warnings` say, as other programs may want it; not read again.
         let findings: Vec<FindingRecord> = header.warnings.iter().map(Warning::record).collect();
         attributes.insert("findings".into(), serde_json::to_value(findings)?);
-        zarrs::group::GroupBuilder::new().attributes(attributes).build(store.clone(), "/")?.store_metadata()?;
         self.write_coordinates(&store)?;
 
         let arrays =
@@ -306,6 +304,15 @@ impl MatrixWriter {
             valid.store_array_subset(&subset, block.valid)?;
             Ok::<_, BoxedError>(())
         })?;
+        for name in checksum::ARRAYS {
+            let mut array = Array::open(store.clone(), &format!("/{name}"))?;
+            let sums = checksum::of_chunks(store_path, &array)?;
+            array.attributes_mut().insert(checksum::CHUNKS.into(), sums);
+            array.store_metadata()?;
+        }
+        // Last, as it has the checksum of all metadata.
+        attributes.insert(checksum::GROUP.into(), checksum::of_group(store_path, &attributes)?);
+        zarrs::group::GroupBuilder::new().attributes(attributes).build(store, "/")?.store_metadata()?;
         Ok(())
     }
 
@@ -374,27 +381,6 @@ fn subset(header: &MatrixHeader, rows: std::ops::Range<usize>) -> ArraySubset {
     ArraySubset::new_with_ranges(&[y..y + 1, x..x + n, 0..wy as u64, 0..wx as u64, 0..CHANNELS as u64])
 }
 
-/// Everything that a store has in its folder.
-const ENTRIES: [&str; 10] =
-    ["dx", "dy", "position_sd_mm", "response", "shot", "valid", "variance", "x_i_mm", "y_i_mm", "zarr.json"];
-
-/// Whether a folder is a store of this program and holds nothing that is not; what it is or holds otherwise.
-fn only_a_matrix(path: &Path) -> std::result::Result<(), String> {
-    let other = || path.display().to_string();
-    let text = std::fs::read(path.join("zarr.json")).map_err(|_| other())?;
-    let group: serde_json::Value = serde_json::from_slice(&text).map_err(|_| other())?;
-    if group.pointer("/attributes/acquire_format").is_none() {
-        return Err(format!("{}, a Zarr store of another program", other()));
-    }
-    for entry in std::fs::read_dir(path).map_err(|_| other())? {
-        let name = entry.map_err(|_| other())?.file_name();
-        if !ENTRIES.iter().any(|known| name == *known) {
-            return Err(path.join(name).display().to_string());
-        }
-    }
-    Ok(())
-}
-
 /// The attributes of an array: its unit, and what else there is to say.
 fn units(name: &str, more: &[(&str, &str)]) -> serde_json::Map<String, serde_json::Value> {
     let unit = match name {
@@ -424,7 +410,7 @@ where
         .dimension_names(["y_i", "x_i", "dy", "dx", "channel"].into())
         // The CF convention by which xarray takes the lit points' places for coordinates.
         .attributes(units(name, &[("coordinates", "x_i_mm y_i_mm")]))
-        .bytes_to_bytes_codecs(vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, true))])
+        .bytes_to_bytes_codecs(vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, false)), Arc::new(Crc32cCodec::new())])
         // One file a chunk in one folder: five nested folders for each would cost more than the data.
         .chunk_key_encoding_default_separator(ChunkKeySeparator::Dot)
         .build(store.clone(), &format!("/{name}"))
@@ -446,6 +432,7 @@ where
     let array = ArrayBuilder::new(shape.to_vec(), shape.to_vec(), data_type, fill.into())
         .dimension_names(Some(dimensions.iter().copied()))
         .attributes(units(name, &[]))
+        .bytes_to_bytes_codecs(vec![Arc::new(Crc32cCodec::new())])
         .build(store.clone(), &format!("/{name}"))?;
     array.store_metadata()?;
     array.store_array_subset(&array.subset_all(), values)?;
@@ -460,6 +447,8 @@ pub struct MatrixReader {
     response: Array<FilesystemStore>,
     variance: Array<FilesystemStore>,
     valid: Array<FilesystemStore>,
+    /// `None` for a store that another program, or an earlier version of this one, has written.
+    checksums: Option<Checksums>,
 }
 
 impl MatrixReader {
@@ -493,6 +482,7 @@ impl MatrixReader {
         let store = Arc::new(FilesystemStore::new(path).map_err(|e| broken(e.to_string()))?);
         let group = zarrs::group::Group::open(store.clone(), "/").map_err(|e| broken(e.to_string()))?;
         let attributes = serde_json::Value::Object(group.attributes().clone());
+        let checksums = Checksums::open(path, group.attributes()).map_err(&broken)?;
         let format = attributes.get("acquire_format").and_then(serde_json::Value::as_u64);
         if format != Some(FORMAT.into()) {
             return Err(broken(format!("acquire_format: expected {FORMAT}, found {format:?}")));
@@ -520,6 +510,16 @@ impl MatrixReader {
                 u8::MAX
             )));
         }
+        if let Some(checksums) = &checksums {
+            [&response, &variance, &valid]
+                .iter()
+                .try_for_each(|array| checksums.check_names(array))
+                .map_err(&broken)?;
+            for name in checksum::ARRAYS.into_iter().filter(|name| !checksum::ROWS.contains(name)) {
+                let array = open(name)?;
+                checksums.check_chunks(&array, &array.subset_all()).map_err(&broken)?;
+            }
+        }
         let points = &shape[..2];
         let x: Vec<f64> = small(path, &open("x_i_mm")?, points).map_err(&broken)?;
         let y: Vec<f64> = small(path, &open("y_i_mm")?, points).map_err(&broken)?;
@@ -532,7 +532,7 @@ impl MatrixReader {
             return Err(broken(format!("array shot: expected numbers below {shots}, found {s}")));
         }
         header.check_places().map_err(&broken)?;
-        Ok(Self { path: path.to_path_buf(), header, response, variance, valid })
+        Ok(Self { path: path.to_path_buf(), header, response, variance, valid, checksums })
     }
 
     /// What the matrix is.
@@ -618,10 +618,11 @@ impl MatrixReader {
     where
         Vec<T>: zarrs::array::FromArrayBytes,
     {
-        array.retrieve_array_subset::<Vec<T>>(part).map_err(|e| Error::BrokenMatrix {
-            path: self.path.clone(),
-            reason: format!("array {}: {e}", array.path()),
-        })
+        let broken = |reason: String| Error::BrokenMatrix { path: self.path.clone(), reason };
+        if let Some(checksums) = &self.checksums {
+            checksums.check_chunks(array, part).map_err(broken)?;
+        }
+        array.retrieve_array_subset::<Vec<T>>(part).map_err(|e| broken(format!("array {}: {e}", array.path())))
     }
 
     fn check(&self, block: &RowBlock) -> Result<()> {
@@ -674,4 +675,4 @@ impl RowBlock {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -1,6 +1,6 @@
 use super::*;
 
-fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
+pub(in crate::transport) fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
     let rows = points[0] * points[1];
     MatrixHeader {
         points,
@@ -17,7 +17,7 @@ fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
     }
 }
 
-fn row(header: &MatrixHeader, index: usize) -> Row {
+pub(in crate::transport) fn row(header: &MatrixHeader, index: usize) -> Row {
     let n = header.row_len();
     let response = (0..n).map(|k| (index * n + k) as f32).collect();
     Row { response, variance: vec![index as f32; n], valid: (0..n).map(|k| k % 2 == 0).collect() }
@@ -57,10 +57,12 @@ fn a_missing_chunk_is_an_error_and_not_a_row_of_zeros() {
     let header = header([2, 2], [3, 3]);
     let writer = MatrixWriter::create(&path, header.clone()).unwrap();
     writer.finish().unwrap();
-    std::fs::remove_file(path.join("valid/c.1.0.0.0.0")).unwrap();
     let reader = MatrixReader::open(&path).unwrap();
+    std::fs::remove_file(path.join("valid/c.1.0.0.0.0")).unwrap();
     reader.read(0..2).unwrap();
     assert!(matches!(reader.read(2..4), Err(Error::BrokenMatrix { .. })));
+    let missing = |e: Error| e.to_string().ends_with("array valid: chunk c.1.0.0.0.0 is missing");
+    assert!(MatrixReader::open(&path).is_err_and(missing), "before any work");
 }
 
 #[test]
@@ -107,7 +109,7 @@ fn coordinates_on_disk_are_under_their_own_names() {
     assert_eq!(stored(&path, "dx/c/0"), [-0.5, -0.25, 0.0, 0.25, 0.5]);
     assert_eq!(stored(&path, "dy/c/0"), [-0.25, 0.0, 0.25]);
     let shots = std::fs::read(path.join("shot/c/0/0")).unwrap();
-    let shots: Vec<i32> = shots.as_chunks::<4>().0.iter().map(|b| i32::from_le_bytes(*b)).collect();
+    let shots: Vec<i32> = shots[..24].as_chunks::<4>().0.iter().map(|b| i32::from_le_bytes(*b)).collect();
     assert_eq!(shots, [1, -1, 0, 1, 0, -1]);
     let json = |name: &str| -> serde_json::Value {
         serde_json::from_slice(&std::fs::read(path.join(name).join("zarr.json")).unwrap()).unwrap()
@@ -210,6 +212,23 @@ fn rows_that_do_not_fit_or_are_no_numbers_are_refused() {
     assert!(writer.row(5).is_ok() && writer.row(2).is_err() && writer.row(6).is_err());
 }
 
+/// As an earlier version of this program has written it.
+fn unsealed(path: &Path) {
+    let path = path.join("zarr.json");
+    let mut group: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    group["attributes"].as_object_mut().unwrap().remove("checksum").unwrap();
+    std::fs::write(&path, serde_json::to_string_pretty(&group).unwrap()).unwrap();
+}
+
+/// Writes an array anew, as another program does.
+fn put<T: zarrs::array::Element>(path: &Path, name: &str, values: Vec<T>)
+where
+    Vec<T>: zarrs::array::IntoArrayBytes<'static>,
+{
+    let array = Array::open(Arc::new(FilesystemStore::new(path).unwrap()), name).unwrap();
+    array.store_array_subset(&array.subset_all(), values).unwrap();
+}
+
 #[test]
 fn a_number_on_disk_that_is_not_finite_is_told_with_its_place() {
     let folder = tempfile::tempdir().unwrap();
@@ -221,6 +240,7 @@ fn a_number_on_disk_that_is_not_finite_is_told_with_its_place() {
         // Line 1, column 2: lit point [2, 1]; sample (3, 2), channel 1.
         let one = ArraySubset::new_with_ranges(&[1, 2, 2, 3, 1].map(|k| k..k + 1));
         array.store_array_subset(&one, vec![f32::NEG_INFINITY]).unwrap();
+        unsealed(&path);
         let reader = MatrixReader::open(&path).unwrap();
         assert!(reader.read(0..5).is_ok());
         match reader.read(4..6) {
@@ -271,7 +291,9 @@ fn a_folder_that_is_no_whole_matrix_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.rd.zarr");
     let after = |change: &dyn Fn(&Path)| {
+        let _ = std::fs::remove_dir_all(&path);
         MatrixWriter::create(&path, uneven()).unwrap().finish().unwrap();
+        unsealed(&path);
         change(&path);
         MatrixReader::open(&path).err().map(|e| e.to_string())
     };
@@ -285,25 +307,122 @@ fn a_folder_that_is_no_whole_matrix_is_refused() {
     assert_eq!(after(&|_| ()), None);
     let said = |change: &dyn Fn(&Path), part: &str| assert!(after(change).unwrap().contains(part), "{part}");
     said(&edit("zarr.json", "\"acquire_format\": 1", "\"acquire_format\": 2"), "acquire_format");
-    said(&|path: &Path| std::fs::write(path.join("shot/c/0/0"), [2u8, 0, 0, 0].repeat(6)).unwrap(), "below 2, found 2");
+    said(&|path: &Path| put(path, "/shot", vec![2i32; 6]), "below 2, found 2");
     said(&|path: &Path| std::fs::write(path.join("x_i_mm/c/0/0"), [0; 47]).unwrap(), "48 bytes, found 47");
-    said(&|path: &Path| std::fs::write(path.join("y_i_mm/c/0/0"), [0xff; 48]).unwrap(), "x_i_mm or y_i_mm");
+    said(&|path: &Path| put(path, "/y_i_mm", vec![f64::NAN; 6]), "x_i_mm or y_i_mm");
+    said(&|path: &Path| std::fs::write(path.join("y_i_mm/c/0/0"), [0; 52]).unwrap(), "y_i_mm");
     said(&|path: &Path| std::fs::remove_dir_all(path.join("variance")).unwrap(), "variance");
     said(&edit("valid/zarr.json", "\"fill_value\": 255", "\"fill_value\": 0"), "fill value 255");
     assert!(matches!(MatrixReader::open(&folder.path().join("none")), Err(Error::Io { .. })));
     // Whatever else is there is not overwritten.
     std::fs::create_dir(folder.path().join("other")).unwrap();
     let refused = |path: &Path| match MatrixWriter::create(path, uneven()) {
-        Err(Error::Setting { setting: "out", found, .. }) => found,
+        Err(e @ (Error::NotOurs { .. } | Error::Changed { .. })) => e.to_string(),
         other => panic!("{other:?}"),
     };
     let other = folder.path().join("other");
-    assert_eq!(refused(&other), other.display().to_string());
     let group = r#"{"zarr_format": 3, "node_type": "group", "attributes": {"made by": "a lab"}}"#;
     std::fs::write(other.join("zarr.json"), group).unwrap();
-    assert!(refused(&other).contains("another program"));
+    assert!(refused(&other).starts_with(&other.display().to_string()));
     after(&|_| ());
     std::fs::write(path.join("notes.txt"), "keep").unwrap();
-    assert!(refused(&path).ends_with("notes.txt"));
+    assert!(refused(&path).contains("notes.txt: not replaced"));
     assert!(path.join("notes.txt").is_file() && path.join("zarr.json").is_file());
+}
+
+/// A store with two chunks a line, whose rows differ.
+fn in_chunks(path: &Path) -> MatrixHeader {
+    let header = MatrixHeader { shot_of: vec![None; 60], ..header([30, 2], [131, 131]) };
+    let writer = MatrixWriter::create(path, header.clone()).unwrap();
+    for index in [0, 20, 40] {
+        writer.put(index, &row(&header, index)).unwrap();
+    }
+    writer.finish().unwrap();
+    header
+}
+
+#[test]
+fn exchanged_missing_and_additional_chunks_are_seen_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    in_chunks(&path);
+    let at = |name: &str| path.join(name);
+    let read = || MatrixReader::open(&path).and_then(|r| r.read(0..60).map(|_| ()));
+    read().unwrap();
+    let exchange = |a: &str, b: &str| {
+        std::fs::rename(at(a), at("aside")).unwrap();
+        std::fs::rename(at(b), at(a)).unwrap();
+        std::fs::rename(at("aside"), at(b)).unwrap();
+    };
+    for (a, b) in [
+        ("response/c.0.0.0.0.0", "response/c.0.1.0.0.0"),
+        ("response/c.0.0.0.0.0", "variance/c.0.0.0.0.0"),
+        ("valid/c.0.1.0.0.0", "valid/c.1.1.0.0.0"),
+        ("x_i_mm/c/0/0", "y_i_mm/c/0/0"),
+        ("response/zarr.json", "variance/zarr.json"),
+        ("response", "variance"),
+    ] {
+        exchange(a, b);
+        // Chunks of validity that hold nothing are equal, and may change places.
+        let equal = std::fs::read(at(a)).ok().is_some_and(|bytes| std::fs::read(at(b)).unwrap() == bytes);
+        assert_eq!(read().is_err(), !equal, "{a} and {b}");
+        exchange(a, b);
+    }
+    let chunk = at("variance/c.1.0.0.0.0");
+    let bytes = std::fs::read(&chunk).unwrap();
+    std::fs::remove_file(&chunk).unwrap();
+    assert!(read().unwrap_err().to_string().ends_with("array variance: chunk c.1.0.0.0.0 is missing"));
+    std::fs::write(&chunk, &bytes).unwrap();
+    std::fs::write(at("variance/c.2.0.0.0.0"), &bytes).unwrap();
+    assert!(read().unwrap_err().to_string().ends_with("array variance: c.2.0.0.0.0 is no chunk of it"));
+    std::fs::remove_file(at("variance/c.2.0.0.0.0")).unwrap();
+    read().unwrap();
+}
+
+#[test]
+fn a_bit_that_changes_anywhere_is_seen() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    let header = header([2, 2], [3, 1]);
+    let writer = MatrixWriter::create(&path, header.clone()).unwrap();
+    (0..4).for_each(|index| writer.put(index, &row(&header, index)).unwrap());
+    writer.finish().unwrap();
+    let read = || MatrixReader::open(&path).and_then(|r| Ok((r.header().clone(), r.read(0..4)?)));
+    let whole = read().unwrap();
+    let mut folders = vec![path.clone()];
+    while let Some(folder) = folders.pop() {
+        for file in std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()) {
+            if file.is_dir() {
+                folders.push(file);
+                continue;
+            }
+            let bytes = std::fs::read(&file).unwrap();
+            // Every byte of what is short.
+            for at in (0..bytes.len()).step_by(1 + bytes.len() / 200) {
+                let mut changed = bytes.clone();
+                changed[at] ^= 1 << (at % 7);
+                std::fs::write(&file, &changed).unwrap();
+                // White space and what no reader asks for may change.
+                assert!(read().is_err() || read().unwrap() == whole, "byte {at} of {file:?}");
+            }
+            std::fs::write(&file, &bytes).unwrap();
+        }
+    }
+    assert_eq!(read().unwrap(), whole);
+}
+
+#[test]
+fn a_store_without_checksums_and_one_that_was_written_anew_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    MatrixWriter::create(&path, uneven()).unwrap().finish().unwrap();
+    let edit = |file: &str, change: &dyn Fn(&mut serde_json::Value)| {
+        let mut json = serde_json::from_slice(&std::fs::read(path.join(file)).unwrap()).unwrap();
+        change(&mut json);
+        std::fs::write(path.join(file), json.to_string()).unwrap();
+    };
+    edit("zarr.json", &|group| group["attributes"]["pitch_mm"] = 0.5.into());
+    assert!(matches!(MatrixReader::open(&path), Err(Error::BrokenMatrix { .. })), "changed");
+    unsealed(&path);
+    assert_eq!(MatrixReader::open(&path).unwrap().header().pitch_mm, 0.5);
 }
