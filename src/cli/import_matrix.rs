@@ -42,10 +42,10 @@ pub(super) struct Args {
     /// The last axes are outgoing points, not offsets.
     #[arg(long)]
     full: bool,
-    /// The matrix to write.
+    /// Where the matrix goes.
     #[arg(long, short, value_name = "Y.rd.zarr")]
     out: PathBuf,
-    /// Replace an older matrix.
+    /// Replace an earlier matrix there.
     #[arg(long)]
     force: bool,
     /// Print one JSON object: sizes, defaults that were taken, and findings.
@@ -54,16 +54,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
-    let input = args.input.canonicalize().map_err(Error::io("read", &args.input))?;
-    if std::path::absolute(&args.out)
-        .is_ok_and(|out| out.ancestors().any(|p| p.canonicalize().is_ok_and(|p| p == input)))
-    {
-        let expected = "another path than the input".into();
-        return Err(Error::Setting { setting: "out", expected, found: args.out.display().to_string() });
-    }
-    if args.out.symlink_metadata().is_ok() && !args.force {
-        return Err(Error::NotEmpty { path: args.out });
-    }
+    super::check_matrix_output("out", &args.out, &[&args.input], args.force)?;
     let source = format!("acquire import-matrix: {}", args.input.display());
     let imported = match open_arrays(&args.input, args.full, &attributes(&args))? {
         ArraysInput::Store(reader) => {

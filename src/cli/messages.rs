@@ -92,8 +92,10 @@ pub(super) fn hint(error: &Error) -> Option<String> {
         Error::BrokenMaterial { .. } => "the file may have been cut short; make it again with `acquire factor`",
         Error::BrokenImage { .. } => "give an OpenEXR, PNG or JPEG image",
         Error::Mismatch { .. } => "compare outputs of one capture, with one grid and window",
-        Error::NotOurs { .. } => "move it elsewhere, or name another --out (or DIR)",
-        Error::NotEmpty { .. } => "name another --out (or DIR), or replace an earlier output with --force",
+        Error::NotOurs { .. } | Error::Changed { .. } => "move it elsewhere, or name another --out (or DIR)",
+        Error::NotEmpty { .. } | Error::Exists { .. } => {
+            "name another --out (or DIR), or replace an earlier output with --force"
+        }
         Error::Setting { .. } => "see `acquire help` for the range of each option",
         Error::Voxels { .. } => "docs/simulation.md describes voxel files, with an example that writes one",
         Error::Diffusion { .. } => "follow the photons instead: --transport mc",

@@ -40,6 +40,8 @@ pub(super) struct Args {
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let options = PatternsOptions::from(args.options);
     options.check()?;
+    let inputs: Vec<_> = [Some(args.rig.as_path()), args.probe.as_deref()].into_iter().flatten().collect();
+    super::check_folder("out", &args.out, &inputs, false)?;
     let rig_path = Rig::find(&args.rig, Some(&args.rig))?;
     let probe = match &args.probe {
         Some(dir) => {

@@ -46,6 +46,8 @@ const MEASURES: &str = "measures.json";
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let factoring = FactorOptions { terms: args.terms, degree: args.degree, ..FactorOptions::default() };
     factoring.check()?;
+    let inputs = [Some(args.capture.as_path()), args.build.calibration.as_deref()];
+    super::check_folder("out", &args.out, &inputs.into_iter().flatten().collect::<Vec<_>>(), false)?;
     let results = NewFolder::create(&args.out, args.force)?;
     let folder = results.path();
     let manifest = Manifest::read(&args.capture)?;

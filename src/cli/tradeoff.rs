@@ -44,6 +44,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
         let name = args.matrix.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         PathBuf::from(format!("{}-tradeoff", name.trim_end_matches(".zarr").trim_end_matches(".rd")))
     });
+    super::check_folder("out", &out, &[&args.matrix], false)?;
     let folder = NewFolder::create(&out, args.force)?;
     let options = TradeoffOptions { quick: args.quick, memory_bytes: args.memory };
     let found = tradeoff(&reader, &options, &context.progress)?;

@@ -75,7 +75,14 @@ impl Tiles {
         let (nx, ny) = (self.columns - 1, self.rows - 1);
         let as_it_is = self.left(white, |at| at)?;
         if std::env::var_os("DBG").is_some() {
-            eprintln!("DBG board {}x{} as {as_it_is:.4} t {:?} x {:?} y {:?}", self.columns, self.rows, self.left(white, |[x, y]| [nx - x, ny - y]), self.left(white, |[x, y]| [nx - x, y]), self.left(white, |[x, y]| [x, ny - y]));
+            eprintln!(
+                "DBG board {}x{} as {as_it_is:.4} t {:?} x {:?} y {:?}",
+                self.columns,
+                self.rows,
+                self.left(white, |[x, y]| [nx - x, ny - y]),
+                self.left(white, |[x, y]| [nx - x, y]),
+                self.left(white, |[x, y]| [x, ny - y])
+            );
         }
         let others = [
             ("turned by 180°", self.left(white, |[x, y]| [nx - x, ny - y])),

@@ -142,7 +142,12 @@ impl Flicker {
     ///
     /// # Errors
     /// [`crate::Error::Contradiction`].
-    pub(super) fn judge(&self, scene: &Scene<'_>, times_are_off: bool, options: &BuildOptions) -> Result<Option<Warning>> {
+    pub(super) fn judge(
+        &self,
+        scene: &Scene<'_>,
+        times_are_off: bool,
+        options: &BuildOptions,
+    ) -> Result<Option<Warning>> {
         match &self.light {
             Some(light) => light.judge(scene, times_are_off, options),
             None => Ok(None),

@@ -158,8 +158,12 @@ impl LatticeLight {
         let size = grid.dot_projector_px as f64 * mean.sqrt();
         let fits = (size / size.round() - 1.0).abs() < 0.5 * SAME_SIZE && size.round() != grid.dot_projector_px as f64;
         let size = fits.then_some(size.round() as usize).filter(|s| *s > 0);
-        let finding =
-            ConsistencyWarning::LatticeLight { level: mean, sd: self.sd, dot_projector_px: grid.dot_projector_px, size };
+        let finding = ConsistencyWarning::LatticeLight {
+            level: mean,
+            sd: self.sd,
+            dot_projector_px: grid.dot_projector_px,
+            size,
+        };
         match mean.ln().abs() < REFUSED_LIGHT {
             true => Ok(Some(finding.into())),
             false => options.refuse(finding).map(Some),

@@ -28,8 +28,7 @@ pub(super) fn find(pictures: &[Radiance], dark: &[bool]) -> Option<Spots> {
         let row = |v: usize| v * rect.width + x * BLOCK_PX..v * rect.width + (x + 1) * BLOCK_PX;
         (y * BLOCK_PX..(y + 1) * BLOCK_PX).all(|v| !dark[row(v)].contains(&false))
     };
-    let lights: Vec<(Vec<f32>, Vec<f32>)> =
-        pictures.iter().map(|p| (p.luminance(), p.luminance_variance())).collect();
+    let lights: Vec<(Vec<f32>, Vec<f32>)> = pictures.iter().map(|p| (p.luminance(), p.luminance_variance())).collect();
     let block = |at: [usize; 2]| {
         if !is_dark(at) {
             return None;
@@ -40,8 +39,7 @@ pub(super) fn find(pictures: &[Radiance], dark: &[bool]) -> Option<Spots> {
         let steady = seen[seen.len() - 2][0] < STEADY * seen[0][0];
         Some((seen[0], steady))
     };
-    let all: Vec<Option<([f64; 2], bool)>> =
-        (0..columns * rows).map(|k| block([k % columns, k / columns])).collect();
+    let all: Vec<Option<([f64; 2], bool)>> = (0..columns * rows).map(|k| block([k % columns, k / columns])).collect();
     let around = |[x, y]: [usize; 2], [near, far]: [usize; 2]| {
         let mut ring = Vec::new();
         for v in y.saturating_sub(far)..(y + far + 1).min(rows) {
@@ -89,7 +87,8 @@ impl Spots {
     pub(super) fn leave_out(&self, mask: &mut [bool], [width, height]: [usize; 2]) {
         for [x, y] in &self.blocks {
             for v in y.saturating_sub(1) * BLOCK_PX..((y + 2) * BLOCK_PX).min(height) {
-                mask[v * width + x.saturating_sub(1) * BLOCK_PX..v * width + ((x + 2) * BLOCK_PX).min(width)].fill(false);
+                mask[v * width + x.saturating_sub(1) * BLOCK_PX..v * width + ((x + 2) * BLOCK_PX).min(width)]
+                    .fill(false);
             }
         }
     }
@@ -117,7 +116,9 @@ mod tests {
             glow(k, x, y) + share * spot * (-((x - 90.0).powi(2) + (y - 21.0).powi(2)) / 18.0).exp()
         };
         let value = |k: usize| (0..9600).flat_map(|p| [at(k, p) as f32; 3]).collect();
-        (0..4).map(|k| Radiance { rect, value: value(k), variance: vec![1e-4; 28_800], used: vec![1; 28_800] }).collect()
+        (0..4)
+            .map(|k| Radiance { rect, value: value(k), variance: vec![1e-4; 28_800], used: vec![1; 28_800] })
+            .collect()
     }
 
     #[test]

@@ -167,7 +167,8 @@ impl Pairs {
             }
         }
         alike.retain(|_, all| all.len() >= LEAST_VALUES);
-        let alike: BTreeMap<[isize; 2], f64> = alike.into_iter().map(|(step, mut all)| (step, median(&mut all))).collect();
+        let alike: BTreeMap<[isize; 2], f64> =
+            alike.into_iter().map(|(step, mut all)| (step, median(&mut all))).collect();
         let mut shots: Vec<Vec<f64>> = vec![vec![]; self.shots];
         for (shot, step, ratio) in pairs {
             shots[shot].extend(alike.get(&step).map(|common| ratio - common));
@@ -209,7 +210,9 @@ impl Pairs {
             .iter()
             .map(away)
             .enumerate()
-            .filter(|(k, away)| away.len() >= LEAST_PLACES && away.len() as f64 > PLACES_SHARE * ratios[*k].len() as f64)
+            .filter(|(k, away)| {
+                away.len() >= LEAST_PLACES && away.len() as f64 > PLACES_SHARE * ratios[*k].len() as f64
+            })
             .collect();
         let (shot, away) = some.iter().max_by_key(|(_, away)| away.len())?;
         let middle = median(&mut away.clone());

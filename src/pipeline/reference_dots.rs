@@ -190,8 +190,7 @@ impl SeenDots {
             if all.len() < 4 {
                 return true;
             }
-            let [first, last] =
-                [&all[..third], &all[all.len() - third..]].map(|part| median(&mut part.to_vec()));
+            let [first, last] = [&all[..third], &all[all.len() - third..]].map(|part| median(&mut part.to_vec()));
             (last / first - 1.0).abs() < least.max(LAMP_SIGMA * change_within(&all) / first)
         };
         steady(&|s| s.spread_px2, WIDER) && steady(&|s| s.scale, LEAST_SCALE)

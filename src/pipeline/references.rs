@@ -105,7 +105,8 @@ pub(super) fn references(
     mend(&mut white, &hot);
     let cell_px = registered.registration.px_per_mm() * photographs.capture.manifest.window.pitch_mm;
     let dots = photographs.capture.manifest.reference_dots.iter().flat_map(|r| &r.projector_px);
-    let map = |&p: &Point| registered.registration.view.camera_from_slab(registered.registration.slab_from_projector.map(p));
+    let map =
+        |&p: &Point| registered.registration.view.camera_from_slab(registered.registration.slab_from_projector.map(p));
     let frame_share = frame_shares(&dots.map(map).collect::<Vec<_>>(), cell_px.max(2.0), &ambient, &black);
     let irradiance = Irradiance::new(white, &photographs.capture.rig, cell_px.round().clamp(2.0, 50.0) as usize);
     if let Some(sd) = flicker_sd {

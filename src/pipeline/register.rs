@@ -167,9 +167,7 @@ fn board_light(picture: &Radiance, board: &Board, view: &CameraView) -> Tiles {
 
 /// The board gives a plane, the frame's marks the plane as the sample really lies; the lens is fitted to all of them together, and to
 /// boards in other poses where there are any.
-fn camera_view(
-    photographs: &Photographs<'_>,
-) -> Result<(ViewFit, LensChoice, BoardPicture, Vec<RegistrationWarning>)> {
+fn camera_view(photographs: &Photographs<'_>) -> Result<(ViewFit, LensChoice, BoardPicture, Vec<RegistrationWarning>)> {
     let (rig, fine) = (&photographs.capture.rig, &photographs.fine);
     let camera = &fine.camera();
     let mut warnings = Vec::new();

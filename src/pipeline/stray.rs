@@ -3,8 +3,8 @@
 use super::BuildOptions;
 use super::light_spots;
 use super::scene::{Scene, on_slab};
-use crate::geometry::Point;
 use crate::capture::Pattern;
+use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Radiance, StrayLight, evenly};
 use crate::warning::bounds::EVEN_REFUSED;

@@ -26,14 +26,14 @@ pub fn rim_size(view: &CameraView, size_mm: Point, size_px: [usize; 2], picture:
     for k in order {
         let tried = 1.0 + k as f64 * STEP_PX / half_px;
         let segments = rim_segments(&scaled(view, size_mm, tried), size_mm, size_px);
-        let found: Vec<(RimSegment, f64)> = segments
-            .iter()
-            .filter_map(|s| Some((*s, locate_rim(&part(picture, s)?, s, None)?.offset_px)))
-            .collect();
+        let found: Vec<(RimSegment, f64)> =
+            segments.iter().filter_map(|s| Some((*s, locate_rim(&part(picture, s)?, s, None)?.offset_px))).collect();
         if found.len() < LEAST_SEGMENTS.max(segments.len() / 2) {
             continue;
         }
-        let Some((kept, [growth, sd])) = growth(&found, view.camera_from_slab(size_mm.map(|s| 0.5 * s))) else { continue };
+        let Some((kept, [growth, sd])) = growth(&found, view.camera_from_slab(size_mm.map(|s| 0.5 * s))) else {
+            continue;
+        };
         if best.is_none_or(|(most, _)| kept > most) {
             best = Some((kept, [tried * (1.0 + growth), sd]));
         }
