@@ -491,6 +491,8 @@ impl MatrixReader {
             serde_json::from_value(attributes).map_err(|e| broken(format!("attributes: {e}")))?;
         header.check().map_err(&broken)?;
         let open = |name: &str| {
+            chunks_fit_memory(&path.join(name).join("zarr.json"))
+                .map_err(|reason| broken(format!("array {name}: {reason}")))?;
             Array::open(store.clone(), &format!("/{name}")).map_err(|e| broken(format!("array {name}: {e}")))
         };
         let ([nx, ny], [wx, wy]) = (header.points, header.window);
@@ -647,6 +649,25 @@ impl MatrixReader {
         }
         Ok(())
     }
+}
+
+/// No chunk has more numbers, of our own or of others.
+const MOST_IN_CHUNK: u64 = 1 << 29;
+
+/// Refuses chunks, and chunks of shards, of no numbers or of more than memory has: they are set aside before any is read.
+fn chunks_fit_memory(metadata: &Path) -> std::result::Result<(), String> {
+    let text = crate::files::read(metadata).map_err(|e| format!("zarr.json: {e}"))?;
+    let array: serde_json::Value = serde_json::from_slice(&text).map_err(|e| format!("zarr.json: {e}"))?;
+    let shards = array["codecs"].as_array().into_iter().flatten().map(|codec| &codec["configuration"]["chunk_shape"]);
+    for shape in shards.chain([&array["chunk_grid"]["configuration"]["chunk_shape"]]) {
+        let Some(shape) = shape.as_array() else { continue };
+        let numbers = shape.iter().try_fold(1u64, |n, side| n.checked_mul(side.as_u64()?));
+        if !numbers.is_some_and(|n| (1..=MOST_IN_CHUNK).contains(&n)) {
+            let shape = serde_json::Value::from(shape.clone());
+            return Err(format!("expected chunks of 1 to {MOST_IN_CHUNK} numbers, found {shape}"));
+        }
+    }
+    Ok(())
 }
 
 fn small<T: ElementOwned>(root: &Path, array: &Array<FilesystemStore>, shape: &[u64]) -> Result<Vec<T>, String>
