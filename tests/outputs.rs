@@ -277,3 +277,104 @@ fn what_a_killed_run_leaves_is_removed_by_the_next_or_by_clean_and_a_living_run_
     assert_eq!((status, stdout), (0, format!("{dir}/{}\n", killed[0])));
     assert_eq!(left(), [""; 0]);
 }
+
+#[test]
+fn hints_say_what_the_input_is_and_what_takes_it() {
+    let bench = Bench::new();
+    bench
+        .done("patterns --rig capture/calibration --slab-mm 20 --projector-px-per-mm 8 --grid 2 --window 5 --out plan");
+    for (line, words) in [
+        ("factor capture --out o.acq", ["capture is a capture", "acquire build-matrix capture"]),
+        ("factor m.safetensors --out o.acq", ["m.safetensors is a material", "acquire export"]),
+        ("evaluate m.rd.zarr m.safetensors", ["m.safetensors is a material", "acquire evaluate m.safetensors MATRIX"]),
+        ("relight capture --light spot --out o.exr", ["capture is a capture", "build-matrix"]),
+        ("export m.rd.zarr --to npz --out o.npz", ["m.rd.zarr is a matrix", "acquire factor m.rd.zarr"]),
+        ("build-matrix m.rd.zarr --out o.rd.zarr", ["m.rd.zarr is a matrix", "acquire factor"]),
+        ("build-matrix plan --out o.rd.zarr", ["plan is a plan", "acquire import FOLDER --plan plan"]),
+        ("check capture/photos", ["capture/photos holds photographs", "acquire import"]),
+        ("check capture/calibration", ["is the folder of a rig", "--calibration"]),
+        ("import plan/pictures --plan capture/photos --out o", ["capture/photos holds photographs", "acquire import"]),
+        (
+            "patterns --rig capture --slab-mm 20 --projector-px-per-mm 8 --out o",
+            ["rig.toml in capture/calibration", "--rig"],
+        ),
+        ("check capture --calibration capture", ["rig.toml in capture/calibration", "--calibration"]),
+    ] {
+        bench.refused(line, &words);
+    }
+}
+
+#[test]
+fn the_file_that_makes_a_folder_is_taken_for_it() {
+    let bench = Bench::new();
+    bench.done("check capture/capture.toml --calibration capture/calibration/rig.toml");
+    bench.done("evaluate m.safetensors m.rd.zarr/zarr.json");
+    bench.done("factor m.rd.zarr/zarr.json --terms 1 --out o.acq");
+}
+
+#[cfg(unix)]
+#[test]
+fn pipes_and_devices_are_refused_and_names_cannot_move_the_terminal() {
+    let bench = Bench::new();
+    let pipe = bench.path("pipe");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    for path in ["pipe", "/dev/zero"] {
+        for line in [
+            format!("relight m.safetensors --light {path} --out o.exr"),
+            format!("export {path} --to npz --out o.npz"),
+            format!("evaluate {path} m.rd.zarr"),
+            format!("evaluate m.safetensors {path}"),
+            format!("simulate o --voxels {path}"),
+        ] {
+            let (status, stderr) = bench.run(&line);
+            assert!(status == 1 && stderr.contains("hint: "), "{line}: {stderr}");
+        }
+    }
+    for place in ["capture/capture.toml", "capture/calibration/rig.toml", "capture/photos/reference-white_0.png"] {
+        let place = bench.path(place);
+        let kept = std::fs::read(&place).unwrap();
+        std::fs::remove_file(&place).unwrap();
+        std::fs::hard_link(&pipe, &place).unwrap();
+        let (status, stderr) = bench.run("build-matrix capture --out o.rd.zarr");
+        assert!(status == 1 && stderr.contains("hint: "), "{stderr}");
+        std::fs::remove_file(&place).unwrap();
+        std::fs::write(&place, kept).unwrap();
+    }
+    let (status, stderr) = bench.run("check \u{1b}[2Jnowhere\u{7}");
+    assert!(status == 1 && stderr.contains("\\u{1b}[2Jnowhere\\u{7}") && !stderr.contains('\u{1b}'), "{stderr:?}");
+}
+
+#[test]
+fn a_photograph_that_changed_since_the_capture_was_made_is_named() {
+    let bench = Bench::new();
+    bench.done("simulate c --grid 4x3 --window 7x5 --exposures 2 --voxels-per-sample 1 --format tiff");
+    bench.done("check c");
+    let photograph = bench.path("c/photos/lattice-0_1.tif");
+    let photograph = if photograph.exists() { photograph } else { bench.path("c/photos/lattice-0_1.tiff") };
+    let mut bytes = std::fs::read(&photograph).unwrap();
+    // The lowest bit of one code value in the dark: nothing else could see it.
+    let middle = bytes.len() / 4;
+    bytes[middle] ^= 1;
+    std::fs::write(&photograph, &bytes).unwrap();
+    let name = format!("photos/{}", photograph.file_name().unwrap().to_str().unwrap());
+    for line in ["check c", "build-matrix c --out o.rd.zarr"] {
+        bench.refused(line, &[&name, "is not as it was", "--accept photograph-changed"]);
+    }
+    bench.done("build-matrix c --out o.rd.zarr --accept photograph-changed");
+    bytes[middle] ^= 1;
+    std::fs::write(&photograph, &bytes).unwrap();
+    bench.done("build-matrix c --out o2.rd.zarr");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_run_that_fails_after_the_matrix_keeps_it() {
+    let bench = Bench::new();
+    // The truth is compared with at the end: one that opens and cannot be read.
+    std::fs::write(bench.path("capture/truth.rd.zarr/response/c.0.0.0.0.0"), "damaged").unwrap();
+    let (status, stderr) = bench.run("run capture --out results");
+    assert!(status == 1 && stderr.contains("kept: results/matrix.rd.zarr"), "{stderr}");
+    bench.done("evaluate results/material.safetensors results/matrix.rd.zarr");
+    assert!(!bench.path("results/measures.json").exists());
+    bench.refused("run capture --out results", &["--force"]);
+}

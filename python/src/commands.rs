@@ -12,7 +12,7 @@ use acquire::transport::arrays::{
 use acquire::{Error, Warning};
 use pyo3::prelude::*;
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Findings as `--json` of the program has them.
 pub(crate) fn findings(found: impl IntoIterator<Item = impl Into<Warning>>) -> acquire::Result<Vec<Value>> {
@@ -115,7 +115,7 @@ pub(crate) fn build_matrix(
     report: Report<'_>,
 ) -> PyResult<String> {
     let options = acquire::cli::build_options(&words).map_err(raised)?;
-    let inputs: Vec<&Path> = options.calibration.iter().map(PathBuf::as_path).chain([capture.as_path()]).collect();
+    let inputs = acquire::cli::inputs_of(&capture, options.calibration.as_deref());
     acquire::cli::check_matrix_output("out", &out, &inputs, force).map_err(raised)?;
     run(py, report, |progress| {
         let built = acquire::pipeline::build_matrix(&capture, &options, &out, progress)?;

@@ -99,7 +99,7 @@ pub(crate) fn write_matrix(
     force: bool,
     report: Report<'_>,
 ) -> PyResult<String> {
-    acquire::cli::check_matrix_output("path", &path, &[], force).map_err(raised)?;
+    acquire::cli::check_matrix_output::<PathBuf>("path", &path, &[], force).map_err(raised)?;
     let arrays = MatrixArrays {
         name: path.clone(),
         response: array(&response)?,

@@ -21,6 +21,7 @@ Examples:
 docs/findings.md lists what may be found, and what to do about it.")]
 pub(super) struct Args {
     /// Folder of capture.toml.
+    #[arg(value_parser = super::things::folder_of("capture.toml"))]
     capture: PathBuf,
     #[command(flatten)]
     build: Options,
@@ -37,8 +38,8 @@ pub(super) struct Args {
 
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let start = std::time::Instant::now();
-    let inputs = [Some(args.capture.as_path()), args.build.calibration.as_deref()];
-    super::check_matrix_output("out", &args.out, &inputs.into_iter().flatten().collect::<Vec<_>>(), args.force)?;
+    let inputs = super::inputs_of(&args.capture, args.build.calibration.as_deref());
+    super::check_matrix_output("out", &args.out, &inputs, args.force)?;
     let built = build_matrix(&args.capture, &args.build.into(), &args.out, &context.progress);
     if args.json {
         super::print(&json(&built, &args.capture, &args.out)?)?;

@@ -20,6 +20,7 @@ Examples:
   acquire factor slab.rd.zarr --memory 2GiB --backend gram")]
 pub(super) struct Args {
     /// The matrix, a folder *.rd.zarr.
+    #[arg(value_parser = super::things::matrix())]
     matrix: PathBuf,
     #[command(flatten)]
     options: Options,

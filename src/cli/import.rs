@@ -19,7 +19,7 @@ pub(super) struct Args {
     /// Folder of the photographs, as the camera or gphoto2 made it.
     folder: PathBuf,
     /// Folder of plan.toml, as `acquire patterns` made it.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::things::folder_of("plan.toml"))]
     plan: PathBuf,
     /// The capture to make.
     #[arg(long, short, value_name = "DIR")]

@@ -25,6 +25,7 @@ Shapes of response:
 NaN is not measured.")]
 pub(super) struct Args {
     /// X.npy, X.npz, or a Zarr group or array.
+    #[arg(value_parser = super::things::matrix())]
     input: PathBuf,
     /// Side of a sample, mm [default: pitch_mm of the input, which is needed then].
     #[arg(long, value_name = "MM", allow_negative_numbers = true)]

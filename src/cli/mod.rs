@@ -15,18 +15,21 @@ mod patterns;
 mod relight;
 mod run;
 mod simulate;
+mod things;
 mod tradeoff;
 mod values;
 
 pub use keywords::{build_options, factor_options, simulate_options};
 use messages::one_line;
 
+use crate::capture::Manifest;
 use crate::output::{check_apart, check_file};
 use crate::transport::check_matrix;
 use crate::{Error, Result, Severity, progress::Progress};
 use clap::{Parser, Subcommand};
+use std::collections::BTreeSet;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Measure translucent materials: photographs of a projector-lit slab to the matrix R_d(x_i, x_o) and a factored material.
@@ -210,7 +213,7 @@ const FILES: [&str; 22] = [
 ///
 /// # Errors
 /// [`Error::Setting`], [`Error::NotEmpty`], [`Error::NotOurs`], [`Error::Changed`], [`Error::Io`].
-pub fn check_matrix_output(setting: &'static str, out: &Path, inputs: &[&Path], force: bool) -> Result<()> {
+pub fn check_matrix_output<P: AsRef<Path>>(setting: &'static str, out: &Path, inputs: &[P], force: bool) -> Result<()> {
     check_folder(setting, out, inputs, true)?;
     check_matrix(out, force).map(|_| ())
 }
@@ -219,13 +222,24 @@ pub fn check_matrix_output(setting: &'static str, out: &Path, inputs: &[&Path], 
 ///
 /// # Errors
 /// [`Error::Setting`], [`Error::Io`].
-pub fn check_folder(setting: &'static str, out: &Path, inputs: &[&Path], is_matrix: bool) -> Result<()> {
+pub fn check_folder<P: AsRef<Path>>(setting: &'static str, out: &Path, inputs: &[P], is_matrix: bool) -> Result<()> {
     let ending = ending(out);
     if FILES.contains(&ending.as_str()) || (ending == "zarr" && !is_matrix) {
         let expected = if is_matrix { "a name that ends in .rd.zarr" } else { "the name of a folder" };
         return Err(Error::Setting { setting, expected: expected.into(), found: out.display().to_string() });
     }
     check_apart(setting, out, inputs)
+}
+
+/// What a build reads: the capture's folder, those of photographs that it names elsewhere, the rig's.
+pub fn inputs_of(capture: &Path, calibration: Option<&Path>) -> Vec<PathBuf> {
+    let mut folders: BTreeSet<PathBuf> = calibration.into_iter().chain([capture]).map(Path::to_path_buf).collect();
+    // A manifest that cannot be read is told of when it is needed.
+    if let Ok(manifest) = Manifest::read(capture) {
+        let photographs = manifest.shots.iter().flat_map(|s| &s.photographs);
+        folders.extend(photographs.filter_map(|p| Some(capture.join(&p.file).parent()?.to_path_buf())));
+    }
+    folders.into_iter().collect()
 }
 
 fn ending(path: &Path) -> String {
@@ -268,7 +282,7 @@ mod tests {
 
     #[test]
     fn a_folder_whose_name_is_that_of_a_file_or_of_a_matrix_is_refused() {
-        let refused = |name: &str, is_matrix| check_folder("out", Path::new(name), &[], is_matrix).is_err();
+        let refused = |name: &str, is_matrix| check_folder::<&Path>("out", Path::new(name), &[], is_matrix).is_err();
         for name in ["a.exr", "a.SAFETENSORS", "a.rd.zarr", "a.zarr"] {
             assert!(refused(name, false), "{name}");
         }

@@ -22,10 +22,10 @@ Examples:
 The third makes the patterns of a probe: four dots, one a shot.")]
 pub(super) struct Args {
     /// Folder of rig.toml.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::things::folder_of("rig.toml"))]
     rig: PathBuf,
     /// A quick capture of the same sample on the same rig: a few lattice shots of single dots.
-    #[arg(long, value_name = "CAPTURE")]
+    #[arg(long, value_name = "CAPTURE", value_parser = super::things::folder_of("capture.toml"))]
     probe: Option<PathBuf>,
     #[command(flatten)]
     options: options::Patterns,

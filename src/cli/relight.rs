@@ -12,6 +12,7 @@ Examples:
   acquire relight slab.safetensors --light point:3,5 --out point.exr    one lit point")]
 pub(super) struct Args {
     /// A material or a matrix.
+    #[arg(value_parser = super::things::matrix())]
     source: PathBuf,
     /// Irradiance over the lit area: an image (EXR linear, PNG or JPEG sRGB), or spot, stripes, gradient, uniform,
     /// point:I,J.

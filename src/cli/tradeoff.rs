@@ -18,6 +18,7 @@ Writes tradeoff.html (opens offline), tradeoff.csv and tradeoff.json into a fold
 beats in both bytes and psnr_db.")]
 pub(super) struct Args {
     /// The matrix, a folder *.rd.zarr.
+    #[arg(value_parser = super::things::matrix())]
     matrix: PathBuf,
     /// The folder to make [default: the matrix's name with -tradeoff, in the working directory].
     #[arg(long, short, value_name = "DIR")]

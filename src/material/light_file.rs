@@ -128,8 +128,14 @@ mod tests {
         let read = read_light_image(&exr).unwrap();
         assert_eq!(read.size, [3, 2]);
         assert_eq!(read.rgb, (0..6).map(|k| [0, 1, 2].map(|c| (10 * k + c) as f32 + 0.25)).collect::<Vec<_>>());
-        exitance.planes[1][4] = 1e38;
-        crate::material::write_exitance(&exitance, &exr).unwrap();
-        assert_eq!(read_light_image(&exr).unwrap().rgb[4][1], 1e38);
+        for (value, refused) in [(1e20, false), (1.1e20, true), (-0.1, true)] {
+            exitance.planes[1][4] = value;
+            crate::material::write_exitance(&exitance, &exr).unwrap();
+            let read = read_light_image(&exr);
+            assert_eq!(read.is_err(), refused, "{value}");
+            if let Err(error) = read {
+                assert!(error.to_string().contains("column 1, line 1"), "{error}");
+            }
+        }
     }
 }

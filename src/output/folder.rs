@@ -57,6 +57,11 @@ impl NewFolder {
         self.scratch.new_path()
     }
 
+    /// Whether there is an earlier output that this will replace.
+    pub(crate) fn replaces(&self) -> bool {
+        self.replaces
+    }
+
     /// Lists the folder's files in [`RECORD`] and puts it into its place; an earlier one leaves with the scratch folder.
     ///
     /// # Errors

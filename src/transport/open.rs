@@ -2,7 +2,7 @@
 
 use super::CHANNELS;
 use super::checksum::Checksums;
-use super::row_array::{AXES, RowArray, RowLayout, check_chunks, dimension_names, wide_numbers};
+use super::row_array::{AXES, RowArray, RowLayout, check_chunks, check_metadata, dimension_names, wide_numbers};
 use super::store::{FORMATS, LARGEST_MM, MOST_POINTS, MOST_SAMPLES, MatrixHeader, ShotRecord};
 use crate::geometry::Point;
 use crate::{Error, Result};
@@ -240,7 +240,11 @@ impl StoreGroup {
             found,
         };
         if !["zarr.json", ".zgroup"].iter().any(|name| path.join(name).is_file()) {
-            let found = if path.join(".zarray").is_file() { "an array" } else { "a folder without zarr.json" };
+            let found = match (path.join(".zarray").is_file(), path.is_dir()) {
+                (true, _) => "an array",
+                (false, true) => "a folder without zarr.json",
+                (false, false) => "a file",
+            };
             return Err(unfit("a Zarr group with the array response", found.into()));
         }
         let store = FilesystemStore::new(path).map_err(|e| unfit("a Zarr group", e.to_string()))?;
@@ -296,6 +300,7 @@ impl StoreGroup {
             };
         }
         let part = format!("array {name}");
+        check_metadata(&folder).map_err(|reason| self.broken(format!("{part}: {reason}")))?;
         match Array::open(self.store.clone(), &format!("/{name}")) {
             Ok(array) => Ok(Some(array)),
             Err(e @ ArrayCreateError::CodecsCreateError(_)) => {
@@ -371,8 +376,9 @@ impl StoreGroup {
     /// Refuses channels in another order, where an array of strings names them.
     fn check_channel_names(&self, channels: usize) -> Result<()> {
         // Other kinds of text are for other programs.
-        let Ok(array) = Array::open(self.store.clone(), "/channel") else { return Ok(()) };
-        if channels != CHANNELS || *array.data_type() != data_type::string() || array.shape() != [CHANNELS as u64] {
+        let Ok(Some(array)) = self.array("channel") else { return Ok(()) };
+        let names = *array.data_type() == data_type::string() && array.shape() == [CHANNELS as u64];
+        if channels != CHANNELS || !names || check_chunks(&array).is_err() {
             return Ok(());
         }
         let names: Vec<String> = array.retrieve_array_subset(&array.subset_all()).unwrap_or_default();

@@ -2,6 +2,7 @@
 
 use super::CHANNELS;
 use std::ops::Range;
+use std::path::Path;
 use zarrs::array::{Array, ArrayShardedExt, ArraySubset, ElementOwned, FromArrayBytes, data_type};
 use zarrs::filesystem::FilesystemStore;
 
@@ -185,6 +186,41 @@ pub(super) fn dimension_names(array: &Array<FilesystemStore>) -> Option<Vec<Stri
     }
     let names = array.attributes().get("_ARRAY_DIMENSIONS")?.as_array()?;
     names.iter().map(|name| name.as_str().map(str::to_owned)).collect()
+}
+
+/// Refuses chunks, and chunks of shards, of no numbers or of more than [`CHUNK_NUMBERS`], from the metadata of an array in `folder`: the Zarr crate reckons
+/// with their sides when it opens the array. Says what was expected and found.
+pub(super) fn check_metadata(folder: &Path) -> Result<(), String> {
+    let there = ["zarr.json", ".zarray"].into_iter().find(|name| folder.join(name).is_file());
+    let Some(name) = there else { return Ok(()) };
+    let text = crate::files::read(&folder.join(name)).map_err(|e| format!("{name}: {e}"))?;
+    let mut rest: Vec<serde_json::Value> = vec![serde_json::from_slice(&text).map_err(|e| format!("{name}: {e}"))?];
+    while let Some(value) = rest.pop() {
+        match value {
+            serde_json::Value::Array(values) => rest.extend(values),
+            serde_json::Value::Object(fields) => {
+                for (key, value) in fields.into_iter().filter(|(key, _)| key != "attributes") {
+                    match value.as_array().filter(|_| key == "chunk_shape" || key == "chunks") {
+                        Some(sides) => check_sides(sides)?,
+                        None => rest.push(value),
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+fn check_sides(sides: &[serde_json::Value]) -> Result<(), String> {
+    let numbers = sides.iter().try_fold(1u64, |all, side| all.checked_mul(side.as_u64()?));
+    match numbers.is_some_and(|n| (1..=CHUNK_NUMBERS).contains(&n)) {
+        true => Ok(()),
+        false => {
+            let found = serde_json::Value::from(sides.to_vec());
+            Err(format!("expected chunks of 1 to {CHUNK_NUMBERS} numbers, found {found}"))
+        }
+    }
 }
 
 /// Refuses chunks that memory could not hold.

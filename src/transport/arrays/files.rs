@@ -3,7 +3,7 @@
 use super::{ArrayOf, MatrixArrays};
 use crate::npy::NpyHeader;
 use crate::transport::MatrixReader;
-use crate::transport::row_array::{check_chunks, wide_numbers};
+use crate::transport::row_array::{check_chunks, check_metadata, wide_numbers};
 use crate::{Error, Result};
 use serde_json::{Map, Value};
 use std::borrow::Cow;
@@ -153,6 +153,7 @@ impl Zarr<'_> {
         if !there || self.only && name != "response" {
             return Ok(None);
         }
+        check_metadata(&folder).map_err(|e| refused(self.path, name, "a whole Zarr array", e))?;
         let node = if self.only { "/".into() } else { format!("/{name}") };
         let array = Array::open(self.store.clone(), &node);
         array.map(Some).map_err(|e| refused(self.path, name, "a whole Zarr array", e.to_string()))

@@ -324,7 +324,7 @@ fn a_folder_that_is_no_whole_matrix_is_refused() {
     );
     said(&|path: &Path| put(path, "/shot", vec![2i32; 6]), "numbers below 2");
     said(&|path: &Path| std::fs::write(path.join("x_i_mm/c/0/0"), [0; 47]).unwrap(), "array x_i_mm");
-    said(&|path: &Path| put(path, "/y_i_mm", vec![f64::NAN; 6]), "array y_i_mm: expected finite");
+    said(&|path: &Path| put(path, "/y_i_mm", vec![f64::INFINITY; 6]), "array y_i_mm: expected finite");
     said(&|path: &Path| std::fs::write(path.join("y_i_mm/c/0/0"), [0; 52]).unwrap(), "array y_i_mm");
     said(&|path: &Path| std::fs::remove_file(path.join("variance/zarr.json")).unwrap(), "array variance: zarr.json");
     said(&|path: &Path| std::fs::remove_dir_all(path.join("response")).unwrap(), "array response: expected an array");
