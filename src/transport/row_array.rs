@@ -1,6 +1,7 @@
 //! An array over lit points, samples and channels of a store, whatever its chunks, codecs and numbers are, and whoever wrote it.
 
 use super::CHANNELS;
+use rayon::prelude::*;
 use std::ops::Range;
 use std::path::Path;
 use zarrs::array::{Array, ArrayShardedExt, ArraySubset, ElementOwned, FromArrayBytes, data_type};
@@ -104,14 +105,13 @@ impl RowArray {
 
     /// Numbers of lit points, row-major; a range is part of one line of points, or some whole lines. Samples that are not stored are left as they are in `out`.
     pub(super) fn read(&self, rows: Range<usize>, layout: &RowLayout, out: &mut [f32]) -> Result<(), String> {
-        let subset = self.subset(&rows, layout.points[0]);
         let is = |t: zarrs::array::DataType| *self.array.data_type() == t;
         if is(data_type::float32()) {
-            self.place(&self.numbers::<f32>(&subset)?, layout, out, |v| v);
+            self.fetch::<f32, _>(&rows, layout, out, |v| v)?;
         } else if is(data_type::float64()) {
-            self.place(&self.numbers::<f64>(&subset)?, layout, out, |v| v as f32);
+            self.fetch::<f64, _>(&rows, layout, out, |v| v as f32)?;
         } else if is(data_type::float16()) {
-            self.place(&self.numbers::<half::f16>(&subset)?, layout, out, f32::from);
+            self.fetch::<half::f16, _>(&rows, layout, out, f32::from)?;
         } else {
             return Err(format!("numbers of type {}", self.array.data_type()));
         }
@@ -123,14 +123,13 @@ impl RowArray {
 
     /// The same of flags: of any whole numbers or truths; those above 255 are 255.
     pub(super) fn read_flags(&self, rows: Range<usize>, layout: &RowLayout, out: &mut [u8]) -> Result<(), String> {
-        let subset = self.subset(&rows, layout.points[0]);
         let is = |t: zarrs::array::DataType| *self.array.data_type() == t;
         if is(data_type::uint8()) {
-            self.place(&self.numbers::<u8>(&subset)?, layout, out, |v| v);
+            self.fetch::<u8, _>(&rows, layout, out, |v| v)?;
         } else if is(data_type::bool()) {
-            self.place(&self.numbers::<bool>(&subset)?, layout, out, u8::from);
+            self.fetch::<bool, _>(&rows, layout, out, u8::from)?;
         } else {
-            let wide = wide_numbers(&self.array, &subset)?;
+            let wide = wide_numbers(&self.array, &self.subset(&rows, layout.points[0]))?;
             self.place(&wide, layout, out, |v| if v == 0.0 || v == 1.0 { v as u8 } else { u8::MAX });
         }
         Ok(())
@@ -152,11 +151,94 @@ impl RowArray {
         ArraySubset::new_with_ranges(&ranges)
     }
 
-    fn numbers<T: ElementOwned>(&self, subset: &ArraySubset) -> Result<Vec<T>, String>
+    /// Numbers of lit points, each where it belongs in rows of `layout.window`.
+    fn fetch<T, U>(
+        &self,
+        rows: &Range<usize>,
+        layout: &RowLayout,
+        out: &mut [U],
+        as_read: impl Fn(T) -> U + Sync,
+    ) -> Result<(), String>
     where
+        T: ElementOwned + Copy + Send + Sync,
+        U: Copy + Send,
         Vec<T>: FromArrayBytes,
     {
-        self.array.retrieve_array_subset::<Vec<T>>(subset).map_err(|e| e.to_string())
+        if let Some(chunk) = self.split_chunk() {
+            return self.gather(rows, chunk, layout, out, as_read);
+        }
+        let subset = self.subset(rows, layout.points[0]);
+        let values = self.array.retrieve_array_subset::<Vec<T>>(&subset).map_err(|e| e.to_string())?;
+        self.place(&values, layout, out, as_read);
+        Ok(())
+    }
+
+    /// The sides of chunks that have parts of windows only, as zarr-python makes them when it is not told.
+    fn split_chunk(&self) -> Option<[usize; 5]> {
+        if self.array.is_sharded() {
+            return None;
+        }
+        let chunk = self.array.chunk_shape(&vec![0; self.array.shape().len()]).ok()?;
+        let mut sides = [1; 5];
+        let mut lengths = chunk.iter();
+        for side in sides.iter_mut().zip(self.has).filter(|(_, has)| *has).map(|(side, _)| side) {
+            *side = usize::try_from(lengths.next()?.get()).ok()?;
+        }
+        (2..5).any(|a| sides[a] < self.sides[a]).then_some(sides)
+    }
+
+    /// [`Self::fetch`] chunk by chunk: the numbers of a row that lie side by side in such a chunk are too few for the general way, which is ten times slower.
+    fn gather<T, U>(
+        &self,
+        rows: &Range<usize>,
+        chunk: [usize; 5],
+        layout: &RowLayout,
+        out: &mut [U],
+        as_read: impl Fn(T) -> U + Sync,
+    ) -> Result<(), String>
+    where
+        T: ElementOwned + Copy + Send + Sync,
+        U: Copy + Send,
+        Vec<T>: FromArrayBytes,
+    {
+        let nx = layout.points[0];
+        let lines = rows.start / nx..(rows.end - 1) / nx + 1;
+        let columns = if lines.len() == 1 { rows.start % nx..(rows.end - 1) % nx + 1 } else { 0..nx };
+        let [_, _, h, w, c] = self.sides;
+        let ranges = [lines, columns, 0..h, 0..w, 0..c];
+        let grid: [Range<usize>; 5] =
+            std::array::from_fn(|a| ranges[a].start / chunk[a]..ranges[a].end.div_ceil(chunk[a]));
+        let counts: [usize; 5] = std::array::from_fn(|a| grid[a].len());
+        let decoded: Vec<Vec<T>> = (0..counts.iter().product())
+            .into_par_iter()
+            .map(|k| {
+                let mut rest = k;
+                let mut index = [0; 5];
+                for a in (0..5).rev() {
+                    index[a] = grid[a].start + rest % counts[a];
+                    rest /= counts[a];
+                }
+                let index: Vec<u64> =
+                    index.iter().zip(self.has).filter(|(_, has)| *has).map(|(&n, _)| n as u64).collect();
+                self.array.retrieve_chunk::<Vec<T>>(&index).map_err(|e| e.to_string())
+            })
+            .collect::<Result<_, String>>()?;
+        let ([wide, high], [left, top]) = (layout.window, layout.before);
+        out.par_chunks_mut(CHANNELS * wide * high).enumerate().for_each(|(k, row)| {
+            let (y, x) = ((rows.start + k) / nx, (rows.start + k) % nx);
+            let of_row = (y / chunk[0] - grid[0].start) * counts[1] + x / chunk[1] - grid[1].start;
+            let in_chunk = (y % chunk[0]) * chunk[1] + x % chunk[1];
+            for (dy, dx) in (0..h).flat_map(|dy| (0..w).map(move |dx| (dy, dx))) {
+                let pixel = &mut row[CHANNELS * ((dy + top) * wide + dx + left)..][..CHANNELS];
+                let of_sample = (of_row * counts[2] + dy / chunk[2]) * counts[3] + dx / chunk[3];
+                let at = ((in_chunk * chunk[2] + dy % chunk[2]) * chunk[3] + dx % chunk[3]) * chunk[4];
+                for (channel, out) in pixel.iter_mut().enumerate() {
+                    let channel = channel.min(c - 1);
+                    *out = as_read(decoded[of_sample * counts[4] + channel / chunk[4]][at + channel % chunk[4]]);
+                }
+            }
+        });
+        Ok(())
     }
 
     /// Puts stored numbers where they belong in rows of `layout.window`, one channel into all three.

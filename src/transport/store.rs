@@ -45,7 +45,7 @@ const CHUNK_BYTES: usize = 4 << 20;
 /// Numbers that one thread looks through at a time.
 const CHECKED: usize = 1 << 16;
 /// Lines of chunks that are read at once, in numbers: chunks of several lines of points are decoded once for all of them up to here.
-const BAND_NUMBERS: usize = 1 << 27;
+const BAND_NUMBERS: usize = 1 << 26;
 /// Negative levels leave the bytes that do not repeat as they are: decoding is twice as fast as at level 1, for a tenth more bytes of measured
 /// noise, which no level compresses by much.
 const ZSTD_LEVEL: i32 = -1;
