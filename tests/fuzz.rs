@@ -88,7 +88,7 @@ fn seeds() -> (tempfile::TempDir, Vec<(&'static Reader, Vec<Seed>)>) {
         "--rig",
         &rig,
         "--slab-mm",
-        "20",
+        "10",
         "--projector-px-per-mm",
         "8",
         "--grid",

@@ -85,7 +85,7 @@ const COMMANDS: [(&str, &str); 9] = [
     ("relight m.safetensors --light spot --out o.exr", "o.exr"),
     ("relight m.safetensors --light spot --out o.exr", "o.png"),
     ("simulate o --grid 1 --window 3 --exposures 1 --voxels-per-sample 1", "o"),
-    ("patterns --rig capture/calibration --slab-mm 20 --projector-px-per-mm 8 --grid 2 --window 5 --out o", "o"),
+    ("patterns --rig capture/calibration --slab-mm 10 --projector-px-per-mm 8 --grid 2 --window 5 --out o", "o"),
 ];
 
 #[test]
@@ -93,7 +93,7 @@ fn nothing_is_replaced_unasked_and_then_only_what_this_program_has_made() {
     for (command, out) in COMMANDS {
         let bench = Bench::new();
         bench.done(command);
-        bench.refused(command, &["--force", out]);
+        bench.refused(command, &["--force"]);
         bench.done(&format!("{command} --force"));
         let out = bench.path(out);
         // A file or folder of somebody's under that name.
@@ -134,8 +134,10 @@ fn what_somebody_has_added_to_an_output_or_changed_in_it_stays() {
             ["zarr.json", "capture.toml", "plan.toml"].map(|name| out.join(name)).into_iter().find(|p| p.is_file());
         let text = text.unwrap();
         let words = std::fs::read_to_string(&text).unwrap();
-        let from = if text.ends_with("zarr.json") { "\"version\": \"" } else { "name = \"" };
-        std::fs::write(&text, words.replacen(from, &format!("{from}mine"), 1)).unwrap();
+        let from = if text.ends_with("zarr.json") { "\"pitch_mm\": " } else { "name = \"" };
+        let changed = words.replacen(from, &format!("{from}1"), 1);
+        assert_ne!(changed, words);
+        std::fs::write(&text, changed).unwrap();
         bench.refused(&force, &["not replaced", "changed"]);
         std::fs::write(&text, words).unwrap();
         bench.done(&force);
@@ -150,7 +152,7 @@ fn an_output_in_an_input_or_around_one_is_refused() {
     std::fs::write(dcim.join("IMG_0001.JPG"), "a photograph").unwrap();
     std::fs::write(bench.path("light.png"), "a light").unwrap();
     bench
-        .done("patterns --rig capture/calibration --slab-mm 20 --projector-px-per-mm 8 --grid 2 --window 5 --out plan");
+        .done("patterns --rig capture/calibration --slab-mm 10 --projector-px-per-mm 8 --grid 2 --window 5 --out plan");
     for line in [
         "import lab/DCIM --plan plan --out lab --force",
         "import lab/DCIM --plan plan --out lab/DCIM --force",
@@ -167,7 +169,7 @@ fn an_output_in_an_input_or_around_one_is_refused() {
         "tradeoff m.rd.zarr --out . --force",
         "factor m.rd.zarr --out m.rd.zarr/m.acq",
         "relight m.safetensors --light light.png --out light.exr",
-        "patterns --rig capture/calibration --slab-mm 20 --projector-px-per-mm 8 --out capture --force",
+        "patterns --rig capture/calibration --slab-mm 10 --projector-px-per-mm 8 --out capture --force",
     ] {
         bench.refused(line, &["--out", "the input"]);
     }
@@ -282,7 +284,7 @@ fn what_a_killed_run_leaves_is_removed_by_the_next_or_by_clean_and_a_living_run_
 fn hints_say_what_the_input_is_and_what_takes_it() {
     let bench = Bench::new();
     bench
-        .done("patterns --rig capture/calibration --slab-mm 20 --projector-px-per-mm 8 --grid 2 --window 5 --out plan");
+        .done("patterns --rig capture/calibration --slab-mm 10 --projector-px-per-mm 8 --grid 2 --window 5 --out plan");
     for (line, words) in [
         ("factor capture --out o.acq", ["capture is a capture", "acquire build-matrix capture"]),
         ("factor m.safetensors --out o.acq", ["m.safetensors is a material", "acquire export"]),
@@ -295,7 +297,7 @@ fn hints_say_what_the_input_is_and_what_takes_it() {
         ("check capture/calibration", ["is the folder of a rig", "--calibration"]),
         ("import plan/pictures --plan capture/photos --out o", ["capture/photos holds photographs", "acquire import"]),
         (
-            "patterns --rig capture --slab-mm 20 --projector-px-per-mm 8 --out o",
+            "patterns --rig capture --slab-mm 10 --projector-px-per-mm 8 --out o",
             ["rig.toml in capture/calibration", "--rig"],
         ),
         ("check capture --calibration capture", ["rig.toml in capture/calibration", "--calibration"]),

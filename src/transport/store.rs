@@ -282,10 +282,10 @@ impl MatrixWriter {
         self.header.check().and_then(|()| self.header.check_places()).map_err(Error::internal)?;
         let written = self.written.lock().map_err(Error::internal)?.clone();
         let store_path = self.folder.new_path();
-        self.write_store(&store_path, &written).map_err(|reason| Error::Io {
+        self.write_store(&store_path, &written).map_err(|e| e.to_string()).map_err(|reason| Error::Io {
             path: self.path.clone(),
             action: "write",
-            source: std::io::Error::other(reason.to_string()),
+            source: std::io::Error::new(kind_of(&reason), reason),
         })?;
         earlier::check(&self.path, self.replaces)?;
         put(&self.folder, &self.path, self.replaces).map_err(Error::io("write", &self.path))
@@ -692,6 +692,12 @@ impl MatrixReader {
         let text = format!("lit point [{x}, {y}], sample [{dx}, {dy}], channel {channel}");
         ([y, x, dy, dx, channel.min(channels - 1)], text)
     }
+}
+
+/// What the system said: of its errors the Zarr crate keeps the words, and in them the number.
+fn kind_of(reason: &str) -> std::io::ErrorKind {
+    let number = reason.rsplit_once("(os error ").and_then(|(_, end)| end.split(')').next()?.parse().ok());
+    number.map_or(std::io::ErrorKind::Other, |number| std::io::Error::from_raw_os_error(number).kind())
 }
 
 /// Rows that are read at once, and where they go.
