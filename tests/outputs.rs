@@ -76,8 +76,9 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 /// Commands and their outputs, a file or a folder.
-const COMMANDS: [(&str, &str); 9] = [
+const COMMANDS: [(&str, &str); 10] = [
     ("build-matrix capture --out o.rd.zarr", "o.rd.zarr"),
+    ("import-matrix m.rd.zarr --out o.rd.zarr", "o.rd.zarr"),
     ("factor m.rd.zarr --terms 1 --out o.safetensors", "o.safetensors"),
     ("factor m.rd.zarr --terms 1 --out o.acq", "o.acq"),
     ("export m.safetensors --to npz --out o.npz", "o.npz"),
@@ -168,6 +169,9 @@ fn an_output_in_an_input_or_around_one_is_refused() {
         "tradeoff m.rd.zarr --out m.rd.zarr --force",
         "tradeoff m.rd.zarr --out . --force",
         "factor m.rd.zarr --out m.rd.zarr/m.acq",
+        "import-matrix m.rd.zarr --out m.rd.zarr --force",
+        "import-matrix m.rd.zarr --out m.rd.zarr/o.rd.zarr",
+        "import-matrix m.rd.zarr --out . --force",
         "relight m.safetensors --light light.png --out light.exr",
         "patterns --rig capture/calibration --slab-mm 10 --projector-px-per-mm 8 --out capture --force",
     ] {
@@ -324,6 +328,7 @@ fn pipes_and_devices_are_refused_and_names_cannot_move_the_terminal() {
         for line in [
             format!("relight m.safetensors --light {path} --out o.exr"),
             format!("export {path} --to npz --out o.npz"),
+            format!("import-matrix {path} --pitch-mm 1 --out o.rd.zarr"),
             format!("evaluate {path} m.rd.zarr"),
             format!("evaluate m.safetensors {path}"),
             format!("simulate o --voxels {path}"),
