@@ -245,6 +245,18 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
     },
+    /// There is a file already, and replacing was not asked for.
+    #[error("{}: expected a new name, found a file", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// What would be replaced is an output of this program that somebody has changed.
+    #[error("{}: not replaced, as it was changed after this program had written it", path.display())]
+    Changed {
+        /// The file.
+        path: PathBuf,
+    },
     /// What would be replaced was not made by this program.
     #[error("{}: not replaced, as it is not an output of this program", path.display())]
     NotOurs {

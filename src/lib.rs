@@ -4,6 +4,7 @@
 
 mod cholesky;
 mod error;
+mod files;
 mod npy;
 mod output;
 mod warning;

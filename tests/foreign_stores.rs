@@ -403,3 +403,24 @@ fn a_store_of_zarr_2_is_read() {
     assert_eq!(block.response, [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.0, 0.0, 0.0]);
     assert_eq!(block.valid, [1, 1, 1, 1, 1, 1, 0, 0, 0]);
 }
+
+#[test]
+fn chunks_of_no_numbers_and_of_more_than_memory_has_are_refused_within_shards_too() {
+    let bench = Bench::new(json!({ "pitch_mm": 0.25 }));
+    bench.plain("response", &SHAPE, None, (0..270).map(number).collect());
+    let file = bench.path().join("response/zarr.json");
+    let written: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    let bytes = json!([{ "name": "bytes", "configuration": { "endian": "little" } }]);
+    for sides in [json!([2, 3, 3, 5, 0]), json!([2, 3, 3, 5, 1_u64 << 63]), json!([65536, 65536, 65536, 65536, 3])] {
+        let mut outer = written.clone();
+        outer["chunk_grid"]["configuration"]["chunk_shape"] = sides.clone();
+        let mut inner = written.clone();
+        let shards = json!({ "chunk_shape": sides, "codecs": bytes, "index_codecs": bytes, "index_location": "end" });
+        inner["codecs"] = json!([{ "name": "sharding_indexed", "configuration": shards }]);
+        for metadata in [outer, inner] {
+            std::fs::write(&file, metadata.to_string()).unwrap();
+            let said = bench.refused();
+            assert!(said.contains("array response: expected chunks of 1 to 4294967296 numbers, found ["), "{said}");
+        }
+    }
+}

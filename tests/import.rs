@@ -74,8 +74,8 @@ impl Bench {
         for (name, bytes) in a.iter().filter(|(name, _)| name.starts_with("photos/") || *name == "capture.toml") {
             assert!(b.get(name) == Some(bytes), "{name} differs");
         }
-        // The capture, its rig, and the record of what may be replaced.
-        assert_eq!(b.len(), self.photographs + 3);
+        // The capture, its checksums, its rig, and the record of what may be replaced.
+        assert_eq!(b.len(), self.photographs + 4);
     }
 
     /// Moves the clock of a photograph: its time is text of fixed length.

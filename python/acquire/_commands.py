@@ -50,13 +50,6 @@ def _pair(name: str, value: float | tuple[float, float] | None, kind: type) -> A
     return [kind(v) for v in both]
 
 
-def _replaceable(path: Path, force: bool) -> str:
-    name = os.fspath(path)
-    if os.path.lexists(name) and not force:
-        raise InputError(f"{name}: expected a new path, found something there (force=True replaces an older matrix)", "NotEmpty")
-    return name
-
-
 def write_matrix(
     path: Path,
     response: npt.ArrayLike,
@@ -86,7 +79,7 @@ def write_matrix(
     :param lit_pitch_mm: distance of lit points, mm, one number or (x, y); default: that of the places, else ``pitch_mm``.
     :param points: lit points along x and y of a full matrix (i, o); default: as many along both.
     :param window: samples along x and y that are cut out of a full matrix; default: the smallest with as many to all sides that leave out a thousandth of the light at most.
-    :param force: replace an older matrix.
+    :param force: replace an earlier matrix of this program.
     :returns: what was written: ``points``, ``window``, ``channels``, ``measured_share``, ``light_outside_window``, ``defaults``, ``findings``.
     :raises InputError: naming array and place, for shapes that do not fit, infinite numbers, negative variances.
     :warns FindingWarning: for negative responses, light outside the windows, more light than arrives.
@@ -97,7 +90,7 @@ def write_matrix(
 
     flags = None if valid is None else np.ascontiguousarray(np.asarray(valid) != 0, dtype=np.uint8)
     told = native.write_matrix(
-        _replaceable(path, force),
+        os.fspath(path),
         array(response, np.float32),
         array(variance, np.float32),
         flags,
@@ -109,6 +102,7 @@ def write_matrix(
         _pair("points", points, int),
         _pair("window", window, int),
         full,
+        force,
         report(progress),
     )
     result: dict[str, Any] = json.loads(told)
@@ -137,12 +131,13 @@ def import_matrix(
     """
     told = native.import_matrix(
         os.fspath(source),
-        _replaceable(out, force),
+        os.fspath(out),
         pitch_mm,
         _pair("lit_pitch_mm", lit_pitch_mm, float),
         _pair("points", points, int),
         _pair("window", window, int),
         full,
+        force,
         report(progress),
     )
     result: dict[str, Any] = json.loads(told)
@@ -216,14 +211,15 @@ def simulate(dir: Path, *, progress: Progress = True, **options: Any) -> dict[st
     return result
 
 
-def build_matrix(capture: Path, out: Path, *, progress: Progress = True, **options: Any) -> dict[str, Any]:
+def build_matrix(capture: Path, out: Path, *, force: bool = False, progress: Progress = True, **options: Any) -> dict[str, Any]:
     """Builds the matrix of a capture folder.
 
     A chessboard is found only where :data:`acquire.has_opencv` is true; captures with frame marks need none.
 
+    :param force: replace an earlier matrix of this program.
     :param options: those of ``acquire build-matrix``, with underscores: ``calibration``, ``exposure_from``, ``accept=["lamp-level"]``, …
     :returns: figures and ``findings``, as ``acquire build-matrix --json``.
     """
-    result: dict[str, Any] = json.loads(native.build_matrix(os.fspath(capture), os.fspath(out), _words(options), report(progress)))
+    result: dict[str, Any] = json.loads(native.build_matrix(os.fspath(capture), os.fspath(out), _words(options), force, report(progress)))
     tell(result["findings"])
     return result

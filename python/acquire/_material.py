@@ -159,20 +159,24 @@ class Material:
         """The tensors by name, copies: ``weights``, ``incident_factors``, ``offset_factors``, ``shift``, ``lit_mm``, …; shapes are in ``docs/materials.md``."""
         return self._native.factors()
 
-    def save(self, path: Path, precision: str | None = None) -> None:
+    def save(self, path: Path, precision: str | None = None, *, force: bool = False) -> None:
         """Writes a material; the file is renamed into place when it is complete.
 
-        :param precision: ``f32``, ``f16`` or ``coded``; default: as it was made or loaded. A name that ends in ``.acq`` is coded.
+        :param precision: ``f32``, ``f16`` or ``coded``; default: as it was made or loaded. A name that ends in ``.acq`` is coded, one in ``.safetensors`` is not.
+        :param force: replace an earlier material of this program.
         """
         name = os.fspath(path)
         if precision is None and name.endswith(".acq"):
             precision = "coded"
-        self._native.save(name, precision)
+        self._native.save(name, precision, force)
 
     def to_bytes(self, precision: str | None = None) -> bytes:
         """What :meth:`save` would write."""
         return self._native.to_bytes(precision)
 
-    def export(self, path: Path) -> None:
-        """Writes the factors as NumPy's ``.npz`` or as layers of an OpenEXR ``.exr`` (``docs/materials.md``)."""
-        self._native.export(os.fspath(path))
+    def export(self, path: Path, *, force: bool = False) -> None:
+        """Writes the factors as NumPy's ``.npz`` or as layers of an OpenEXR ``.exr`` (``docs/materials.md``).
+
+        :param force: replace an earlier export of this program.
+        """
+        self._native.export(os.fspath(path), force)

@@ -28,7 +28,7 @@ report = acquire.import_matrix(folder / "windows.npz", folder / "slab.rd.zarr", 
 print(f"{report['points']} points, {100 * report['measured_share']:.0f} % measured")
 material = acquire.factor(folder / "slab.rd.zarr", target_psnr=55)
 print(f"{material}: psnr_db {material.report['psnr_db']:.1f}")
-material.save(folder / "slab.safetensors")
+material.save(folder / "slab.safetensors", force=True)
 
 # R at points in millimetres, and draws for a renderer.
 print("R a millimetre to the right of two points, mm⁻²:", material.response([[6.0, 8.0], [18.0, 8.0]], [[7.0, 8.0], [19.0, 8.0]])[:, 0])

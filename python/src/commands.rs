@@ -4,6 +4,7 @@ use crate::errors::{internal, raised};
 use crate::material::NativeMaterial;
 use crate::work::{Report, run};
 use acquire::material::{Precision, Source};
+use acquire::simulate::SlabMaterial;
 use acquire::transport::MatrixReader;
 use acquire::transport::arrays::{
     ArraysInput, ArraysOptions, ImportedMatrix, import_arrays, import_store, open_arrays,
@@ -90,6 +91,11 @@ pub(crate) fn evaluate(
 #[pyfunction]
 pub(crate) fn simulate(py: Python<'_>, dir: PathBuf, words: Vec<String>, report: Report<'_>) -> PyResult<String> {
     let options = acquire::cli::simulate_options(&words).map_err(raised)?;
+    let voxels = match &options.material {
+        SlabMaterial::Voxels(file) => Some(file.as_path()),
+        _ => None,
+    };
+    acquire::cli::check_folder("dir", &dir, voxels.as_slice(), false).map_err(raised)?;
     run(py, report, |progress| {
         let summary = acquire::simulate::simulate(&options, &dir, progress)?;
         let mut object = to_json(&summary)?;
@@ -105,9 +111,12 @@ pub(crate) fn build_matrix(
     capture: PathBuf,
     out: PathBuf,
     words: Vec<String>,
+    force: bool,
     report: Report<'_>,
 ) -> PyResult<String> {
     let options = acquire::cli::build_options(&words).map_err(raised)?;
+    let inputs = acquire::cli::inputs_of(&capture, options.calibration.as_deref());
+    acquire::cli::check_matrix_output("out", &out, &inputs, force).map_err(raised)?;
     run(py, report, |progress| {
         let built = acquire::pipeline::build_matrix(&capture, &options, &out, progress)?;
         let mut object = built.figures()?;
@@ -118,7 +127,7 @@ pub(crate) fn build_matrix(
 
 /// A matrix from a file of arrays.
 #[pyfunction]
-#[pyo3(signature = (path, out, pitch_mm, lit_pitch_mm, points, window, full, report))]
+#[pyo3(signature = (path, out, pitch_mm, lit_pitch_mm, points, window, full, force, report))]
 #[allow(clippy::too_many_arguments, reason = "keywords of the Python function")]
 pub(crate) fn import_matrix(
     py: Python<'_>,
@@ -129,8 +138,10 @@ pub(crate) fn import_matrix(
     points: Option<[usize; 2]>,
     window: Option<[usize; 2]>,
     full: bool,
+    force: bool,
     report: Report<'_>,
 ) -> PyResult<String> {
+    acquire::cli::check_matrix_output("out", &out, &[&path], force).map_err(raised)?;
     run(py, report, |progress| {
         let mut instead = serde_json::Map::new();
         instead.extend(pitch_mm.map(|v| ("pitch_mm".to_owned(), json!(v))));

@@ -10,7 +10,11 @@ pub(crate) fn raised(error: impl Into<acquire::Error>) -> PyErr {
     let kind = format!("{error:?}");
     let kind = kind.split([' ', '{', '(']).next().unwrap_or_default();
     let text: Vec<String> = error.to_string().split_whitespace().map(str::to_owned).collect();
-    exception(name, &text.join(" "), kind)
+    let hint = match error {
+        acquire::Error::NotEmpty { .. } | acquire::Error::Exists { .. } => " (force=True replaces an earlier output)",
+        _ => "",
+    };
+    exception(name, &(text.join(" ") + hint), kind)
 }
 
 /// An `InputError` with these words.

@@ -260,8 +260,10 @@ impl NativeMaterial {
         Ok(all)
     }
 
-    fn save(&self, py: Python<'_>, path: PathBuf, precision: Option<&str>) -> PyResult<()> {
+    fn save(&self, py: Python<'_>, path: PathBuf, precision: Option<&str>, force: bool) -> PyResult<()> {
         let precision = self.precision(precision)?;
+        let ending = if precision == Precision::Coded { "acq" } else { "safetensors" };
+        acquire::cli::check_output("path", &path, &[], &[ending], force).map_err(raised)?;
         py.detach(|| acquire::material::save(&self.material, precision, &path)).map_err(raised)
     }
 
@@ -271,18 +273,14 @@ impl NativeMaterial {
         Ok(PyBytes::new(py, &bytes))
     }
 
-    fn export(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        let exported = py.detach(|| match path.extension().and_then(|e| e.to_str()) {
-            Some("npz") => acquire::material::export_npz(&self.material, &path).map(|()| true),
-            Some("exr") => acquire::material::export_exr(&self.material, &path).map(|()| true),
-            _ => Ok(false),
+    fn export(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<()> {
+        acquire::cli::check_output("path", &path, &[], &["npz", "exr"], force).map_err(raised)?;
+        let npz = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz"));
+        let exported = py.detach(|| match npz {
+            true => acquire::material::export_npz(&self.material, &path),
+            false => acquire::material::export_exr(&self.material, &path),
         });
-        match exported.map_err(raised)? {
-            true => Ok(()),
-            false => {
-                Err(refused(format_args!("path: expected a name that ends in .npz or .exr, found {}", path.display())))
-            }
-        }
+        exported.map_err(raised)
     }
 }
 

@@ -80,7 +80,7 @@ fn array<'a, T: numpy::Element + Clone>(given: &'a PyReadonlyArrayDyn<'_, T>) ->
 
 /// Writes a store from arrays in C order.
 #[pyfunction]
-#[pyo3(signature = (path, response, variance, valid, x_i_mm, y_i_mm, position_sd_mm, pitch_mm, lit_pitch_mm, points, window, full, report))]
+#[pyo3(signature = (path, response, variance, valid, x_i_mm, y_i_mm, position_sd_mm, pitch_mm, lit_pitch_mm, points, window, full, force, report))]
 #[allow(clippy::too_many_arguments, reason = "keywords of the Python function")]
 pub(crate) fn write_matrix(
     py: Python<'_>,
@@ -96,8 +96,10 @@ pub(crate) fn write_matrix(
     points: Option<[usize; 2]>,
     window: Option<[usize; 2]>,
     full: bool,
+    force: bool,
     report: Report<'_>,
 ) -> PyResult<String> {
+    acquire::cli::check_matrix_output::<PathBuf>("path", &path, &[], force).map_err(raised)?;
     let arrays = MatrixArrays {
         name: path.clone(),
         response: array(&response)?,

@@ -1,6 +1,9 @@
 """The figures of docs/python.md, "Measured": run by hand, with the module installed and the program built.
 
-    python measure.py target/release/acquire
+    cargo build --release -p acquire-material --example time_pairs
+    python measure.py target/release
+
+RAYON_NUM_THREADS=1 for one thread.
 """
 
 import subprocess
@@ -13,7 +16,8 @@ import numpy as np
 
 import acquire
 
-program = sys.argv[1]
+built = Path(sys.argv[1])
+program = built / "acquire"
 
 
 def best(work, times=5):
@@ -32,10 +36,12 @@ with tempfile.TemporaryDirectory() as name:
     truth = folder / "c/truth.rd.zarr"
     material = acquire.factor(truth, terms=15, progress=False)
     material.save(folder / "m.safetensors")
+    # The same pairs as of examples/time_pairs.rs, but for the generator.
     rng = np.random.default_rng(0)
-    x0, x1, y0, y1 = material.lit_extent_mm
-    x_i = rng.uniform([x0, y0], [x1, y1], (1_000_000, 2))
-    x_o = x_i + rng.normal(0, 2, x_i.shape)
+    places = material.lit_mm.reshape(-1, 2)
+    x_i = rng.uniform(places.min(0), places.max(0), (1_000_000, 2))
+    x_o = x_i + rng.uniform(-4, 4, x_i.shape)
+    print(subprocess.run([built / "examples/time_pairs", folder / "m.safetensors"], capture_output=True, text=True, check=True).stdout, end="")
     for interpolate in (True, False):
         secs = best(lambda: material.response(x_i, x_o, interpolate=interpolate))
         print(f"response, 10^6 pairs, interpolate={interpolate}: {secs:.3f} s, {1e3 * secs:.0f} ns a pair")

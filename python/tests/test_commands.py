@@ -44,6 +44,12 @@ def test_what_is_written_is_read(tmp_path):
         acquire.write_matrix(tmp_path / "m.rd.zarr", windows(), pitch_mm=0.25)
     acquire.write_matrix(tmp_path / "m.rd.zarr", windows(channels=1), pitch_mm=0.25, force=True)
     assert acquire.Matrix.open(tmp_path / "m.rd.zarr").read().valid.all()
+    (tmp_path / "m.rd.zarr" / "notes.txt").write_text("keep")
+    with pytest.raises(acquire.InputError, match="notes.txt: not replaced"):
+        acquire.write_matrix(tmp_path / "m.rd.zarr", windows(), pitch_mm=0.25, force=True)
+    with pytest.raises(acquire.InputError, match="apart from the inputs"):
+        acquire.import_matrix(tmp_path / "m.rd.zarr", tmp_path, force=True)
+    assert (tmp_path / "m.rd.zarr" / "notes.txt").read_text() == "keep"
 
 
 def test_arrays_that_do_not_fit_are_refused_with_the_place(tmp_path):

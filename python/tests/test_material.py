@@ -117,6 +117,19 @@ def test_files_and_bytes_come_back(material, tmp_path):
     with np.load(tmp_path / "m.npz") as exported:
         for key in ("weights", "incident_factors", "offset_factors", "shift"):
             np.testing.assert_array_equal(exported[key], factors[key])
+    # Nothing is replaced unasked, and nothing of others.
+    with pytest.raises(acquire.InputError, match="force=True"):
+        material.export(tmp_path / "m.npz")
+    material.export(tmp_path / "m.npz", force=True)
+    with pytest.raises(acquire.InputError, match="force=True"):
+        material.save(tmp_path / "f32.safetensors", "f32")
+    material.save(tmp_path / "f32.safetensors", "f32", force=True)
+    for write in (lambda path: material.export(path, force=True), lambda path: material.save(path, "f32", force=True)):
+        for name in ("theirs.npz", "theirs.safetensors"):
+            (tmp_path / name).write_bytes(b"keep")
+            with pytest.raises(acquire.InputError):
+                write(tmp_path / name)
+            assert (tmp_path / name).read_bytes() == b"keep"
     with pytest.raises(acquire.InputError, match="npz or .exr"):
         material.export(tmp_path / "m.mat")
     with pytest.raises(acquire.InputError, match="precision: expected one of"):

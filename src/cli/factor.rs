@@ -20,12 +20,16 @@ Examples:
   acquire factor slab.rd.zarr --memory 2GiB --backend gram")]
 pub(super) struct Args {
     /// The matrix, a folder *.rd.zarr.
+    #[arg(value_parser = super::things::matrix())]
     matrix: PathBuf,
     #[command(flatten)]
     options: Options,
     /// The material to write [default: the matrix's name with .safetensors, in the working directory].
     #[arg(long, short, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Replace an earlier material there.
+    #[arg(long)]
+    force: bool,
 }
 
 /// All that can be asked of a factorization.
@@ -150,10 +154,10 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
         Some(Precision::Coded) => &["acq"],
         Some(_) => &["safetensors"],
     };
-    super::check_output(&out, &[&args.matrix], endings)?;
+    super::check_output("out", &out, &[&args.matrix], endings, args.force)?;
     let reader = MatrixReader::open(&args.matrix)?;
     let stored = factor_and_store(&reader, &options, &storage, &context.progress)?;
-    write_whole(&out, &stored.file)?;
+    write_whole(&out, stored.file.clone())?;
     let factored = &stored.factored;
     context.tell(&factored.warnings);
     let how = match storage.precision {

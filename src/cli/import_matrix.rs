@@ -25,6 +25,7 @@ Shapes of response:
 NaN is not measured.")]
 pub(super) struct Args {
     /// X.npy, X.npz, or a Zarr group or array.
+    #[arg(value_parser = super::things::matrix())]
     input: PathBuf,
     /// Side of a sample, mm [default: pitch_mm of the input, which is needed then].
     #[arg(long, value_name = "MM", allow_negative_numbers = true)]
@@ -42,10 +43,10 @@ pub(super) struct Args {
     /// The last axes are outgoing points, not offsets.
     #[arg(long)]
     full: bool,
-    /// The matrix to write.
+    /// Where the matrix goes.
     #[arg(long, short, value_name = "Y.rd.zarr")]
     out: PathBuf,
-    /// Replace an older matrix.
+    /// Replace an earlier matrix there.
     #[arg(long)]
     force: bool,
     /// Print one JSON object: sizes, defaults that were taken, and findings.
@@ -54,16 +55,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
-    let input = args.input.canonicalize().map_err(Error::io("read", &args.input))?;
-    if std::path::absolute(&args.out)
-        .is_ok_and(|out| out.ancestors().any(|p| p.canonicalize().is_ok_and(|p| p == input)))
-    {
-        let expected = "another path than the input".into();
-        return Err(Error::Setting { setting: "out", expected, found: args.out.display().to_string() });
-    }
-    if args.out.symlink_metadata().is_ok() && !args.force {
-        return Err(Error::NotEmpty { path: args.out });
-    }
+    super::check_matrix_output("out", &args.out, &[&args.input], args.force)?;
     let source = format!("acquire import-matrix: {}", args.input.display());
     let imported = match open_arrays(&args.input, args.full, &attributes(&args))? {
         ArraysInput::Store(reader) => {

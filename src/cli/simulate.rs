@@ -75,6 +75,7 @@ impl Options {
 
 /// Runs the command.
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
+    super::check_folder("DIR", &args.dir, args.options.voxels.as_deref().as_slice(), false)?;
     let options = args.options.options()?;
     let start = std::time::Instant::now();
     let summary = simulate::simulate(&options, &args.dir, &context.progress)?;

@@ -18,6 +18,7 @@ Writes tradeoff.html (opens offline), tradeoff.csv and tradeoff.json into a fold
 beats in both bytes and psnr_db.")]
 pub(super) struct Args {
     /// The matrix, a folder *.rd.zarr.
+    #[arg(value_parser = super::things::matrix())]
     matrix: PathBuf,
     /// The folder to make [default: the matrix's name with -tradeoff, in the working directory].
     #[arg(long, short, value_name = "DIR")]
@@ -44,6 +45,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
         let name = args.matrix.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         PathBuf::from(format!("{}-tradeoff", name.trim_end_matches(".zarr").trim_end_matches(".rd")))
     });
+    super::check_folder("out", &out, &[&args.matrix], false)?;
     let folder = NewFolder::create(&out, args.force)?;
     let options = TradeoffOptions { quick: args.quick, memory_bytes: args.memory };
     let found = tradeoff(&reader, &options, &context.progress)?;

@@ -17,6 +17,7 @@ mod noise;
 mod photographs;
 mod radiometry;
 mod reciprocity;
+mod recorded;
 mod reference_dots;
 mod references;
 mod register;
@@ -26,7 +27,7 @@ mod sink;
 mod strangers;
 mod stray;
 
-use crate::capture::{Capture, ExposureFrom, Noise, Reduction};
+use crate::capture::{Capture, ExposureFrom, Noise, Reduction, read_checksums};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Radiance, Sensor};
@@ -219,11 +220,15 @@ fn measure_at(
     let photographs = Photographs::new(full, capture, &radiometry, working.factor);
     // What the photographs say of the noise was said of the stated times.
     let noise = if radiometry.corrected { noise.again(&full.timed(&radiometry.brackets))? } else { noise };
+    let checksums = read_checksums(&full.dir)?;
     let stages = Before { noise: &noise, working, defects: &defects, radiometry: &radiometry, start };
     let built = build_rows(&photographs, &stages, options, rows, progress);
     let built = built.map_err(|error| likeliest::in_gray_code(&photographs, error));
-    let ((mut header, mut report), findings) = strangers::with_findings(&photographs, options, built)
+    let (built, changed) = recorded::with_changed(&photographs, &checksums, options, built)
+        .map_or_else(|e| (Err(e), None), |(b, c)| (Ok(b), c));
+    let ((mut header, mut report), mut findings) = strangers::with_findings(&photographs, options, built)
         .map_err(|error| likeliest::in_noise(&noise.warnings, error))?;
+    findings.extend(changed);
     tell(&mut header, &mut report, findings);
     Ok((header, report))
 }

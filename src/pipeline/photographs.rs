@@ -218,6 +218,11 @@ impl<'a> Photographs<'a> {
         move |reason| Error::Registration { path: path.clone(), shot: shot.clone(), reason }
     }
 
+    /// The hashes of all files that were read.
+    pub(super) fn hashes(&self) -> Result<BTreeMap<PathBuf, blake3::Hash>> {
+        Ok(self.hashes.lock().map_err(Error::internal)?.clone())
+    }
+
     /// One hash of all files that were read, in the order of their names.
     pub(super) fn hash(&self) -> Result<blake3::Hash> {
         let mut all = blake3::Hasher::new();

@@ -37,6 +37,7 @@ pub use slab::{Beyond, Optics, SlabMaterial, SlabRecord, Volume};
 
 use crate::{
     Error, Result, SimulateWarning,
+    capture::{hash, write_checksums},
     geometry::{CameraView, Homography, Lens, Point},
     output::NewFolder,
     progress::Progress,
@@ -46,7 +47,9 @@ use bench::Bench;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shot_list::ShotList;
+use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use studio::Studio;
 
@@ -154,14 +157,21 @@ fn write_capture(options: &SimulateOptions, studio: Studio, work: &Path, progres
     let matrix = MatrixWriter::create(&work.join(TRUTH_MATRIX), header(options, &studio.bench, &plan)?)?;
 
     let bytes = AtomicU64::new(0);
+    let checksums = Mutex::new(BTreeMap::new());
     let stage = progress.stage("photograph", plan.manifest.shots.len());
     (0..plan.manifest.shots.len()).into_par_iter().try_for_each(|shot| -> Result<()> {
         stage.begin();
         let written = studio.shoot(options, &plan, shot, work, &matrix)?;
         bytes.fetch_add(written, Ordering::Relaxed);
+        for photograph in &plan.manifest.shots[shot].photographs {
+            let path = work.join(&photograph.file);
+            let hash = hash(&path).map_err(Error::io("read", &path))?;
+            checksums.lock().map_err(Error::internal)?.insert(photograph.file.clone(), hash);
+        }
         stage.advance(1);
         Ok(())
     })?;
+    write_checksums(work, &checksums.into_inner().map_err(Error::internal)?)?;
     matrix.finish()?;
     let truth = Truth {
         electrons_per_sec_per_radiance: Some(studio.electrons_per_sec),

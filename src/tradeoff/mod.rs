@@ -101,7 +101,7 @@ pub struct Tradeoff {
 /// # Errors
 /// Those of the reader, of [`factor`], of [`coded::encode`] and of writing temporary files.
 pub fn tradeoff(reader: &MatrixReader, options: &TradeoffOptions, progress: &Progress) -> Result<Tradeoff> {
-    let folder = ScratchFolder::new(&std::env::temp_dir(), "acquire-tradeoff-", reader.path())?;
+    let folder = ScratchFolder::new(&std::env::temp_dir(), reader.path())?;
     let part = match options.quick {
         true => Some(middle(reader, &folder.path().join("part.rd.zarr"))?),
         false => None,
@@ -234,7 +234,7 @@ impl Run<'_> {
             let quality = coded::Quality::AddedError(error);
             let coded = coded::encode(material, &coded::EncodeOptions { quality, ..coded::EncodeOptions::default() })?;
             let file = path(format!("coded-{k}.acq"));
-            crate::output::write_whole(&file, &coded.bytes)?;
+            crate::output::write_whole(&file, coded.bytes)?;
             all.push(Stored { path: file, precision: Precision::Coded, secs: start.elapsed().as_secs_f64() });
         }
         Ok(all)

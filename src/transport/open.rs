@@ -1,7 +1,8 @@
 //! Opening a store, whoever wrote it: what its arrays and attributes say, and what stands for those that it has not. `docs/matrix-format.md` is the description.
 
 use super::CHANNELS;
-use super::row_array::{AXES, RowArray, RowLayout, check_chunks, dimension_names, wide_numbers};
+use super::checksum::Checksums;
+use super::row_array::{AXES, RowArray, RowLayout, check_chunks, check_metadata, dimension_names, wide_numbers};
 use super::store::{FORMATS, LARGEST_MM, MOST_POINTS, MOST_SAMPLES, MatrixHeader, ShotRecord};
 use crate::geometry::Point;
 use crate::{Error, Result};
@@ -42,6 +43,8 @@ pub(super) struct Opened {
     pub(super) response: RowArray,
     pub(super) variance: Option<RowArray>,
     pub(super) valid: Option<RowArray>,
+    /// `None` for a store that another program, or an earlier version of this one, has written.
+    pub(super) checksums: Option<Checksums>,
 }
 
 /// Opens `path` and reads all but the rows; `instead` takes the place of attributes of the same name.
@@ -49,12 +52,6 @@ pub(super) fn open(path: &Path, instead: &Map<String, Value>) -> Result<Opened> 
     let mut group = StoreGroup::open(path)?;
     group.attributes.extend(instead.clone());
     let attributes = &group.attributes;
-    if let Some(found) = attributes.get("acquire_format")
-        && !found.as_u64().is_some_and(|format| FORMATS.contains(&format))
-    {
-        let expected = format!("one of {FORMATS:?}, or none; a later one needs a later acquire");
-        return Err(group.unfit("attribute acquire_format", expected, found));
-    }
     let response =
         group.row_array("response")?.ok_or_else(|| group.unfit("array response", "an array of this name", "none"))?;
     let [ny, nx, h, w, channels] = response.sides;
@@ -85,7 +82,7 @@ pub(super) fn open(path: &Path, instead: &Map<String, Value>) -> Result<Opened> 
     group.check_channel_names(channels)?;
     let (pitch_mm, layout) = windows(&group, [nx, ny], [w, h])?;
     let header = header(&group, &layout, pitch_mm)?;
-    Ok(Opened { header, layout, response, variance, valid })
+    Ok(Opened { header, layout, response, variance, valid, checksums: group.checksums })
 }
 
 /// The cell's side, and where the stored samples lie in windows around the lit points.
@@ -165,7 +162,7 @@ fn header(group: &StoreGroup, layout: &RowLayout, pitch_mm: f64) -> Result<Matri
         warnings: group.attribute("warnings", "findings that this version of acquire knows")?.unwrap_or_default(),
         provenance: group.attributes.get("provenance").cloned().unwrap_or_default(),
     };
-    header.check().map_err(|reason| Error::BrokenMatrix { path: group.path.clone(), reason })?;
+    header.check().map_err(|reason| group.broken(reason))?;
     group.believe(header.rows())?;
     let stated = lit_pitch(group)?;
     let places = [group.over_points("x_i_mm", points)?, group.over_points("y_i_mm", points)?];
@@ -191,7 +188,7 @@ fn header(group: &StoreGroup, layout: &RowLayout, pitch_mm: f64) -> Result<Matri
     header.position_sd_mm = group.over_points("position_sd_mm", points)?.unwrap_or_else(|| vec![0.0; header.rows()]);
     let shots = header.shots.len() as f64;
     let shot = group.over_points("shot", points)?.unwrap_or_else(|| vec![-1.0; header.rows()]);
-    if let Some(v) = shot.iter().find(|v| **v >= shots || v.fract() != 0.0) {
+    if let Some(v) = shot.iter().find(|v| **v >= shots || **v < -1.0 || v.fract() != 0.0) {
         return Err(group.unfit(
             "array shot",
             format!("-1, or numbers below {shots}, the length of the attribute shots"),
@@ -199,10 +196,7 @@ fn header(group: &StoreGroup, layout: &RowLayout, pitch_mm: f64) -> Result<Matri
         ));
     }
     header.shot_of = shot.into_iter().map(|v| (v >= 0.0).then_some(v as usize)).collect();
-    header
-        .check()
-        .and_then(|()| header.check_places())
-        .map_err(|reason| Error::BrokenMatrix { path: group.path.clone(), reason })?;
+    header.check().and_then(|()| header.check_places()).map_err(|reason| group.broken(reason))?;
     Ok(header)
 }
 
@@ -229,6 +223,7 @@ struct StoreGroup {
     path: PathBuf,
     store: Arc<FilesystemStore>,
     attributes: Map<String, Value>,
+    checksums: Option<Checksums>,
 }
 
 impl StoreGroup {
@@ -245,14 +240,37 @@ impl StoreGroup {
             found,
         };
         if !["zarr.json", ".zgroup"].iter().any(|name| path.join(name).is_file()) {
-            let found = if path.join(".zarray").is_file() { "an array" } else { "a folder without zarr.json" };
+            let found = match (path.join(".zarray").is_file(), path.is_dir()) {
+                (true, _) => "an array",
+                (false, true) => "a folder without zarr.json",
+                (false, false) => "a file",
+            };
             return Err(unfit("a Zarr group with the array response", found.into()));
         }
         let store = FilesystemStore::new(path).map_err(|e| unfit("a Zarr group", e.to_string()))?;
         let store = Arc::new(store);
         let group = zarrs::group::Group::open(store.clone(), "/")
             .map_err(|e| unfit("a Zarr group with the array response", e.to_string()))?;
-        Ok(Self { path: path.to_path_buf(), store, attributes: group.attributes().clone() })
+        let mut group =
+            Self { path: path.to_path_buf(), store, attributes: group.attributes().clone(), checksums: None };
+        // Before the checksum: a later version may have another.
+        group.check_format()?;
+        group.checksums = Checksums::open(path, &group.attributes).map_err(|reason| group.broken(reason))?;
+        Ok(group)
+    }
+
+    fn check_format(&self) -> Result<()> {
+        match self.attributes.get("acquire_format") {
+            Some(found) if !found.as_u64().is_some_and(|format| FORMATS.contains(&format)) => {
+                let expected = format!("one of {FORMATS:?}, or none; a later one needs a later acquire");
+                Err(self.unfit("attribute acquire_format", expected, found))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn broken(&self, reason: String) -> Error {
+        Error::BrokenMatrix { path: self.path.clone(), reason }
     }
 
     fn unfit(&self, part: &str, expected: impl Into<String>, found: impl std::fmt::Display) -> Error {
@@ -277,20 +295,18 @@ impl StoreGroup {
         let folder = self.path.join(name);
         if !["zarr.json", ".zarray"].iter().any(|file| folder.join(file).is_file()) {
             return match folder.is_dir() {
-                true => Err(Error::BrokenMatrix {
-                    path: self.path.clone(),
-                    reason: format!("array {name}: zarr.json is missing"),
-                }),
+                true => Err(self.broken(format!("array {name}: zarr.json is missing"))),
                 false => Ok(None),
             };
         }
         let part = format!("array {name}");
+        check_metadata(&folder).map_err(|reason| self.broken(format!("{part}: {reason}")))?;
         match Array::open(self.store.clone(), &format!("/{name}")) {
             Ok(array) => Ok(Some(array)),
             Err(e @ ArrayCreateError::CodecsCreateError(_)) => {
                 Err(self.unfit(&part, "codecs that docs/matrix-format.md lists", e))
             }
-            Err(e) => Err(Error::BrokenMatrix { path: self.path.clone(), reason: format!("{part}: {e}") }),
+            Err(e) => Err(self.broken(format!("{part}: {e}"))),
         }
     }
 
@@ -298,7 +314,11 @@ impl StoreGroup {
         let Some(array) = self.array(name)? else { return Ok(None) };
         let part = format!("array {name}");
         self.check_unit(name, &array)?;
-        RowArray::new(array).map(Some).map_err(|[expected, found]| self.unfit(&part, expected, found))
+        let rows = RowArray::new(array).map_err(|[expected, found]| self.unfit(&part, expected, found))?;
+        if let Some(checksums) = &self.checksums {
+            checksums.check_names(&rows.array).map_err(|reason| self.broken(reason))?;
+        }
+        Ok(Some(rows))
     }
 
     /// A small array, and the names of its dimensions.
@@ -311,10 +331,13 @@ impl StoreGroup {
         }
         check_chunks(&array).map_err(|[expected, found]| self.unfit(&part, expected, found))?;
         self.check_unit(name, &array)?;
+        if let Some(checksums) = &self.checksums {
+            checksums.check_chunks(&array, &array.subset_all()).map_err(|reason| self.broken(reason))?;
+        }
         let values = wide_numbers(&array, &array.subset_all()).map_err(|reason| {
             match reason.starts_with("numbers of type") {
                 true => self.unfit(&part, "numbers", reason),
-                false => Error::BrokenMatrix { path: self.path.clone(), reason: format!("{part}: {reason}") },
+                false => self.broken(format!("{part}: {reason}")),
             }
         })?;
         Ok(Some((values, shape, dimension_names(&array))))
@@ -353,8 +376,9 @@ impl StoreGroup {
     /// Refuses channels in another order, where an array of strings names them.
     fn check_channel_names(&self, channels: usize) -> Result<()> {
         // Other kinds of text are for other programs.
-        let Ok(array) = Array::open(self.store.clone(), "/channel") else { return Ok(()) };
-        if channels != CHANNELS || *array.data_type() != data_type::string() || array.shape() != [CHANNELS as u64] {
+        let Ok(Some(array)) = self.array("channel") else { return Ok(()) };
+        let names = *array.data_type() == data_type::string() && array.shape() == [CHANNELS as u64];
+        if channels != CHANNELS || !names || check_chunks(&array).is_err() {
             return Ok(());
         }
         let names: Vec<String> = array.retrieve_array_subset(&array.subset_all()).unwrap_or_default();
@@ -419,10 +443,7 @@ impl StoreGroup {
         let bytes = size(&self.path.join("response")).map_err(Error::io("read", &self.path))?;
         match rows / POINTS_A_BYTE <= usize::try_from(bytes).unwrap_or(usize::MAX) {
             true => Ok(()),
-            false => Err(Error::BrokenMatrix {
-                path: self.path.clone(),
-                reason: format!("array response: {rows} rows in {bytes} bytes"),
-            }),
+            false => Err(self.broken(format!("array response: {rows} rows in {bytes} bytes"))),
         }
     }
 }

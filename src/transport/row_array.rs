@@ -1,7 +1,9 @@
 //! An array over lit points, samples and channels of a store, whatever its chunks, codecs and numbers are, and whoever wrote it.
 
 use super::CHANNELS;
+use rayon::prelude::*;
 use std::ops::Range;
+use std::path::Path;
 use zarrs::array::{Array, ArrayShardedExt, ArraySubset, ElementOwned, FromArrayBytes, data_type};
 use zarrs::filesystem::FilesystemStore;
 
@@ -103,14 +105,13 @@ impl RowArray {
 
     /// Numbers of lit points, row-major; a range is part of one line of points, or some whole lines. Samples that are not stored are left as they are in `out`.
     pub(super) fn read(&self, rows: Range<usize>, layout: &RowLayout, out: &mut [f32]) -> Result<(), String> {
-        let subset = self.subset(&rows, layout.points[0]);
         let is = |t: zarrs::array::DataType| *self.array.data_type() == t;
         if is(data_type::float32()) {
-            self.place(&self.numbers::<f32>(&subset)?, layout, out, |v| v);
+            self.fetch::<f32, _>(&rows, layout, out, |v| v)?;
         } else if is(data_type::float64()) {
-            self.place(&self.numbers::<f64>(&subset)?, layout, out, |v| v as f32);
+            self.fetch::<f64, _>(&rows, layout, out, |v| v as f32)?;
         } else if is(data_type::float16()) {
-            self.place(&self.numbers::<half::f16>(&subset)?, layout, out, f32::from);
+            self.fetch::<half::f16, _>(&rows, layout, out, f32::from)?;
         } else {
             return Err(format!("numbers of type {}", self.array.data_type()));
         }
@@ -122,20 +123,20 @@ impl RowArray {
 
     /// The same of flags: of any whole numbers or truths; those above 255 are 255.
     pub(super) fn read_flags(&self, rows: Range<usize>, layout: &RowLayout, out: &mut [u8]) -> Result<(), String> {
-        let subset = self.subset(&rows, layout.points[0]);
         let is = |t: zarrs::array::DataType| *self.array.data_type() == t;
         if is(data_type::uint8()) {
-            self.place(&self.numbers::<u8>(&subset)?, layout, out, |v| v);
+            self.fetch::<u8, _>(&rows, layout, out, |v| v)?;
         } else if is(data_type::bool()) {
-            self.place(&self.numbers::<bool>(&subset)?, layout, out, u8::from);
+            self.fetch::<bool, _>(&rows, layout, out, u8::from)?;
         } else {
-            let wide = wide_numbers(&self.array, &subset)?;
+            let wide = wide_numbers(&self.array, &self.subset(&rows, layout.points[0]))?;
             self.place(&wide, layout, out, |v| if v == 0.0 || v == 1.0 { v as u8 } else { u8::MAX });
         }
         Ok(())
     }
 
-    fn subset(&self, rows: &Range<usize>, nx: usize) -> ArraySubset {
+    /// The part of the array that has these lit points, of lines of `nx`.
+    pub(super) fn subset(&self, rows: &Range<usize>, nx: usize) -> ArraySubset {
         let (y, x) = (rows.start / nx, rows.start % nx);
         let lines = rows.len().div_ceil(nx).max(1);
         let columns = if lines == 1 { x..x + rows.len() } else { 0..nx };
@@ -150,11 +151,94 @@ impl RowArray {
         ArraySubset::new_with_ranges(&ranges)
     }
 
-    fn numbers<T: ElementOwned>(&self, subset: &ArraySubset) -> Result<Vec<T>, String>
+    /// Numbers of lit points, each where it belongs in rows of `layout.window`.
+    fn fetch<T, U>(
+        &self,
+        rows: &Range<usize>,
+        layout: &RowLayout,
+        out: &mut [U],
+        as_read: impl Fn(T) -> U + Sync,
+    ) -> Result<(), String>
     where
+        T: ElementOwned + Copy + Send + Sync,
+        U: Copy + Send,
         Vec<T>: FromArrayBytes,
     {
-        self.array.retrieve_array_subset::<Vec<T>>(subset).map_err(|e| e.to_string())
+        if let Some(chunk) = self.split_chunk() {
+            return self.gather(rows, chunk, layout, out, as_read);
+        }
+        let subset = self.subset(rows, layout.points[0]);
+        let values = self.array.retrieve_array_subset::<Vec<T>>(&subset).map_err(|e| e.to_string())?;
+        self.place(&values, layout, out, as_read);
+        Ok(())
+    }
+
+    /// The sides of chunks that have parts of windows only, as zarr-python makes them when it is not told.
+    fn split_chunk(&self) -> Option<[usize; 5]> {
+        if self.array.is_sharded() {
+            return None;
+        }
+        let chunk = self.array.chunk_shape(&vec![0; self.array.shape().len()]).ok()?;
+        let mut sides = [1; 5];
+        let mut lengths = chunk.iter();
+        for side in sides.iter_mut().zip(self.has).filter(|(_, has)| *has).map(|(side, _)| side) {
+            *side = usize::try_from(lengths.next()?.get()).ok()?;
+        }
+        (2..5).any(|a| sides[a] < self.sides[a]).then_some(sides)
+    }
+
+    /// [`Self::fetch`] chunk by chunk: the numbers of a row that lie side by side in such a chunk are too few for the general way, which is ten times slower.
+    fn gather<T, U>(
+        &self,
+        rows: &Range<usize>,
+        chunk: [usize; 5],
+        layout: &RowLayout,
+        out: &mut [U],
+        as_read: impl Fn(T) -> U + Sync,
+    ) -> Result<(), String>
+    where
+        T: ElementOwned + Copy + Send + Sync,
+        U: Copy + Send,
+        Vec<T>: FromArrayBytes,
+    {
+        let nx = layout.points[0];
+        let lines = rows.start / nx..(rows.end - 1) / nx + 1;
+        let columns = if lines.len() == 1 { rows.start % nx..(rows.end - 1) % nx + 1 } else { 0..nx };
+        let [_, _, h, w, c] = self.sides;
+        let ranges = [lines, columns, 0..h, 0..w, 0..c];
+        let grid: [Range<usize>; 5] =
+            std::array::from_fn(|a| ranges[a].start / chunk[a]..ranges[a].end.div_ceil(chunk[a]));
+        let counts: [usize; 5] = std::array::from_fn(|a| grid[a].len());
+        let decoded: Vec<Vec<T>> = (0..counts.iter().product())
+            .into_par_iter()
+            .map(|k| {
+                let mut rest = k;
+                let mut index = [0; 5];
+                for a in (0..5).rev() {
+                    index[a] = grid[a].start + rest % counts[a];
+                    rest /= counts[a];
+                }
+                let index: Vec<u64> =
+                    index.iter().zip(self.has).filter(|(_, has)| *has).map(|(&n, _)| n as u64).collect();
+                self.array.retrieve_chunk::<Vec<T>>(&index).map_err(|e| e.to_string())
+            })
+            .collect::<Result<_, String>>()?;
+        let ([wide, high], [left, top]) = (layout.window, layout.before);
+        out.par_chunks_mut(CHANNELS * wide * high).enumerate().for_each(|(k, row)| {
+            let (y, x) = ((rows.start + k) / nx, (rows.start + k) % nx);
+            let of_row = (y / chunk[0] - grid[0].start) * counts[1] + x / chunk[1] - grid[1].start;
+            let in_chunk = (y % chunk[0]) * chunk[1] + x % chunk[1];
+            for (dy, dx) in (0..h).flat_map(|dy| (0..w).map(move |dx| (dy, dx))) {
+                let pixel = &mut row[CHANNELS * ((dy + top) * wide + dx + left)..][..CHANNELS];
+                let of_sample = (of_row * counts[2] + dy / chunk[2]) * counts[3] + dx / chunk[3];
+                let at = ((in_chunk * chunk[2] + dy % chunk[2]) * chunk[3] + dx % chunk[3]) * chunk[4];
+                for (channel, out) in pixel.iter_mut().enumerate() {
+                    let channel = channel.min(c - 1);
+                    *out = as_read(decoded[of_sample * counts[4] + channel / chunk[4]][at + channel % chunk[4]]);
+                }
+            }
+        });
+        Ok(())
     }
 
     /// Puts stored numbers where they belong in rows of `layout.window`, one channel into all three.
@@ -184,6 +268,41 @@ pub(super) fn dimension_names(array: &Array<FilesystemStore>) -> Option<Vec<Stri
     }
     let names = array.attributes().get("_ARRAY_DIMENSIONS")?.as_array()?;
     names.iter().map(|name| name.as_str().map(str::to_owned)).collect()
+}
+
+/// Refuses chunks, and chunks of shards, of no numbers or of more than [`CHUNK_NUMBERS`], from the metadata of an array in `folder`: the Zarr crate reckons
+/// with their sides when it opens the array. Says what was expected and found.
+pub(super) fn check_metadata(folder: &Path) -> Result<(), String> {
+    let there = ["zarr.json", ".zarray"].into_iter().find(|name| folder.join(name).is_file());
+    let Some(name) = there else { return Ok(()) };
+    let text = crate::files::read(&folder.join(name)).map_err(|e| format!("{name}: {e}"))?;
+    let mut rest: Vec<serde_json::Value> = vec![serde_json::from_slice(&text).map_err(|e| format!("{name}: {e}"))?];
+    while let Some(value) = rest.pop() {
+        match value {
+            serde_json::Value::Array(values) => rest.extend(values),
+            serde_json::Value::Object(fields) => {
+                for (key, value) in fields.into_iter().filter(|(key, _)| key != "attributes") {
+                    match value.as_array().filter(|_| key == "chunk_shape" || key == "chunks") {
+                        Some(sides) => check_sides(sides)?,
+                        None => rest.push(value),
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+fn check_sides(sides: &[serde_json::Value]) -> Result<(), String> {
+    let numbers = sides.iter().try_fold(1u64, |all, side| all.checked_mul(side.as_u64()?));
+    match numbers.is_some_and(|n| (1..=CHUNK_NUMBERS).contains(&n)) {
+        true => Ok(()),
+        false => {
+            let found = serde_json::Value::from(sides.to_vec());
+            Err(format!("expected chunks of 1 to {CHUNK_NUMBERS} numbers, found {found}"))
+        }
+    }
 }
 
 /// Refuses chunks that memory could not hold.

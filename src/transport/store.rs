@@ -13,16 +13,18 @@
 //! Stores of other programs are read too, with defaults for what they leave out: `docs/matrix-format.md`.
 //! Everything else is in the group's attributes, see [`MatrixHeader`]; `findings` are the records ([`FindingRecord`]) of `warnings`, one for one.
 
+use super::checksum::{self, Checksums};
 use super::open::{self, Opened};
 use super::row_array::{RowArray, RowLayout};
-use super::{CHANNELS, positioned};
-use crate::{Error, FindingRecord, Result, Warning, geometry::Point, output::ScratchFolder};
+use super::{CHANNELS, earlier, positioned};
+use crate::output::{ScratchFolder, put};
+use crate::{Error, FindingRecord, Result, Warning, geometry::Point};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
-use zarrs::array::codec::ZstdCodec;
+use zarrs::array::codec::{Crc32cCodec, ZstdCodec};
 use zarrs::array::{Array, ArrayBuilder, ArraySubset, ChunkKeySeparator, data_type};
 use zarrs::filesystem::FilesystemStore;
 
@@ -43,7 +45,7 @@ const CHUNK_BYTES: usize = 4 << 20;
 /// Numbers that one thread looks through at a time.
 const CHECKED: usize = 1 << 16;
 /// Lines of chunks that are read at once, in numbers: chunks of several lines of points are decoded once for all of them up to here.
-const BAND_NUMBERS: usize = 1 << 27;
+const BAND_NUMBERS: usize = 1 << 26;
 /// Negative levels leave the bytes that do not repeat as they are: decoding is twice as fast as at level 1, for a tenth more bytes of measured
 /// noise, which no level compresses by much.
 const ZSTD_LEVEL: i32 = -1;
@@ -195,6 +197,7 @@ pub struct MatrixWriter {
     path: PathBuf,
     header: MatrixHeader,
     folder: ScratchFolder,
+    replaces: bool,
     scratch: File,
     written: Mutex<Vec<bool>>,
 }
@@ -203,24 +206,22 @@ impl MatrixWriter {
     /// Prepares to write the store `path`; an older store there is replaced by [`Self::finish`].
     ///
     /// # Errors
-    /// [`Error::Io`] when the folder of `path` cannot be written, [`Error::Setting`] when something other than a store is at `path`.
+    /// [`Error::Io`] when the folder of `path` cannot be written; [`Error::NotOurs`], [`Error::Changed`] when something other than a matrix of this
+    /// program is at `path`.
     pub fn create(path: &Path, header: MatrixHeader) -> Result<Self> {
         if path.to_str().is_none() {
             // The Zarr crate could not read it back.
             let reason = "the path of a matrix must be UTF-8";
             return Err(Error::io("create", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
         }
-        if path.symlink_metadata().is_ok()
-            && let Err(found) = only_a_matrix(path)
-        {
-            let expected = "a new path, or an older matrix with nothing else in its folder to replace".into();
-            return Err(Error::Setting { setting: "out", expected, found });
-        }
+        let replaces = earlier::check(path, true)?;
+        // Where a link leads: it stays.
+        let path = &if replaces { path.canonicalize().map_err(Error::io("create", path))? } else { path.to_path_buf() };
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let folder = ScratchFolder::new(parent, ".acquire-matrix-", path)?;
+        let folder = ScratchFolder::new(parent, path)?;
         let scratch = tempfile::tempfile_in(folder.path()).map_err(Error::io("create", path))?;
         let written = Mutex::new(vec![false; header.rows()]);
-        Ok(Self { path: path.to_path_buf(), header, folder, scratch, written })
+        Ok(Self { path: path.clone(), header, folder, replaces, scratch, written })
     }
 
     /// What will be written besides the rows.
@@ -280,16 +281,14 @@ impl MatrixWriter {
     pub fn finish(self) -> Result<()> {
         self.header.check().and_then(|()| self.header.check_places()).map_err(Error::internal)?;
         let written = self.written.lock().map_err(Error::internal)?.clone();
-        let store_path = self.folder.path().join("store");
-        self.write_store(&store_path, &written).map_err(|reason| Error::Io {
+        let store_path = self.folder.new_path();
+        self.write_store(&store_path, &written).map_err(|e| e.to_string()).map_err(|reason| Error::Io {
             path: self.path.clone(),
             action: "write",
-            source: std::io::Error::other(reason.to_string()),
+            source: std::io::Error::new(kind_of(&reason), reason),
         })?;
-        if self.path.exists() {
-            std::fs::rename(&self.path, self.folder.path().join("older")).map_err(Error::io("rename", &self.path))?;
-        }
-        std::fs::rename(&store_path, &self.path).map_err(Error::io("rename", &self.path))
+        earlier::check(&self.path, self.replaces)?;
+        put(&self.folder, &self.path, self.replaces).map_err(Error::io("write", &self.path))
     }
 
     fn write_store(&self, store_path: &Path, written: &[bool]) -> Result<(), BoxedError> {
@@ -304,7 +303,6 @@ impl MatrixWriter {
         // What `warnings` say, as other programs may want it; not read again.
         let findings: Vec<FindingRecord> = header.warnings.iter().map(Warning::record).collect();
         attributes.insert("findings".into(), serde_json::to_value(findings)?);
-        zarrs::group::GroupBuilder::new().attributes(attributes).build(store.clone(), "/")?.store_metadata()?;
         self.write_coordinates(&store)?;
 
         let arrays =
@@ -326,6 +324,15 @@ impl MatrixWriter {
             valid.store_array_subset(&subset, block.valid)?;
             Ok::<_, BoxedError>(())
         })?;
+        for name in checksum::ARRAYS {
+            let mut array = Array::open(store.clone(), &format!("/{name}"))?;
+            let sums = checksum::of_chunks(store_path, &array)?;
+            array.attributes_mut().insert(checksum::CHUNKS.into(), sums);
+            array.store_metadata()?;
+        }
+        // Last, as it has the checksum of all metadata.
+        attributes.insert(checksum::GROUP.into(), checksum::of_group(store_path, &attributes)?);
+        zarrs::group::GroupBuilder::new().attributes(attributes).build(store, "/")?.store_metadata()?;
         Ok(())
     }
 
@@ -394,27 +401,6 @@ fn subset(header: &MatrixHeader, rows: std::ops::Range<usize>) -> ArraySubset {
     ArraySubset::new_with_ranges(&[y..y + 1, x..x + n, 0..wy as u64, 0..wx as u64, 0..CHANNELS as u64])
 }
 
-/// Everything that a store has in its folder.
-const ENTRIES: [&str; 10] =
-    ["dx", "dy", "position_sd_mm", "response", "shot", "valid", "variance", "x_i_mm", "y_i_mm", "zarr.json"];
-
-/// Whether a folder is a store of this program and holds nothing that is not; what it is or holds otherwise.
-fn only_a_matrix(path: &Path) -> std::result::Result<(), String> {
-    let other = || path.display().to_string();
-    let text = std::fs::read(path.join("zarr.json")).map_err(|_| other())?;
-    let group: serde_json::Value = serde_json::from_slice(&text).map_err(|_| other())?;
-    if group.pointer("/attributes/acquire_format").is_none() {
-        return Err(format!("{}, a Zarr store of another program", other()));
-    }
-    for entry in std::fs::read_dir(path).map_err(|_| other())? {
-        let name = entry.map_err(|_| other())?.file_name();
-        if !ENTRIES.iter().any(|known| name == *known) {
-            return Err(path.join(name).display().to_string());
-        }
-    }
-    Ok(())
-}
-
 /// The attributes of an array: its unit, and what else there is to say.
 fn units(name: &str, more: &[(&str, &str)]) -> serde_json::Map<String, serde_json::Value> {
     let unit = match name {
@@ -444,7 +430,7 @@ where
         .dimension_names(["y_i", "x_i", "dy", "dx", "channel"].into())
         // The CF convention by which xarray takes the lit points' places for coordinates.
         .attributes(units(name, &[("coordinates", "x_i_mm y_i_mm")]))
-        .bytes_to_bytes_codecs(vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, true))])
+        .bytes_to_bytes_codecs(vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, false)), Arc::new(Crc32cCodec::new())])
         // One file a chunk in one folder: five nested folders for each would cost more than the data.
         .chunk_key_encoding_default_separator(ChunkKeySeparator::Dot)
         .build(store.clone(), &format!("/{name}"))
@@ -466,6 +452,7 @@ where
     let array = ArrayBuilder::new(shape.to_vec(), shape.to_vec(), data_type, fill.into())
         .dimension_names(Some(dimensions.iter().copied()))
         .attributes(units(name, &[]))
+        .bytes_to_bytes_codecs(vec![Arc::new(Crc32cCodec::new())])
         .build(store.clone(), &format!("/{name}"))?;
     array.store_metadata()?;
     array.store_array_subset(&array.subset_all(), values)?;
@@ -481,6 +468,8 @@ pub struct MatrixReader {
     response: RowArray,
     variance: Option<RowArray>,
     valid: Option<RowArray>,
+    /// `None` for a store that another program, or an earlier version of this one, has written.
+    checksums: Option<Checksums>,
 }
 
 impl MatrixReader {
@@ -509,8 +498,8 @@ impl MatrixReader {
 
     /// [`Self::open`] with attributes that take the place of those of the same name.
     pub(super) fn open_with(path: &Path, attributes: &serde_json::Map<String, serde_json::Value>) -> Result<Self> {
-        let Opened { header, layout, response, variance, valid } = open::open(path, attributes)?;
-        Ok(Self { path: path.to_path_buf(), header, layout, response, variance, valid })
+        let Opened { header, layout, response, variance, valid, checksums } = open::open(path, attributes)?;
+        Ok(Self { path: path.to_path_buf(), header, layout, response, variance, valid, checksums })
     }
 
     /// What the matrix is.
@@ -614,21 +603,34 @@ impl MatrixReader {
         if self.layout.stored != self.layout.window {
             response.fill(f32::NAN);
         }
+        let read = |name: &str, array: &RowArray, out: &mut [f32]| {
+            self.check_chunks(array, &rows)?;
+            array.read(rows.clone(), &self.layout, out).map_err(|e| unread(name, e))
+        };
         let (a, b) = rayon::join(
-            || self.response.read(rows.clone(), &self.layout, response).map_err(|e| unread("response", e)),
+            || read("response", &self.response, response),
             || match &self.variance {
-                Some(array) if !variance.is_empty() => {
-                    array.read(rows.clone(), &self.layout, variance).map_err(|e| unread("variance", e))
-                }
+                Some(array) if !variance.is_empty() => read("variance", array, variance),
                 _ => Ok(()),
             },
         );
         a.and(b)?;
         match &self.valid {
-            Some(array) => array.read_flags(rows.clone(), &self.layout, valid).map_err(|e| unread("valid", e))?,
+            Some(array) => {
+                self.check_chunks(array, &rows)?;
+                array.read_flags(rows.clone(), &self.layout, valid).map_err(|e| unread("valid", e))?;
+            }
             None => valid.iter_mut().zip(&*response).for_each(|(valid, v)| *valid = u8::from(!v.is_nan())),
         }
         self.settle(rows.start, response, variance, valid)
+    }
+
+    /// Whether the chunks that have these rows are those that were written there.
+    fn check_chunks(&self, array: &RowArray, rows: &std::ops::Range<usize>) -> Result<()> {
+        let Some(checksums) = &self.checksums else { return Ok(()) };
+        let subset = array.subset(rows, self.layout.points[0]);
+        let checked = checksums.check_chunks(&array.array, &subset);
+        checked.map_err(|reason| Error::BrokenMatrix { path: self.path.clone(), reason })
     }
 
     /// Makes what was not measured 0, and refuses what is no number where it was measured.
@@ -692,6 +694,12 @@ impl MatrixReader {
     }
 }
 
+/// What the system said: of its errors the Zarr crate keeps the words, and in them the number.
+fn kind_of(reason: &str) -> std::io::ErrorKind {
+    let number = reason.rsplit_once("(os error ").and_then(|(_, end)| end.split(')').next()?.parse().ok());
+    number.map_or(std::io::ErrorKind::Other, |number| std::io::Error::from_raw_os_error(number).kind())
+}
+
 /// Rows that are read at once, and where they go.
 struct Part<'a> {
     rows: std::ops::Range<usize>,
@@ -714,4 +722,4 @@ impl RowBlock {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

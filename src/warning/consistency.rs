@@ -28,6 +28,13 @@ pub enum ConsistencyWarning {
         /// Another photograph that may be the wrong one as well: nothing tells which.
         or: Option<String>,
     },
+    /// Photographs that are not as they were when the capture was made, by the checksums beside `capture.toml`.
+    PhotographChanged {
+        /// The first of them.
+        file: String,
+        /// How many.
+        photographs: usize,
+    },
     /// Exposure times by which the photographs of the stacks do not fit together, by more than a camera rounds times.
     ExposureTimes {
         /// The first photograph of the time that is farthest off.
@@ -294,6 +301,16 @@ impl fmt::Display for ConsistencyWarning {
                     n => write!(f, "; so do {}", count(n - 1, "other photograph")),
                 }
             }
+            Self::PhotographChanged { file, photographs } => {
+                write!(
+                    f,
+                    "{file} is not as it was when the capture was made (its checksum in photographs.b3 differs)"
+                )?;
+                match photographs {
+                    1 => Ok(()),
+                    n => write!(f, "; nor {}", count(n - 1, "other photograph")),
+                }
+            }
             Self::ExposureTimes { file, nominal_secs, measured_secs, relative_sd, settings } => {
                 write!(
                     f,
@@ -489,6 +506,7 @@ super::record::catalogue!(ConsistencyWarning {
         vec![photograph(file), photograph(other), shot(name)], None;
     Self::PhotographDisagrees { file, shot: name, or: None, .. } => "photograph-disagrees", Warning, Files, LeftOut,
         vec![photograph(file), shot(name)], None;
+    Self::PhotographChanged { file, .. } => "photograph-changed", Warning, Files, Accepted, vec![photograph(file)], None;
     Self::ExposureTimes { file, nominal_secs, .. } => "exposure-times", Warning, Exposures, Accepted,
         vec![exposure(*nominal_secs), photograph(file)], bound("measured_secs / nominal_secs - 1", REFUSED_TIME, "");
     Self::ExposuresUnmeasured { .. } => "exposures-unmeasured", Warning, Exposures, Told, vec![], None;

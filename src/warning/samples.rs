@@ -40,6 +40,7 @@ const WRITTEN: &[&str] = &[
     r#"{"warning":"not-looked-at"}"#,
     r#"{"warning":"photograph-disagrees","file":"a.png","shot":"s","looks":"turned by 180°","share":0.5,"photographs":2,"or":null}"#,
     r#"{"warning":"photograph-disagrees","file":"a.png","shot":"s","looks":"turned by 180°","share":0.5,"photographs":1,"or":"b.png"}"#,
+    r#"{"warning":"photograph-changed","file":"a.png","photographs":2}"#,
     r#"{"warning":"exposure-times","file":"a.png","nominal_secs":0.5,"measured_secs":0.25,"relative_sd":0.01,"settings":1}"#,
     r#"{"warning":"exposures-unmeasured","settings":3}"#,
     r#"{"warning":"brightness-varies","relative_sd":0.25}"#,
