@@ -24,10 +24,10 @@ use messages::one_line;
 
 use crate::capture::Manifest;
 use crate::output::{check_apart, check_file};
+use crate::simulate::TRUTH_MATRIX;
 use crate::transport::check_matrix;
 use crate::{Error, Result, Severity, progress::Progress};
 use clap::{Parser, Subcommand};
-use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -231,15 +231,13 @@ pub fn check_folder<P: AsRef<Path>>(setting: &'static str, out: &Path, inputs: &
     check_apart(setting, out, inputs)
 }
 
-/// What a build reads: the capture's folder, those of photographs that it names elsewhere, the rig's.
+/// What a build reads, and what an evaluation of it needs: an output may lie beside these in the capture's folder, and may not hold one of them.
 pub fn inputs_of(capture: &Path, calibration: Option<&Path>) -> Vec<PathBuf> {
-    let mut folders: BTreeSet<PathBuf> = calibration.into_iter().chain([capture]).map(Path::to_path_buf).collect();
     // A manifest that cannot be read is told of when it is needed.
-    if let Ok(manifest) = Manifest::read(capture) {
-        let photographs = manifest.shots.iter().flat_map(|s| &s.photographs);
-        folders.extend(photographs.filter_map(|p| Some(capture.join(&p.file).parent()?.to_path_buf())));
-    }
-    folders.into_iter().collect()
+    let Ok(manifest) = Manifest::read(capture) else { return vec![capture.to_path_buf()] };
+    let kept = ["capture.toml", "calibration", TRUTH_MATRIX].map(|name| capture.join(name));
+    let photographs = manifest.shots.iter().flat_map(|s| &s.photographs).map(|p| capture.join(&p.file));
+    calibration.into_iter().map(Path::to_path_buf).chain(kept).chain(photographs).collect()
 }
 
 fn ending(path: &Path) -> String {
