@@ -175,6 +175,30 @@ pub enum Error {
         /// Why.
         reason: String,
     },
+    /// A Zarr group that is whole, but not a matrix as `docs/matrix-format.md` describes it.
+    #[error("{}: {part}: expected {expected}, found {found}", path.display())]
+    MatrixFormat {
+        /// The store.
+        path: PathBuf,
+        /// The array or the attribute.
+        part: String,
+        /// What it should have been.
+        expected: String,
+        /// What it was.
+        found: String,
+    },
+    /// An array that a matrix should be made from holds what makes none.
+    #[error("{}: {array}: expected {expected}, found {found}", path.display())]
+    Arrays {
+        /// The file, or the output that the arrays are for.
+        path: PathBuf,
+        /// The array, or "archive", "file".
+        array: String,
+        /// What it should have been.
+        expected: String,
+        /// What it was.
+        found: String,
+    },
     /// A material file cannot be read.
     #[error("{}: incomplete or damaged material: {reason}", path.display())]
     BrokenMaterial {

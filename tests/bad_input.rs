@@ -418,20 +418,27 @@ fn a_matrix_that_announces_more_than_it_holds_is_refused() {
         change(&mut value);
         std::fs::write(path, value.to_string()).unwrap();
     };
-    rewrite("", &|v| v["attributes"]["points"] = serde_json::json!([65535, 65535]));
-    let out = bench.path("m.safetensors");
-    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["attributes", "changed"]);
-    // As a forger would mend it.
-    rewrite("", &|v| drop(v["attributes"].as_object_mut().unwrap().remove("checksum")));
     for name in ["response", "variance", "valid"] {
         rewrite(name, &|v| v["shape"] = serde_json::json!([65535, 65535, 5, 7, 3]));
     }
+    let changed = bench.path("changed.safetensors");
+    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", changed.to_str().unwrap()], &["metadata", "changed"]);
+    // As a forger would mend it.
+    rewrite("", &|v| drop(v["attributes"].as_object_mut().unwrap().remove("checksum")));
     for name in ["x_i_mm", "y_i_mm", "position_sd_mm", "shot"] {
         rewrite(name, &|v| v["shape"] = serde_json::json!([65535, 65535]));
     }
-    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["x_i_mm", "bytes"]);
-    rewrite("", &|v| v["attributes"]["points"] = serde_json::json!([0, 3]));
-    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["points"]);
+    let out = bench.path("m.safetensors");
+    bench
+        .fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["response", "4294836225 rows"]);
+    rewrite("response", &|v| v["shape"] = serde_json::json!([3, 0, 5, 7, 3]));
+    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["response", "x_i"]);
+    // Chunks that would take 10^19 bytes: the shape is possible, memory for one of them is not.
+    rewrite("response", &|v| {
+        v["shape"] = serde_json::json!([3, 4, 5, 7, 3]);
+        v["chunk_grid"]["configuration"]["chunk_shape"] = serde_json::json!([1, 1_u64 << 63, 5, 7, 3]);
+    });
+    bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["response", "chunks"]);
 }
 
 #[test]

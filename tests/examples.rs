@@ -34,6 +34,7 @@ const STANDS_FOR: &[(&str, &str, &str)] = &[
     ("export", "MATERIAL", "slab.safetensors"),
     ("--material", "MATERIAL", "marble"),
     ("--sensor", "S", "phone"),
+    ("import-matrix", "X.npz", "windows.npz"),
     // It factors the matrix a hundred times.
     ("tradeoff", "slab.rd.zarr", "few/truth.rd.zarr"),
     ("tradeoff", "X.rd.zarr", "few/truth.rd.zarr"),
@@ -90,6 +91,8 @@ impl Bench {
         }
         bench.photographs_of_a_plan();
         voxels(&at("slab.npz"));
+        arrays(bench.path());
+        common::copy_folder(Path::new("captures/truth.rd.zarr"), &at("simulated.zarr"));
         for command in [
             "build-matrix captures --out slab.rd.zarr",
             "factor slab.rd.zarr --out slab.safetensors",
@@ -177,6 +180,29 @@ fn voxels(path: &Path) {
         array.finish().unwrap();
     }
     zip.finish().unwrap();
+}
+
+/// Responses that fall with the distance, as docs/matrix-format.md takes them: windows, and a full matrix of 32 × 24 points.
+fn arrays(folder: &Path) {
+    let array = |to: &mut dyn std::io::Write, shape: &[u64], value: &dyn Fn(u64) -> f64| {
+        let mut array = npyz::WriteOptions::new().default_dtype().shape(shape).writer(to).begin_nd().unwrap();
+        array.extend((0..shape.iter().product()).map(value)).unwrap();
+        array.finish().unwrap();
+    };
+    let window = |k: u64| (-((k / 3 % 7) as f64 - 3.0).hypot((k / 21 % 5) as f64 - 2.0)).exp() * 0.1;
+    let shape = [4, 6, 5, 7, 3];
+    let mut zip = zip::ZipWriter::new(std::fs::File::create(folder.join("windows.npz")).unwrap());
+    zip.start_file("response.npy", zip::write::SimpleFileOptions::default()).unwrap();
+    array(&mut zip, &shape, &window);
+    zip.start_file("pitch_mm.npy", zip::write::SimpleFileOptions::default()).unwrap();
+    array(&mut zip, &[], &|_| 0.5);
+    zip.finish().unwrap();
+    for name in ["windows.npy", "sparse.npy"] {
+        array(&mut std::fs::File::create(folder.join(name)).unwrap(), &shape, &window);
+    }
+    let n = 32 * 24;
+    let apart = |k: u64| ((k / n % 32) as f64 - (k % 32) as f64).hypot((k / n / 32) as f64 - (k % n / 32) as f64);
+    array(&mut std::fs::File::create(folder.join("full.npy")).unwrap(), &[n, n], &|k| (-apart(k)).exp() * 0.1);
 }
 
 fn link_folder(from: &Path, to: &Path) {

@@ -1,4 +1,6 @@
-use super::{Context, options};
+pub(super) use super::options::Build as Options;
+
+use super::Context;
 use crate::pipeline::{BuildReport, build_matrix};
 use crate::transport::check_matrix;
 use crate::words::count;
@@ -23,7 +25,7 @@ pub(super) struct Args {
     #[arg(value_parser = super::things::folder_of("capture.toml"))]
     capture: PathBuf,
     #[command(flatten)]
-    build: options::Build,
+    build: Options,
     /// Where the matrix goes.
     #[arg(long, short, value_name = "X.rd.zarr", default_value = "matrix.rd.zarr")]
     out: PathBuf,

@@ -30,7 +30,7 @@ fn typed(fields: &str) -> String {
 }
 
 /// Decoders and file names may bring line breaks of their own.
-fn one_line(text: &str) -> String {
+pub(super) fn one_line(text: &str) -> String {
     let lines: Vec<_> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     lines.join(" ")
 }
@@ -89,7 +89,11 @@ pub(super) fn hint(error: &Error) -> Option<String> {
             _ => "copy the photograph again from the camera, or write exposure_secs = … for it in capture.toml",
         },
         Error::BrokenMatrix { .. } => {
-            "the store may come from a stopped run; build it again with `acquire build-matrix`"
+            "the store may be an incomplete copy; copy it again, or build it again with `acquire build-matrix`"
+        }
+        Error::MatrixFormat { .. } => "docs/matrix-format.md describes a matrix store, and what may be left out of one",
+        Error::Arrays { .. } => {
+            "`acquire help import-matrix` lists arrays and shapes; docs/matrix-format.md describes them"
         }
         Error::BrokenMaterial { .. } => "the file may have been cut short; make it again with `acquire factor`",
         Error::BrokenImage { .. } => "give an OpenEXR, PNG or JPEG image",

@@ -7,6 +7,8 @@ mod evaluate;
 mod export;
 mod factor;
 mod import;
+mod import_matrix;
+mod keywords;
 mod messages;
 mod options;
 mod patterns;
@@ -16,6 +18,9 @@ mod simulate;
 mod things;
 mod tradeoff;
 mod values;
+
+pub use keywords::{build_options, factor_options, simulate_options};
+use messages::one_line;
 
 use crate::capture::Manifest;
 use crate::output::{check_apart, check_file};
@@ -58,6 +63,7 @@ enum Command {
     Simulate(Box<simulate::Args>),
     Patterns(Box<patterns::Args>),
     Import(import::Args),
+    ImportMatrix(import_matrix::Args),
     Check(check::Args),
     BuildMatrix(build_matrix::Args),
     Factor(factor::Args),
@@ -240,6 +246,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Simulate(args) => simulate::run(*args, &context),
         Command::Patterns(args) => patterns::run(*args, &context),
         Command::Import(args) => import::run(args, &context),
+        Command::ImportMatrix(args) => import_matrix::run(args, &context),
         Command::Check(args) => check::run(args, &context),
         Command::BuildMatrix(args) => build_matrix::run(args, &context),
         Command::Factor(args) => factor::run(args, &context),

@@ -39,6 +39,13 @@ pub(super) struct Args {
     /// The folder to write.
     dir: PathBuf,
     #[command(flatten)]
+    options: Options,
+}
+
+/// All that can be asked of a simulation.
+#[derive(Debug, clap::Args)]
+pub(super) struct Options {
+    #[command(flatten)]
     options: options::Simulate,
     /// A slab of voxels from an NPZ file or a Zarr group (docs/simulation.md), instead of --material.
     #[arg(long, value_name = "FILE.npz|DIR.zarr", conflicts_with = "material", help_heading = "Slab")]
@@ -54,14 +61,22 @@ pub(super) struct Args {
     without: Vec<Cause>,
 }
 
+impl Options {
+    /// As the library has them.
+    pub(super) fn options(self) -> Result<SimulateOptions> {
+        let mut options = SimulateOptions::from(self.options);
+        if let Some(file) = self.voxels {
+            options.material = SlabMaterial::Voxels(file);
+        }
+        options.switch(self.only.as_deref(), &self.with, &self.without)?;
+        Ok(options)
+    }
+}
+
 /// Runs the command.
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
-    super::check_folder("DIR", &args.dir, args.voxels.as_deref().as_slice(), false)?;
-    let mut options = SimulateOptions::from(args.options);
-    if let Some(file) = args.voxels {
-        options.material = SlabMaterial::Voxels(file);
-    }
-    options.switch(args.only.as_deref(), &args.with, &args.without)?;
+    super::check_folder("DIR", &args.dir, args.options.voxels.as_slice(), false)?;
+    let options = args.options.options()?;
     let start = std::time::Instant::now();
     let summary = simulate::simulate(&options, &args.dir, &context.progress)?;
     context.tell(&summary.warnings);
@@ -98,7 +113,7 @@ mod tests {
     }
 
     fn parsed(arguments: &[&str]) -> SimulateOptions {
-        Simulate::try_parse_from([&["simulate", "dir"], arguments].concat()).unwrap().args.options.into()
+        Simulate::try_parse_from([&["simulate", "dir"], arguments].concat()).unwrap().args.options.options.into()
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::BuildOptions;
 use super::drift::{around, dot_shape, half_spacing_px};
 use super::lattice::ShotResult;
 use super::looks::looks;
-use super::scene::{STILL, Scene, overlap, square};
+use super::scene::Scene;
 use crate::capture::Window;
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
@@ -99,46 +99,6 @@ impl DotSearch {
     }
 }
 
-/// What remains of the dots of the shot before, one value for each dot of this one that was found and has one near: a medium glows to
-/// both sides of a dot alike, on the whole.
-pub(super) fn remains(
-    scene: &Scene<'_>,
-    [shot, before]: [usize; 2],
-    registration: &Registration,
-    (drift, seen): (Option<Drift>, &[DotSeen]),
-    windows: &[Bracket],
-) -> Vec<f64> {
-    let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
-    // Beside the dot's own core, and nearer than half the way to the shot's next dot.
-    let range_mm = [2.0 * scene.dot_radius_px(), 0.8 * half_spacing_px(scene, shot)].map(|px| px / scene.px_per_mm);
-    let of = |((&dot, seen), bracket): ((&[usize; 2], &DotSeen), &Bracket)| {
-        let DotSeen::At { off_mm } = seen else { return None };
-        let nominal = scene.nominal_mm(dot);
-        let own = [0, 1].map(|a| nominal[a] + moved[a] + off_mm[a]);
-        let far = |p: &Point| (p[0] - nominal[0]).hypot(p[1] - nominal[1]);
-        let others = scene.dots(before).iter().map(|&d| scene.nominal_mm(d));
-        let near = others.min_by(|p, q| far(p).total_cmp(&far(q)))?;
-        if !(range_mm[0]..=range_mm[1]).contains(&far(&near)) {
-            return None;
-        }
-        let light = |sign: f64| {
-            let at = [0, 1].map(|a| own[a] + sign * (near[a] - nominal[a]));
-            light_at(scene, bracket, registration.view.camera_from_slab(at))
-        };
-        let (core, there, opposite) = (light(0.0)?, light(1.0)?, light(-1.0)?);
-        (core > 0.0).then(|| (there - opposite) / core)
-    };
-    scene.dots(shot).iter().zip(seen).zip(windows).filter_map(of).collect()
-}
-
-/// Mean luminance of three by three pixels, ambient light taken out; `None` outside and where some were not measured.
-fn light_at(scene: &Scene<'_>, bracket: &Bracket, at: Point) -> Option<f64> {
-    let rect = overlap(square(at, 1.0, scene.capture.rig.camera.size_px)?, bracket.rect())?;
-    let picture = scene.picture(bracket, rect, STILL);
-    let measured = rect.area() >= 9 && !picture.used.contains(&0);
-    measured.then(|| picture.luminance().iter().map(|v| f64::from(*v)).sum::<f64>() / rect.area() as f64)
-}
-
 /// Whether no pixel is ten standard deviations above none.
 fn is_dark(picture: &Radiance) -> bool {
     let variance = picture.luminance_variance();
@@ -156,9 +116,6 @@ pub(super) fn judge(scene: &Scene<'_>, results: &[ShotResult], options: &BuildOp
     let Some(common) = Common::of(scene, results) else { return Ok(warnings) };
     warnings.extend(other_patterns(scene, results, &common, options)?);
     warnings.extend(common.offset(scene, results, options)?);
-    if warnings.is_empty() {
-        warnings.extend(lag(results, options)?);
-    }
     Ok(warnings)
 }
 
@@ -246,27 +203,6 @@ impl Common {
             false => options.refuse(finding).map(Some),
         }
     }
-}
-
-/// Light of this share of a dot's own in the place of the dot before is no chance of a medium's structure.
-const LEAST_LAG: f64 = 0.03;
-/// With fewer dots nothing is said.
-const LEAST_DOTS: usize = 8;
-
-/// Light of the pattern before in all shots.
-fn lag(results: &[ShotResult], options: &BuildOptions) -> Result<Option<Warning>> {
-    let mut all: Vec<f64> = results.iter().flat_map(|r| r.remains.iter().copied()).collect();
-    let n = all.len();
-    if n < LEAST_DOTS {
-        return Ok(None);
-    }
-    let share = median(&mut all);
-    // Of the median.
-    let sd = 1.25 * scaled_deviation(all.iter().copied(), share) / (n as f64).sqrt();
-    if share < LEAST_LAG.max(SIGMA * sd) {
-        return Ok(None);
-    }
-    options.refuse(ConsistencyWarning::PatternRemains { share, sd }).map(Some)
 }
 
 /// A displacement on the slab, mm, in projector px at a projector pixel.

@@ -7,7 +7,7 @@ use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
 use crate::registration::{
     CameraMotion, DotShape, Drift, Located, Parallax, Registration, RimPlace, RimSegment, SampleDots, camera_motion,
-    locate_rim, measure_drift, rim_segments,
+    locate_rim, measure_drift, rim_segments, rim_size,
 };
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -20,6 +20,8 @@ const TOLD_APART: f64 = 0.9;
 /// What movements of a shot are measured from.
 pub(super) struct Movements {
     pub(super) source: DriftSource,
+    /// The sample's size by its rim over the stated one, and its standard deviation.
+    pub(super) rim_size: Option<[f64; 2]>,
     /// The sample's rim in pieces, and where each was found before the lattice shots.
     rims: Vec<RimSegment>,
     before: Vec<Option<RimPlace>>,
@@ -48,7 +50,9 @@ impl Movements {
         // What is not seen without dots would only be looked for in vain.
         rims = rims.into_iter().zip(&before).filter_map(|(r, b)| b.map(|_| r)).collect();
         before.retain(Option::is_some);
-        Ok(Self { source: drift_source(scene)?, rims, before })
+        let (view, size_px) = (&scene.registration.view, scene.capture.rig.camera.size_px);
+        let rim_size = rim_size(view, size_mm, size_px, &scene.references.ambient);
+        Ok(Self { source: drift_source(scene)?, rim_size, rims, before })
     }
 
     /// How the camera's picture has moved; `None` where sample and frame are too dark to tell.

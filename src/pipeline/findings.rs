@@ -1,13 +1,14 @@
 //! What the shots together say: the header, the warnings, the provenance, the overview.
 
 use super::lattice::{LightCorrections, ShotResult};
+use super::reference_dots::{LEAST_SCALE, WIDER, change_within};
 use super::register::Registered;
 use super::scene::Scene;
 use super::{Before, BuildReport, BuildSecs, CrossTalk, Overview};
 use crate::capture::{Manifest, Pattern};
 use crate::geometry::Point;
 use crate::radiance::HotPixel;
-use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps, median, scaled_deviation};
+use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps, median};
 use crate::transport::{MatrixHeader, ShotRecord};
 use crate::warning::bounds::{LARGEST_ALBEDO, SPREAD_VARIES_PX, STRAY_TOLD, STRONG_BLUR_PX};
 use crate::{
@@ -97,9 +98,7 @@ pub(super) fn summarize(
     let remaining = results.iter().map(|r| r.flicker_variance).sum::<f64>() / results.len().max(1) as f64;
     warnings.extend(found.light.flicker.warning(remaining).map(Warning::from));
     warnings.extend(lamp(results, &header).map(Warning::from));
-    warnings.extend(
-        found.light.flicker.drift().map(|level| ConsistencyWarning::LampDrifts { level, shots: results.len() }.into()),
-    );
+    warnings.extend(found.light.flicker.drift(results.len()).map(Warning::from));
     warnings.extend(reference_dots(results, &header).into_iter().map(Warning::from));
     complete(scene, found.light, &mut header, &mut warnings);
     warnings.extend(crosstalk.as_ref().and_then(CrossTalk::warning).map(Warning::from));
@@ -289,9 +288,8 @@ fn lamp(results: &[ShotResult], header: &MatrixHeader) -> Option<ConsistencyWarn
     Some(ConsistencyWarning::LampLevel { shot, level, level_sd, shots: off.len() })
 }
 
-/// A shot whose dots are wider by more than this share of the usual, and by eight scaled deviations of what shots differ by, is blurred.
-const WIDER: f64 = 0.2;
-const SPREAD_SIGMA: f64 = 8.0;
+/// Dots that are wider by so many deviations of what shots differ by from the one before are blurred; farther apart, zoomed.
+const CHANGE_SIGMA: f64 = 8.0;
 
 /// Shots whose reference dots differ from each other, in colour, or in width.
 fn reference_dots(results: &[ShotResult], header: &MatrixHeader) -> Vec<ConsistencyWarning> {
@@ -307,18 +305,42 @@ fn reference_dots(results: &[ShotResult], header: &MatrixHeader) -> Vec<Consiste
     if let Some((&first, levels)) = coloured.first().and_then(|k| Some((k, results[*k].dots_show.colour?))) {
         warnings.push(ConsistencyWarning::ColourChanges { shot: name(first), levels, shots: coloured.len() });
     }
-    let mut spreads: Vec<f64> = results.iter().filter_map(|r| r.dots_show.spread_px2).collect();
-    let middle = median(&mut spreads);
-    let deviation = scaled_deviation(spreads.iter().copied(), middle);
-    let limit = middle + (WIDER * middle).max(SPREAD_SIGMA * deviation);
-    let wide = all(&|r| r.dots_show.spread_px2.is_some_and(|s| s > limit));
-    let widest = wide.iter().filter_map(|&k| results[k].dots_show.spread_px2).fold(0.0, f64::max);
-    if let Some(&first) = wide.first() {
+    let spread = |r: &ShotResult| r.dots_show.spread_px2;
+    let spreads: Vec<f64> = results.iter().filter_map(spread).collect();
+    // The sharpest quarter: from one shot on, all others may be blurred.
+    let mut sharpest = spreads.clone();
+    sharpest.sort_by(f64::total_cmp);
+    let sharp = sharpest.get(sharpest.len() / 4).copied().unwrap_or(0.0);
+    let limit = sharp + (WIDER * sharp).max(CHANGE_SIGMA * change_within(&spreads));
+    let wide = all(&|r| spread(r).is_some_and(|s| s > limit));
+    let widest = wide.iter().filter_map(|&k| spread(&results[k])).fold(0.0, f64::max);
+    let scale = scale(results);
+    // Another zoom makes dots wider, too.
+    if let Some(&first) = wide.first().filter(|_| scale.is_none()) {
         // Of both axes.
-        let added_px = (0.5 * (widest - middle)).sqrt();
+        let added_px = (0.5 * (widest - sharp)).sqrt();
         warnings.push(ConsistencyWarning::BlurChanges { shot: name(first), added_px, shots: wide.len() });
     }
+    warnings.extend(scale.map(|(first, [scale, sd], shots)| ConsistencyWarning::ScaleChanges {
+        shot: name(first),
+        scale,
+        sd,
+        shots,
+    }));
     warnings
+}
+
+/// The first shot whose dots are farther apart than those of the first third of the shots, by how much, and how many are.
+fn scale(results: &[ShotResult]) -> Option<(usize, [f64; 2], usize)> {
+    let found: Vec<(usize, [f64; 2])> =
+        results.iter().enumerate().filter_map(|(k, r)| Some((k, r.drift?.scale?))).collect();
+    let all: Vec<f64> = found.iter().map(|f| f.1[0]).collect();
+    let usual = median(&mut all[..(all.len() / 3).max(1).min(all.len())].to_vec());
+    let within = change_within(&all);
+    let off = |f: &&(usize, [f64; 2])| (f.1[0] - usual).abs() > LEAST_SCALE.max(CHANGE_SIGMA * within.hypot(f.1[1]));
+    let off: Vec<&(usize, [f64; 2])> = found.iter().filter(off).collect();
+    let &&(first, [scale, sd]) = off.first()?;
+    (all.len() >= 4).then(|| (first, [scale / usual, sd / usual], off.len()))
 }
 
 /// Shots before which the pattern has jumped.

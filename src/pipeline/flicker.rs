@@ -7,11 +7,13 @@
 //!   as a whole where a shot is off by more than that;
 //! - the white reference against the Gray-code shots, each of which adds up with its inverse to the same white (`references.rs`).
 
-use super::reference_dots::{DotLight, DotsShow, Level, reference_light};
+use super::BuildOptions;
+use super::lattice_light::LatticeLight;
+use super::reference_dots::{DotsShow, Level, SeenDots, reference_light};
 use super::scene::Scene;
 use crate::cholesky::solve;
 use crate::radiance::{Bracket, Sensor, evenly, stack_scales};
-use crate::{RadianceWarning, Result};
+use crate::{ConsistencyWarning, RadianceWarning, Result, Warning};
 use rayon::prelude::*;
 
 /// Flicker of a capture.
@@ -20,6 +22,10 @@ pub(super) struct Flicker {
     /// Standard deviation of a photograph's light, relative; `None` when the stacks show none.
     sd: Option<f64>,
     level: Option<Level>,
+    /// The mean of it over what the references say.
+    light: Option<LatticeLight>,
+    /// Whether levels are over what the references say.
+    anchored: bool,
     /// Relative variance that remains in the white reference.
     white_variance: f64,
 }
@@ -51,20 +57,30 @@ impl Flicker {
     pub(super) fn measure(scene: &Scene<'_>, sd: Option<f64>) -> Result<Self> {
         // Unknown, the white reference deviates as any photograph does.
         let white_variance = sd.map_or(0.0, |sd| scene.references.white_variance.unwrap_or(sd * sd));
-        let mut flicker = Self { sd, level: None, white_variance };
+        let mut flicker = Self { sd, level: None, light: None, anchored: false, white_variance };
         if scene.reference_mm().is_empty() {
             return Ok(flicker);
         }
         let shots: Vec<usize> = evenly(&scene.lattice(), SHOTS).collect();
-        let lights: Vec<Option<DotLight>> = shots
+        let seen: Vec<Option<SeenDots>> = shots
             .par_iter()
             .map(|&shot| {
                 let mut seen = scene.photographs.decode(shot, &scene.reference_rects(shot)?)?;
                 flicker.steady_stack(&scene.photographs.sensor, seen.iter_mut().collect());
-                Ok(reference_light(scene, &seen).map(|(light, _)| light))
+                Ok(reference_light(scene, &seen))
             })
             .collect::<Result<_>>()?;
-        flicker.level = Level::of(&lights.into_iter().flatten().collect::<Vec<_>>());
+        let seen: Vec<SeenDots> = seen.into_iter().flatten().collect();
+        let is_steady = SeenDots::are_steady(&seen);
+        flicker.level = Level::of(&seen.into_iter().map(|s| s.light).collect::<Vec<_>>(), is_steady);
+        flicker.light = flicker.level.as_ref().and_then(|level| LatticeLight::of(scene, level));
+        if let (Some(level), Some(light)) = (&mut flicker.level, &mut flicker.light)
+            && level.drift.is_some_and(|drift| light.fits_later(drift))
+        {
+            level.anchor(light.mean(), light.sd);
+            *light = light.anchored();
+            flicker.anchored = true;
+        }
         Ok(flicker)
     }
 
@@ -73,12 +89,12 @@ impl Flicker {
         let both = references.iter_mut().chain(windows.iter_mut()).collect();
         let [common, own] = self.steady_stack(&scene.photographs.sensor, both);
         let seen = reference_light(scene, references);
-        let mut dots = DotsShow { spread_px2: seen.as_ref().and_then(|s| s.1), ..DotsShow::default() };
+        let mut dots = DotsShow { spread_px2: seen.as_ref().and_then(|s| s.spread_px2), ..DotsShow::default() };
         let both = self.level.as_ref().zip(seen.as_ref());
-        if let Some((level, (light, _))) = both {
-            (dots.strange, dots.colour) = (level.strange(light), level.colour(light));
+        if let Some((level, seen)) = both {
+            (dots.strange, dots.colour) = (level.strange(&seen.light), level.colour(&seen.light));
         }
-        let Some(found) = both.and_then(|(level, (light, _))| level.scale_of(light)) else {
+        let Some(found) = both.and_then(|(level, seen)| level.scale_of(&seen.light)) else {
             return Steadied { variance: common + own + self.white_variance, lamp: None, dots };
         };
         for bracket in references.iter_mut().chain(windows) {
@@ -116,9 +132,26 @@ impl Flicker {
         self.sd.map(|relative_sd| RadianceWarning::Flicker { relative_sd, remaining_sd: remaining.sqrt() })
     }
 
-    /// The last shots' light over that of the first ones, where the lamp changes over the sweep.
-    pub(super) fn drift(&self) -> Option<f64> {
-        self.level.as_ref().and_then(|l| l.drift)
+    /// A lamp that changes over the sweep of so many shots.
+    pub(super) fn drift(&self, shots: usize) -> Option<ConsistencyWarning> {
+        let level = self.level.as_ref()?.drift?;
+        Some(ConsistencyWarning::LampDrifts { level, shots, to_references: self.anchored })
+    }
+
+    /// What the references say of the lattice's light as a whole; `times_are_off`: exposure times are, and explain a little.
+    ///
+    /// # Errors
+    /// [`crate::Error::Contradiction`].
+    pub(super) fn judge(
+        &self,
+        scene: &Scene<'_>,
+        times_are_off: bool,
+        options: &BuildOptions,
+    ) -> Result<Option<Warning>> {
+        match &self.light {
+            Some(light) => light.judge(scene, times_are_off, options),
+            None => Ok(None),
+        }
     }
 
     /// For the provenance.

@@ -1,6 +1,6 @@
 //! The lattice shots: drift, windows, rows.
 
-use super::dots_seen::{DotSearch, DotSeen, remains};
+use super::dots_seen::{DotSearch, DotSeen};
 use super::drift::Movements;
 use super::flicker::{Flicker, Steadied};
 use super::reference_dots::DotsShow;
@@ -29,8 +29,6 @@ pub(super) struct ShotResult {
     pub(super) dots_show: DotsShow,
     /// Where each of its dots was seen.
     pub(super) seen: Vec<DotSeen>,
-    /// What remains of the dots of the shot before.
-    pub(super) remains: Vec<f64>,
 }
 
 /// One dot of a shot, measured.
@@ -91,19 +89,17 @@ pub(super) fn extract(
     let shots = scene.lattice();
     let photographs = shots.iter().map(|&s| scene.photographs.brackets[s].len()).sum();
     let stage = progress.stage("extract", photographs);
-    let before = |k: usize| k.checked_sub(1).map(|k| shots[k]);
     let mut results: Vec<ShotResult> = shots
         .par_iter()
-        .enumerate()
         .with_max_len(1)
-        .map(|(k, &shot)| {
-            let result = extract_shot(scene, light, (shot, before(k)), movements, Camera::Measured, search, rows)?;
+        .map(|&shot| {
+            let result = extract_shot(scene, light, shot, movements, Camera::Measured, search, rows)?;
             stage.advance(scene.photographs.brackets[shot].len());
             Ok(result)
         })
         .collect::<Result<_>>()?;
     for k in unlikely_movements(&results) {
-        results[k] = extract_shot(scene, light, (shots[k], before(k)), movements, Camera::Still, search, rows)?;
+        results[k] = extract_shot(scene, light, shots[k], movements, Camera::Still, search, rows)?;
     }
     Ok(results)
 }
@@ -152,7 +148,7 @@ fn unlikely_movements(results: &[ShotResult]) -> Vec<usize> {
 fn extract_shot(
     scene: &Scene<'_>,
     light: &LightCorrections,
-    (shot, before): (usize, Option<usize>),
+    shot: usize,
     movements: &Movements,
     believed: Camera,
     search: &DotSearch,
@@ -181,9 +177,8 @@ fn extract_shot(
     let drift = movements.drift(scene, shot, registration, &references_seen, &windows)?;
     let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
     let seen = search.look(scene, shot, registration, drift, &windows);
-    let remains = before.map_or(vec![], |b| remains(scene, [shot, b], registration, (drift, &seen), &windows));
 
-    let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance, lamp, dots_show, seen, remains };
+    let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance, lamp, dots_show, seen };
     // What all samples of a row have in common: the lamp, and the response curve's own error.
     let common_variance = flicker_variance + scene.photographs.sensor.curve().map_or(0.0, Curve::relative_variance);
     let mut weights = cell_weights(scene, windows.first().map_or(Sampling::WHOLE, Bracket::sampling));

@@ -1,5 +1,6 @@
 //! From a capture folder to the matrix: the way of the photographs, stage by stage.
 
+mod board_light;
 mod crosstalk;
 mod defects;
 mod dots_seen;
@@ -8,12 +9,15 @@ mod exposure_times;
 mod findings;
 mod flicker;
 mod lattice;
+mod lattice_light;
+mod light_spots;
 mod likeliest;
 mod looks;
 mod memory;
 mod noise;
 mod photographs;
 mod radiometry;
+mod reciprocity;
 mod recorded;
 mod reference_dots;
 mod references;
@@ -30,7 +34,8 @@ use crate::progress::Progress;
 use crate::radiance::{Radiance, Sensor};
 use crate::registration::Registration;
 use crate::transport::{MatrixHeader, MatrixWriter, ShotRecord};
-use crate::{Error, Result, Warning};
+use crate::warning::bounds::OTHER_SIZE;
+use crate::{ConsistencyWarning, Error, RadianceWarning, Result, Warning};
 pub use crosstalk::CrossTalk;
 use drift::Movements;
 use findings::{Stages, unmeasured};
@@ -216,7 +221,7 @@ fn measure_at(
         .map_err(|error| likeliest::in_noise(&noise.warnings, error))?;
     let photographs = Photographs::new(full, capture, &radiometry, working.factor);
     // What the photographs say of the noise was said of the stated times.
-    let noise = if radiometry.corrected { noise::find(&full.timed(&radiometry.brackets))? } else { noise };
+    let noise = if radiometry.corrected { noise.again(&full.timed(&radiometry.brackets))? } else { noise };
     let checksums = read_checksums(&full.dir)?;
     let stages = Before { noise: &noise, working, defects: &defects, radiometry: &radiometry, start };
     let built = build_rows(&photographs, &stages, options, rows, progress);
@@ -245,6 +250,9 @@ struct Before<'a> {
     start: Instant,
 }
 
+/// A sample is of another size when its rim says so by so many standard deviations.
+const SIZE_SIGMA: f64 = 6.0;
+
 /// Registration, references, and the lattice shots.
 fn build_rows(
     photographs: &Photographs<'_>,
@@ -258,21 +266,33 @@ fn build_rows(
     let mut references = references::references(photographs, &registered, radiometry.flicker_sd, options, progress)?;
     let first = Scene::new(photographs, &registered, &references);
     lattice::check_dots(&first)?;
-    let (stray, even) = stray::measure(&first, options, progress)?;
+    let (stray, stray_warnings) = stray::measure(&first, options, progress)?;
     let cell_px = first.cell_px;
     references.doubt_ambient(stray.even.unwrap_or(0.0), cell_px);
     let scene = Scene::new(photographs, &registered, &references);
     let light = LightCorrections { stray, flicker: Flicker::measure(&scene, radiometry.flicker_sd)? };
+    let times_are_off = |w: &Warning| matches!(w, Warning::Radiance(RadianceWarning::ExposureRatios { .. }));
+    let lattice_light = light.flicker.judge(&scene, radiometry.warnings.iter().any(times_are_off), options)?;
     let movements = Movements::prepare(&scene)?;
+    let size = movements.rim_size.filter(|[scale, sd]| (scale - 1.0).abs() > OTHER_SIZE.max(SIZE_SIGMA * sd));
+    let size = size.map(|[scale, sd]| ConsistencyWarning::SlabSize { scale, sd });
+    if std::env::var_os("DBG").is_some() {
+        eprintln!("DBG rim size {:?}", movements.rim_size);
+    }
     let prepared = Instant::now();
     let mut shots = lattice::extract(&scene, &light, &movements, &dots_seen::DotSearch::new(&scene)?, rows, progress)?;
     let mut seen = dots_seen::judge(&scene, &shots, options)?;
-    seen.extend(even);
+    seen.extend(lattice_light);
+    seen.extend(size.map(Warning::from));
+    seen.extend(stray_warnings);
     seen.extend(references.warnings.iter().cloned());
     let crosstalk = match options.keep_crosstalk {
         true => None,
         false => crosstalk::separate(&scene, &mut shots, rows, progress)?,
     };
+    if seen.is_empty() {
+        seen = reciprocity::judge(&scene, &shots, rows, options)?;
+    }
     let stages = Stages { before, registered: &registered, light: &light };
     let secs = BuildSecs { once: (prepared - before.start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
     let (mut header, mut report) = findings::summarize(&scene, &stages, &shots, crosstalk, secs)?;

@@ -17,6 +17,19 @@ pub(super) struct FoundNoise {
     pub(super) warnings: Vec<Warning>,
 }
 
+impl FoundNoise {
+    /// The same for corrected exposure times, on which a moving black level does not depend.
+    ///
+    /// # Errors
+    /// Those of [`find`].
+    pub(super) fn again(self, capture: &Capture) -> Result<Self> {
+        let mut found = find(capture)?;
+        let moves = |w: &Warning| matches!(w, Warning::Consistency(ConsistencyWarning::BlackMoves { .. }));
+        found.warnings.extend(self.warnings.into_iter().filter(moves));
+        Ok(found)
+    }
+}
+
 /// Gray-code shots whose stripes are widest that are taken, of the patterns and of the inverses: two pairs of each.
 const SHOTS: usize = 4;
 /// Lattice shots whose longest exposure is searched for clipped photosites.

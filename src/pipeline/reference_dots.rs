@@ -53,7 +53,9 @@ pub(super) struct Scale {
 
 impl Level {
     /// Medians over shots, so that a few that were lit otherwise do not count. `None` with fewer than four shots.
-    pub(super) fn of(lights: &[DotLight]) -> Option<Self> {
+    ///
+    /// `is_steady`: a change over the sweep is the lamp's.
+    pub(super) fn of(lights: &[DotLight], is_steady: bool) -> Option<Self> {
         let shots = lights.len();
         let mean: Vec<Option<f64>> = (0..lights.first()?.len())
             .map(|k| {
@@ -71,8 +73,8 @@ impl Level {
         let third = found.len() / 3;
         let level_of = |shots: &[(f64, f64)]| median(&mut shots.iter().map(|f| f.0).collect::<Vec<_>>());
         let (first, last) = (level_of(&found[..third.max(1)]), level_of(&found[found.len() - third.max(1)..]));
-        let (rough, steady) = (spread_within(&found), 1.0 + first);
-        if (last - first).abs() > LEAST_LAMP.max(LAMP_SIGMA * rough) && steady > 0.0 {
+        let (rough, steady) = (change_within(&found.iter().map(|f| f.0).collect::<Vec<_>>()), 1.0 + first);
+        if is_steady && (last - first).abs() > LEAST_LAMP.max(LAMP_SIGMA * rough) && steady > 0.0 {
             level.mean.iter_mut().flatten().for_each(|m| *m *= steady);
             // All that shots differ by is the lamp's.
             (level.variance, level.mean_variance) = ((last - first).powi(2).max(1e-4), rough * rough);
@@ -90,6 +92,17 @@ impl Level {
         level.variance = if excess > 3.0 * noise * (2.0 / n).sqrt() { excess } else { 0.0 };
         level.mean_variance = spread / n;
         Some(level)
+    }
+
+    /// Mean light of each dot and channel.
+    pub(super) fn mean_light(&self) -> &[Option<f64>] {
+        &self.mean
+    }
+
+    /// From now on levels are over a light that is `level` times the mean, known to a relative standard deviation of `sd`.
+    pub(super) fn anchor(&mut self, level: f64, sd: f64) {
+        self.mean.iter_mut().flatten().for_each(|m| *m *= level);
+        self.mean_variance += sd * sd;
     }
 
     /// A shot's light over the mean less one, and its variance; dots that the others contradict do not count.
@@ -148,11 +161,6 @@ impl Level {
     }
 }
 
-/// How far shots differ from the one before, as a standard deviation of each: what a slow change does not make.
-fn spread_within(shots: &[(f64, f64)]) -> f64 {
-    scaled_deviation(shots.windows(2).map(|w| w[1].0 - w[0].0), 0.0) / 2f64.sqrt()
-}
-
 /// Whether the light of a dot differs from that of the others of its shot.
 fn is_strange((ratio, variance): (f64, f64), middle: f64) -> bool {
     (ratio - middle).abs() > (STRANGE_DOT * (1.0 + middle)).max(LAMP_SIGMA * variance.sqrt())
@@ -164,18 +172,54 @@ fn mean(ratios: impl Iterator<Item = (f64, f64)>) -> Option<(f64, f64)> {
     (bottom > 0.0).then(|| (top / bottom, 1.0 / bottom))
 }
 
-/// Light of the reference dots where the drift has put them, and the mean square distance of it from their middles, px².
-pub(super) fn reference_light(scene: &Scene<'_>, seen: &[Bracket]) -> Option<(DotLight, Option<f64>)> {
+/// The reference dots of a shot, where the drift has put them.
+pub(super) struct SeenDots {
+    pub(super) light: DotLight,
+    /// Mean square distance of the light from their middles, px².
+    pub(super) spread_px2: Option<f64>,
+    /// How far apart they are, of what they should be.
+    scale: Option<f64>,
+}
+
+impl SeenDots {
+    /// Whether dots were as sharp and as far apart in the last shots as in the first: else the light around their middles changes, too.
+    pub(super) fn are_steady(shots: &[Self]) -> bool {
+        let steady = |of: &dyn Fn(&Self) -> Option<f64>, least: f64| {
+            let all: Vec<f64> = shots.iter().filter_map(of).collect();
+            let third = (all.len() / 3).max(1);
+            if all.len() < 4 {
+                return true;
+            }
+            let [first, last] = [&all[..third], &all[all.len() - third..]].map(|part| median(&mut part.to_vec()));
+            (last / first - 1.0).abs() < least.max(LAMP_SIGMA * change_within(&all) / first)
+        };
+        steady(&|s| s.spread_px2, WIDER) && steady(&|s| s.scale, LEAST_SCALE)
+    }
+}
+
+/// Dots whose mean square width is off by this share are of another focus.
+pub(super) const WIDER: f64 = 0.2;
+/// Dots that are farther apart by this share are seen through another zoom: far beyond what centroids of dots some ten pixels apart say.
+pub(super) const LEAST_SCALE: f64 = 0.003;
+
+/// How far values differ from the one before, as a standard deviation of each: what a slow change does not make.
+pub(super) fn change_within(values: &[f64]) -> f64 {
+    scaled_deviation(values.windows(2).map(|w| w[1] - w[0]), 0.0) / 2f64.sqrt()
+}
+
+/// The reference dots of a shot; `None` where they are not found.
+pub(super) fn reference_light(scene: &Scene<'_>, seen: &[Bracket]) -> Option<SeenDots> {
     let pictures: Vec<(Point, Radiance)> =
         scene.reference_mm().into_iter().zip(seen).map(|(p, b)| (p, scene.picture(b, b.rect(), STILL))).collect();
-    let moved = measure_drift(&pictures, scene.registration, scene.dot_radius_px())?.slab_mm;
+    let drift = measure_drift(&pictures, scene.registration, scene.dot_radius_px())?;
+    let moved = drift.slab_mm;
     let reach = scene.dot_radius_px() + 2.0;
     let at = |p: Point| scene.registration.view.camera_from_slab([p[0] + moved[0], p[1] + moved[1]]);
     let placed: Vec<(Point, &Radiance)> = pictures.iter().map(|(p, picture)| (at(*p), picture)).collect();
     let mut spreads: Vec<f64> = placed.iter().filter_map(|&(at, picture)| spread_around(picture, at, reach)).collect();
-    let spread = (2 * spreads.len() > pictures.len()).then(|| median(&mut spreads));
+    let spread_px2 = (2 * spreads.len() > pictures.len()).then(|| median(&mut spreads));
     let light = placed.iter().flat_map(|&(at, picture)| light_around(scene, picture, at, reach)).collect();
-    Some((light, spread))
+    Some(SeenDots { light, spread_px2, scale: drift.scale.map(|s| s[0]) })
 }
 
 /// Mean square distance of the light within `reach` of a dot's middle from it, px²; `None` where some of it was not measured.
@@ -260,7 +304,7 @@ mod tests {
     #[test]
     fn the_level_of_shots_varies_by_what_their_measurement_does_not_explain() {
         let levels = [0.03, -0.01, 0.02, -0.04, 0.01, -0.01];
-        let level = Level::of(&levels.map(|l| light(l, 5e-5))).unwrap();
+        let level = Level::of(&levels.map(|l| light(l, 5e-5)), true).unwrap();
         let expected = [Some(100.0), Some(250.0), Some(40.0), Some(900.0), None, Some(60.0)];
         for (found, expected) in level.mean.iter().zip(expected) {
             assert_eq!(found.is_some(), expected.is_some());
@@ -272,10 +316,10 @@ mod tests {
         assert!((level.variance - (spread - 1e-5)).abs() < 1e-9, "{}", level.variance);
         assert!((level.mean_variance - spread / 6.0).abs() < 1e-9);
         // Noise that explains it: 6.4e-4 against 2e-4 and 3 · 2e-4 · √(2/6).
-        assert_eq!(Level::of(&levels.map(|l| light(l, 1.5e-3))).unwrap().variance, 0.0);
-        assert!(Level::of(&levels.map(|l| light(l, 1.0e-3))).unwrap().variance > 0.0);
+        assert_eq!(Level::of(&levels.map(|l| light(l, 1.5e-3)), true).unwrap().variance, 0.0);
+        assert!(Level::of(&levels.map(|l| light(l, 1.0e-3)), true).unwrap().variance > 0.0);
         // Too few shots, and none.
-        assert!(Level::of(&levels.map(|l| light(l, 5e-5))[..3]).is_none());
-        assert!(Level::of(&[]).is_none());
+        assert!(Level::of(&levels.map(|l| light(l, 5e-5))[..3], true).is_none());
+        assert!(Level::of(&[], true).is_none());
     }
 }

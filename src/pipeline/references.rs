@@ -1,11 +1,13 @@
 //! The shots that every lattice shot is measured against: black, and the white reference.
 
 use super::BuildOptions;
+use super::lattice_light::{FrameShare, frame_shares};
 use super::looks::shown_shot;
 use super::photographs::Photographs;
 use super::register::{Registered, SUM_STEP};
 use super::scene::on_slab;
 use crate::capture::Pattern;
+use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{HotPixel, Radiance, find_hot_pixels, mend};
 use crate::registration::median;
@@ -27,6 +29,8 @@ pub(super) struct References {
     pub irradiance: Irradiance,
     /// Relative variance of the white reference's light that flicker leaves, when it was measured.
     pub white_variance: Option<f64>,
+    /// At each reference dot.
+    pub frame_share: Vec<FrameShare>,
     pub warnings: Vec<Warning>,
 }
 
@@ -73,17 +77,18 @@ pub(super) fn references(
     };
     warnings.extend(exchanged(photographs, registered, [&ambient, &white, &black], shots, options)?);
     let level = white_level(&registered.sums, &white, &black);
+    let mut is_off = false;
     if let Some(Level { mean, sd, .. }) = level {
         let off = (1.0 / mean - 1.0).abs();
         if off > LEAST_LEVEL.max(LEVEL_SIGMA * sd.max(flicker_sd.unwrap_or(0.0))) {
             let shot = photographs.name(shots[1]).to_owned();
             let finding = ConsistencyWarning::WhiteLevel { shot, level: 1.0 / mean, level_sd: sd };
+            is_off = true;
             warnings.push(if off > REFUSED_LEVEL { options.refuse(finding)? } else { finding.into() });
         }
     }
     // A level that is off by more than a tenth is no flicker, and nothing is done about it.
-    let steadied =
-        level.filter(|l| (l.mean - 1.0).abs() < REFUSED_LEVEL && (flicker_sd.is_some() || !warnings.is_empty()));
+    let steadied = level.filter(|l| (l.mean - 1.0).abs() < REFUSED_LEVEL && (flicker_sd.is_some() || is_off));
     if let Some(Level { mean, .. }) = steadied {
         white.value.iter_mut().for_each(|v| *v *= mean as f32);
         white.variance.iter_mut().for_each(|v| *v *= (mean * mean) as f32);
@@ -91,9 +96,18 @@ pub(super) fn references(
     let white_variance = steadied.map(|l| l.variance_of_mean);
     white.subtract(&black);
     warnings.extend(unevenness(photographs, registered, &white, shots[1], options)?);
+    if let Some(tiles) = &registered.board_light {
+        let shot = photographs.name(photographs.one(|p| matches!(p, Pattern::Board))?);
+        let turned = tiles.turned(&tiles.alike(&white), shot);
+        warnings.extend(turned.map(|finding| options.refuse(finding)).transpose()?);
+    }
     let hot = find_hot_pixels(&ambient);
     mend(&mut white, &hot);
     let cell_px = registered.registration.px_per_mm() * photographs.capture.manifest.window.pitch_mm;
+    let dots = photographs.capture.manifest.reference_dots.iter().flat_map(|r| &r.projector_px);
+    let map =
+        |&p: &Point| registered.registration.view.camera_from_slab(registered.registration.slab_from_projector.map(p));
+    let frame_share = frame_shares(&dots.map(map).collect::<Vec<_>>(), cell_px.max(2.0), &ambient, &black);
     let irradiance = Irradiance::new(white, &photographs.capture.rig, cell_px.round().clamp(2.0, 50.0) as usize);
     if let Some(sd) = flicker_sd {
         // One shot's lamp, the same error in all pixels of a cell: that many times what averaging them would leave.
@@ -101,7 +115,7 @@ pub(super) fn references(
         let values = ambient.variance.iter_mut().zip(&ambient.value);
         values.for_each(|(variance, value)| *variance += share as f32 * value * value);
     }
-    Ok(References { ambient, hot, irradiance, white_variance, warnings })
+    Ok(References { ambient, hot, irradiance, white_variance, frame_share, warnings })
 }
 
 /// The lamp's mean level over the Gray code, of that of the white reference.

@@ -1,7 +1,9 @@
 //! Looking for the camera's halo where no light falls: on the opaque frame.
 
 use super::BuildOptions;
+use super::light_spots;
 use super::scene::{Scene, on_slab};
+use crate::capture::Pattern;
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Radiance, StrayLight, evenly};
@@ -28,11 +30,11 @@ pub(super) fn measure(
     scene: &Scene<'_>,
     options: &BuildOptions,
     progress: &Progress,
-) -> Result<(StrayLight, Option<Warning>)> {
+) -> Result<(StrayLight, Vec<Warning>)> {
     let lattice = scene.lattice();
-    let dark = dark_pixels(scene);
+    let mut dark = dark_pixels(scene);
     if !dark.contains(&true) {
-        return Ok((StrayLight::default(), None));
+        return Ok((StrayLight::default(), vec![]));
     }
     let stage = progress.stage("stray light", SHOTS.min(lattice.len()));
     let picture = |shot: usize| -> Result<Radiance> {
@@ -43,6 +45,11 @@ pub(super) fn measure(
     };
     let shots: Vec<usize> = evenly(&lattice, SHOTS).collect();
     let pictures: Vec<Radiance> = shots.iter().map(|&s| picture(s)).collect::<Result<_>>()?;
+    let mut warnings = Vec::new();
+    if let Some(spots) = light_spots::find(&pictures, &dark) {
+        spots.leave_out(&mut dark, scene.capture.rig.camera.size_px);
+        warnings.push(spots.finding(scene, scene.photographs.one(|p| matches!(p, Pattern::SampleBlack))?).into());
+    }
     let stray = StrayLight::estimate(&pictures, &dark).unwrap_or_default();
     if let Some(dn_per_sec) = stray.even {
         let window_px: f64 = scene.capture.manifest.window.samples.iter().map(|&n| n as f64 * scene.cell_px).product();
@@ -50,17 +57,18 @@ pub(super) fn measure(
         let light: f64 = pictures.iter().map(|p| sum_of_sample(p, &dark)).sum();
         let share = dn_per_sec * window_px * dots as f64 / light.max(f64::MIN_POSITIVE);
         let finding = ConsistencyWarning::AmbientChanged { dn_per_sec, share };
-        return match share.abs() {
-            s if s > EVEN_REFUSED => Ok((stray, Some(options.refuse(finding)?))),
-            s if s > EVEN_TOLD => Ok((stray, Some(finding.into()))),
-            _ => Ok((stray, None)),
-        };
+        match share.abs() {
+            s if s > EVEN_REFUSED => warnings.push(options.refuse(finding)?),
+            s if s > EVEN_TOLD => warnings.push(finding.into()),
+            _ => {}
+        }
+        return Ok((stray, warnings));
     }
     if stray.share > LARGEST_HALO {
-        let finding = options.refuse(ConsistencyWarning::HaloImplausible { share: stray.share, most: LARGEST_HALO })?;
-        return Ok((StrayLight::default(), Some(finding)));
+        warnings.push(options.refuse(ConsistencyWarning::HaloImplausible { share: stray.share, most: LARGEST_HALO })?);
+        return Ok((StrayLight::default(), warnings));
     }
-    Ok((stray, None))
+    Ok((stray, warnings))
 }
 
 /// Light of the pixels that are not dark, luminance.

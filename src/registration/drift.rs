@@ -16,6 +16,8 @@ pub struct Drift {
     pub sd_px: f64,
     /// Number of dots that it was measured from.
     pub dots: usize,
+    /// How far apart the dots are, of what they should be, with its standard deviation; `None` for fewer than four.
+    pub scale: Option<[f64; 2]>,
 }
 
 /// A dot counts when its light is this many standard deviations above none.
@@ -31,13 +33,15 @@ const CENTROID_FLOOR_PX: f64 = 0.02;
 /// that edges of materials pull aside; with dots on the opaque frame there are none. `None` when fewer than two or less than half
 /// of the dots are found, or when they disagree by more than a pixel.
 ///
-/// Not detected: a rotation or scaling of the pattern, motion of the camera (it is taken for the projector's).
+/// Not detected: a rotation of the pattern, motion of the camera (it is taken for the projector's).
 pub fn measure_drift(dots: &[(Point, Radiance)], registration: &Registration, dot_radius_px: f64) -> Option<Drift> {
     let mut moved: Vec<(Point, f64)> = Vec::new();
+    let mut places: Vec<Point> = Vec::new();
     for (slab, picture) in dots {
         let Some((seen, variance)) = centroid(picture, dot_radius_px, None) else { continue };
         let Some(at) = registration.view.slab_from_camera(seen) else { continue };
         moved.push(([at[0] - slab[0], at[1] - slab[1]], variance));
+        places.push(*slab);
     }
     if moved.len() < 2 || 2 * moved.len() < dots.len() {
         return None;
@@ -53,7 +57,23 @@ pub fn measure_drift(dots: &[(Point, Radiance)], registration: &Registration, do
     let n = moved.len() as f64;
     let photon = moved.iter().map(|m| m.1).sum::<f64>() / n;
     let sd_px = ((photon + CENTROID_FLOOR_PX.powi(2)) / n).sqrt();
-    Some(Drift { slab_mm, camera_px, sd_px, dots: moved.len() })
+    let scale = scale(&places, &moved.iter().map(|m| m.0).collect::<Vec<_>>());
+    Some(Drift { slab_mm, camera_px, sd_px, dots: moved.len(), scale })
+}
+
+/// How much farther apart things are than at `places` when they have `moved` from there, and its standard deviation.
+fn scale(places: &[Point], moved: &[Point]) -> Option<[f64; 2]> {
+    let n = places.len() as f64;
+    if places.len() < 4 {
+        return None;
+    }
+    let mean = |of: &[Point], a: usize| of.iter().map(|p| p[a]).sum::<f64>() / n;
+    let (middle, shift) = ([0, 1].map(|a| mean(places, a)), [0, 1].map(|a| mean(moved, a)));
+    let pairs = || places.iter().zip(moved).flat_map(|(p, m)| [0, 1].map(|a| (p[a] - middle[a], m[a] - shift[a])));
+    let square: f64 = pairs().map(|(p, _)| p * p).sum();
+    let growth = pairs().map(|(p, m)| p * m).sum::<f64>() / square;
+    let left: f64 = pairs().map(|(p, m)| (m - growth * p).powi(2)).sum();
+    (square > 0.0).then(|| [1.0 + growth, (left / (2.0 * n - 3.0) / square).sqrt()])
 }
 
 /// Mean of the values within three scaled median deviations of the median, and that deviation.

@@ -142,7 +142,7 @@ impl Parallax {
         let noise = dots.iter().map(|d| d.variance_px2).sum::<f64>() / n;
         // The spread between dots has the pixels' noise in it already; in dim captures that noise is more.
         let sd_px = (self.dot_sd_px.powi(2).max(noise) / n + depth_px * depth_px + COMMON_PX * COMMON_PX).sqrt();
-        Some(Drift { slab_mm, camera_px, sd_px, dots: dots.len() })
+        Some(Drift { slab_mm, camera_px, sd_px, dots: dots.len(), scale: None })
     }
 }
 

@@ -160,6 +160,7 @@ fn write_capture(options: &SimulateOptions, studio: Studio, work: &Path, progres
     let checksums = Mutex::new(BTreeMap::new());
     let stage = progress.stage("photograph", plan.manifest.shots.len());
     (0..plan.manifest.shots.len()).into_par_iter().try_for_each(|shot| -> Result<()> {
+        stage.begin();
         let written = studio.shoot(options, &plan, shot, work, &matrix)?;
         bytes.fetch_add(written, Ordering::Relaxed);
         for photograph in &plan.manifest.shots[shot].photographs {
@@ -194,6 +195,7 @@ fn write_truth_only(options: &SimulateOptions, bench: Bench, work: &Path, progre
         .collect();
     let stage = progress.stage("solve", lit.len());
     lit.into_par_iter().try_for_each(|(dot, drift_mm)| -> Result<()> {
+        stage.begin();
         let glow = bench.glow(dot, drift_mm)?;
         matrix.put(plan.manifest.grid.row_index(dot), &bench.row(options, dot, drift_mm, &glow))?;
         stage.advance(1);

@@ -40,7 +40,7 @@ fn unchanged(path: &Path, attributes: &Map<String, Value>) -> bool {
     let Some(covered) = attributes.get(checksum::GROUP).map(|group| &group["attributes"]) else { return true };
     let known =
         |name: &String| name == checksum::GROUP || covered.as_array().is_some_and(|a| a.iter().any(|v| v == name));
-    attributes.keys().all(known) && matches!(Checksums::open(path, attributes), Ok(Some(_)))
+    attributes.keys().all(known) && matches!(Checksums::open(path), Ok(Some(_)))
 }
 
 /// A file in the folder of a matrix that is none of its own.

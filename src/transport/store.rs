@@ -2,18 +2,21 @@
 //!
 //! | array | dimensions | unit |
 //! |---|---|---|
-//! | `response` f32 | y_i, x_i, dy, dx, channel | mm⁻² |
-//! | `variance` f32 | the same | mm⁻⁴ |
-//! | `valid` u8 | the same | 1 measured, 0 not (the response is then 0) |
+//! | `response` f32 | y_i, x_i, dy, dx, channel | mm⁻²; NaN where not measured |
+//! | `variance` f32 | the same | mm⁻⁴; NaN where not measured |
+//! | `valid` u8 | the same | 1 measured, 0 not |
 //! | `x_i_mm`, `y_i_mm` f64 | y_i, x_i | where the light really fell, mm |
 //! | `position_sd_mm` f64 | y_i, x_i | standard deviation of that place per axis, mm |
 //! | `dx`, `dy` f64 | dx; dy | offset of the cell's centre from the lit point, mm |
 //! | `shot` i32 | y_i, x_i | number of the shot that lit it, an index into the attribute `shots` |
 //!
+//! Stores of other programs are read too, with defaults for what they leave out: `docs/matrix-format.md`.
 //! Everything else is in the group's attributes, see [`MatrixHeader`]; `findings` are the records ([`FindingRecord`]) of `warnings`, one for one.
 
 use super::checksum::{self, Checksums};
-use super::{earlier, positioned};
+use super::open::{self, Opened};
+use super::row_array::{RowArray, RowLayout};
+use super::{CHANNELS, earlier, positioned};
 use crate::output::{ScratchFolder, put};
 use crate::{Error, FindingRecord, Result, Warning, geometry::Point};
 use rayon::prelude::*;
@@ -22,25 +25,27 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use zarrs::array::codec::{Crc32cCodec, ZstdCodec};
-use zarrs::array::{Array, ArrayBuilder, ArraySubset, ChunkKeySeparator, ElementOwned, data_type};
+use zarrs::array::{Array, ArrayBuilder, ArraySubset, ChunkKeySeparator, data_type};
 use zarrs::filesystem::FilesystemStore;
 
 /// The version of this layout, attribute `acquire_format`.
-const FORMAT: u32 = 1;
+const FORMAT: u64 = 2;
+/// The versions that are read. In 1 the response was 0 where it was not measured, and `points` and `window` were attributes too.
+pub(super) const FORMATS: [u64; 2] = [1, FORMAT];
 /// The most lit points along an axis.
-const MOST_POINTS: usize = 1 << 16;
+pub(super) const MOST_POINTS: usize = 1 << 16;
 /// The most samples of a window along an axis.
-const MOST_SAMPLES: usize = 4095;
+pub(super) const MOST_SAMPLES: usize = 4095;
 /// No slab is larger, and no length is smaller than one over it, mm.
-const LARGEST_MM: f64 = 1e9;
+pub(super) const LARGEST_MM: f64 = 1e9;
 /// Whatever the Zarr crate answers; turned into ours at the public functions.
 type BoxedError = Box<dyn std::error::Error + Send + Sync>;
-/// R, G, B.
-const CHANNELS: usize = 3;
 /// A chunk holds about this many bytes of responses: large enough for the disk, small enough to stream.
 const CHUNK_BYTES: usize = 4 << 20;
 /// Numbers that one thread looks through at a time.
 const CHECKED: usize = 1 << 16;
+/// Lines of chunks that are read at once, in numbers: chunks of several lines of points are decoded once for all of them up to here.
+const BAND_NUMBERS: usize = 1 << 27;
 /// Negative levels leave the bytes that do not repeat as they are: decoding is twice as fast as at level 1, for a tenth more bytes of measured
 /// noise, which no level compresses by much.
 const ZSTD_LEVEL: i32 = -1;
@@ -49,8 +54,10 @@ const ZSTD_LEVEL: i32 = -1;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MatrixHeader {
     /// Lit points along x and y.
+    #[serde(skip)]
     pub points: [usize; 2],
     /// Outgoing samples of a window along x and y, odd.
+    #[serde(skip)]
     pub window: [usize; 2],
     /// Side of an outgoing cell, mm.
     pub pitch_mm: f64,
@@ -93,7 +100,7 @@ impl MatrixHeader {
     }
 
     /// Bounds that keep every later product, index and stored number in range; says what is wrong.
-    fn check(&self) -> Result<(), String> {
+    pub(super) fn check(&self) -> Result<(), String> {
         if !self.points.iter().all(|n| (1..=MOST_POINTS).contains(n)) {
             return Err(format!("points: expected 1 to {MOST_POINTS}, found {:?}", self.points));
         }
@@ -117,7 +124,7 @@ impl MatrixHeader {
     }
 
     /// Whether every lit point has a place that can be used.
-    fn check_places(&self) -> Result<(), String> {
+    pub(super) fn check_places(&self) -> Result<(), String> {
         let place = |v: &f64| v.abs() <= LARGEST_MM;
         if let Some(v) = self.lit_mm.iter().flatten().find(|v| !place(v)) {
             return Err(format!("x_i_mm or y_i_mm: expected places within {LARGEST_MM:e} mm, found {v}"));
@@ -131,6 +138,17 @@ impl MatrixHeader {
     /// Offset of window sample (dx, dy) from the lit point, in samples.
     pub fn offset_px(&self, sample: [usize; 2]) -> [isize; 2] {
         std::array::from_fn(|a| sample[a] as isize - (self.window[a] / 2) as isize)
+    }
+}
+
+/// Refuses a length, mm, that no slab has.
+pub(super) fn check_mm(setting: &'static str, value: f64) -> Result<()> {
+    match (1.0 / LARGEST_MM..=LARGEST_MM).contains(&value) {
+        true => Ok(()),
+        false => {
+            let expected = format!("{:e} to {LARGEST_MM:e} mm", 1.0 / LARGEST_MM);
+            Err(Error::Setting { setting, expected, found: value.to_string() })
+        }
     }
 }
 
@@ -297,21 +315,17 @@ impl MatrixWriter {
         }
         let chunks: Vec<_> = chunks(header).collect();
         chunks.into_par_iter().try_for_each(|rows| {
-            let block = self.read_scratch(rows.clone(), |row| written[row])?;
+            let mut block = self.read_scratch(rows.clone(), |row| written[row])?;
+            let not = block.valid.iter().enumerate().filter(|(_, v)| **v == 0).map(|(k, _)| k);
+            not.for_each(|k| (block.response[k], block.variance[k]) = (f32::NAN, f32::NAN));
             let subset = subset(header, rows);
             response.store_array_subset(&subset, block.response)?;
             variance.store_array_subset(&subset, block.variance)?;
             valid.store_array_subset(&subset, block.valid)?;
             Ok::<_, BoxedError>(())
         })?;
-        for name in checksum::ARRAYS {
-            let mut array = Array::open(store.clone(), &format!("/{name}"))?;
-            let sums = checksum::of_chunks(store_path, &array)?;
-            array.attributes_mut().insert(checksum::CHUNKS.into(), sums);
-            array.store_metadata()?;
-        }
         // Last, as it has the checksum of all metadata.
-        attributes.insert(checksum::GROUP.into(), checksum::of_group(store_path, &attributes)?);
+        attributes.insert(checksum::GROUP.into(), checksum::seal(store_path, &attributes)?);
         zarrs::group::GroupBuilder::new().attributes(attributes).build(store, "/")?.store_metadata()?;
         Ok(())
     }
@@ -444,9 +458,10 @@ where
 pub struct MatrixReader {
     path: PathBuf,
     header: MatrixHeader,
-    response: Array<FilesystemStore>,
-    variance: Array<FilesystemStore>,
-    valid: Array<FilesystemStore>,
+    layout: RowLayout,
+    response: RowArray,
+    variance: Option<RowArray>,
+    valid: Option<RowArray>,
     /// `None` for a store that another program, or an earlier version of this one, has written.
     checksums: Option<Checksums>,
 }
@@ -464,77 +479,23 @@ impl MatrixReader {
         }
     }
 
-    /// Opens a store and reads everything but the rows.
+    /// Opens a store, this program's or another's, and reads everything but the rows.
+    ///
+    /// What a store may leave out, and what stands for it then, is in `docs/matrix-format.md`. Not detected: a chunk of another program's store that is
+    /// lost, where its fill value is a number that could have been measured.
     ///
     /// # Errors
-    /// [`Error::Io`] when there is nothing at `path`, [`Error::BrokenMatrix`] when it is not a whole matrix.
+    /// [`Error::Io`] when there is nothing at `path`, [`Error::MatrixFormat`] when it is no matrix, [`Error::BrokenMatrix`] when it is not a whole one.
     pub fn open(path: &Path) -> Result<Self> {
-        let root = path.join("zarr.json");
-        std::fs::metadata(path).map_err(Error::io("read", path))?;
-        if path.to_str().is_none() {
-            let reason = "the path of a matrix must be UTF-8";
-            return Err(Error::io("read", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
-        }
-        let broken = |reason: String| Error::BrokenMatrix { path: path.to_path_buf(), reason };
-        if !root.is_file() {
-            return Err(broken("zarr.json is missing".into()));
-        }
-        let store = Arc::new(FilesystemStore::new(path).map_err(|e| broken(e.to_string()))?);
-        let group = zarrs::group::Group::open(store.clone(), "/").map_err(|e| broken(e.to_string()))?;
-        let attributes = serde_json::Value::Object(group.attributes().clone());
-        let checksums = Checksums::open(path, group.attributes()).map_err(&broken)?;
-        let format = attributes.get("acquire_format").and_then(serde_json::Value::as_u64);
-        if format != Some(FORMAT.into()) {
-            return Err(broken(format!("acquire_format: expected {FORMAT}, found {format:?}")));
-        }
-        let mut header: MatrixHeader =
-            serde_json::from_value(attributes).map_err(|e| broken(format!("attributes: {e}")))?;
-        header.check().map_err(&broken)?;
-        let open = |name: &str| {
-            chunks_fit_memory(&path.join(name).join("zarr.json"))
-                .map_err(|reason| broken(format!("array {name}: {reason}")))?;
-            Array::open(store.clone(), &format!("/{name}")).map_err(|e| broken(format!("array {name}: {e}")))
-        };
-        let ([nx, ny], [wx, wy]) = (header.points, header.window);
-        let shape = [ny, nx, wy, wx, CHANNELS].map(|n| n as u64);
-        let rows = |name: &str| {
-            let array = open(name)?;
-            if array.shape() == shape {
-                Ok(array)
-            } else {
-                Err(broken(format!("array {name}: expected shape {shape:?}, found {:?}", array.shape())))
-            }
-        };
-        let (response, variance, valid) = (rows("response")?, rows("variance")?, rows("valid")?);
-        if valid.fill_value().as_ne_bytes() != [u8::MAX] {
-            return Err(broken(format!(
-                "array valid: expected the fill value {}, which marks missing chunks",
-                u8::MAX
-            )));
-        }
-        if let Some(checksums) = &checksums {
-            [&response, &variance, &valid]
-                .iter()
-                .try_for_each(|array| checksums.check_names(array))
-                .map_err(&broken)?;
-            for name in checksum::ARRAYS.into_iter().filter(|name| !checksum::ROWS.contains(name)) {
-                let array = open(name)?;
-                checksums.check_chunks(&array, &array.subset_all()).map_err(&broken)?;
-            }
-        }
-        let points = &shape[..2];
-        let x: Vec<f64> = small(path, &open("x_i_mm")?, points).map_err(&broken)?;
-        let y: Vec<f64> = small(path, &open("y_i_mm")?, points).map_err(&broken)?;
-        header.lit_mm = x.into_iter().zip(y).map(|(x, y)| [x, y]).collect();
-        header.position_sd_mm = small(path, &open("position_sd_mm")?, points).map_err(&broken)?;
-        let shot: Vec<i32> = small(path, &open("shot")?, points).map_err(&broken)?;
-        header.shot_of = shot.into_iter().map(|s| usize::try_from(s).ok()).collect();
-        let shots = header.shots.len();
-        if let Some(s) = header.shot_of.iter().flatten().find(|&&s| s >= shots) {
-            return Err(broken(format!("array shot: expected numbers below {shots}, found {s}")));
-        }
-        header.check_places().map_err(&broken)?;
-        Ok(Self { path: path.to_path_buf(), header, response, variance, valid, checksums })
+        Self::open_with(path, &serde_json::Map::new())
+    }
+
+    /// [`Self::open`] with attributes that take the place of those of the same name.
+    pub(super) fn open_with(path: &Path, attributes: &serde_json::Map<String, serde_json::Value>) -> Result<Self> {
+        let checksums =
+            Checksums::open(path).map_err(|reason| Error::BrokenMatrix { path: path.to_path_buf(), reason })?;
+        let Opened { header, layout, response, variance, valid } = open::open(path, attributes)?;
+        Ok(Self { path: path.to_path_buf(), header, layout, response, variance, valid, checksums })
     }
 
     /// What the matrix is.
@@ -547,16 +508,45 @@ impl MatrixReader {
         &self.path
     }
 
-    /// Ranges of rows that lie in one chunk each; together all rows, in order.
-    pub(super) fn chunks(&self) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
-        chunks(&self.header)
+    /// Channels that are stored: 3, or 1, which is read as all three.
+    pub fn channels(&self) -> usize {
+        self.response.sides[4]
+    }
+
+    /// Ranges of rows that lie in chunks that no other range has, as far as memory allows; together all rows, in order.
+    pub(super) fn chunks(&self) -> Vec<std::ops::Range<usize>> {
+        self.parts(0..self.header.rows())
+    }
+
+    /// Splits rows into ranges that are read at once: part of a line of points, or some whole lines.
+    fn parts(&self, rows: std::ops::Range<usize>) -> Vec<std::ops::Range<usize>> {
+        let nx = self.header.points[0];
+        let [across, down] = self.response.chunk_points();
+        let line = nx * self.header.row_len();
+        let down = down.min((BAND_NUMBERS / line).max(1));
+        let mut parts = Vec::new();
+        let mut at = rows.start;
+        while at < rows.end {
+            let (x, y) = (at % nx, at / nx);
+            let lines = (down - y % down).min((rows.end - at) / nx);
+            let end = if x == 0 && lines > 1 {
+                at + lines * nx
+            } else {
+                // Up to the end of the chunk, or of the line when chunks have several.
+                let end = if down > 1 { nx } else { ((x / across + 1) * across).min(nx) };
+                (y * nx + end).min(rows.end)
+            };
+            parts.push(at..end);
+            at = end;
+        }
+        parts
     }
 
     /// Reads consecutive rows; callable from several threads.
     ///
     /// # Errors
-    /// [`Error::BrokenMatrix`] when a chunk is missing or damaged, [`Error::NotFinite`] for NaN or infinity,
-    /// [`Error::Internal`] for rows that the matrix has not.
+    /// [`Error::BrokenMatrix`] when a chunk is missing or damaged, [`Error::NotFinite`] for NaN or infinity where it was measured,
+    /// [`Error::MatrixFormat`] for numbers of a type that is not read, [`Error::Internal`] for rows that the matrix has not.
     pub fn read(&self, rows: std::ops::Range<usize>) -> Result<RowBlock> {
         self.read_parts(rows, true)
     }
@@ -573,81 +563,122 @@ impl MatrixReader {
         if rows.end > self.header.rows() || rows.start > rows.end {
             return Err(Error::internal(format_args!("rows {rows:?} of a matrix of {}", self.header.rows())));
         }
-        let nx = self.header.points[0];
-        let n = rows.len() * self.header.row_len();
-        let mut block = RowBlock {
-            first: rows.start,
-            rows: rows.len(),
-            response: vec![0.0; n],
-            variance: vec![0.0; if variance { n } else { 0 }],
-            valid: vec![0; n],
-        };
+        let mut block = RowBlock::zeros(rows.clone(), self.header.row_len());
+        if !variance {
+            block.variance = Vec::new();
+        }
         // Chunks are decoded side by side, each into its place.
         let mut parts = Vec::new();
         let (mut response, mut variances, mut valid) =
             (block.response.as_mut_slice(), block.variance.as_mut_slice(), block.valid.as_mut_slice());
-        let mut at = rows.start;
-        while at < rows.end {
-            let end = rows.end.min((at / nx + 1) * nx);
-            let end = end.min(at - at % nx + (at % nx / chunk_rows(&self.header) + 1) * chunk_rows(&self.header));
-            let n = (end - at) * self.header.row_len();
+        for rows in self.parts(rows) {
+            let n = rows.len() * self.header.row_len();
             let (response_here, rest) = std::mem::take(&mut response).split_at_mut(n);
             response = rest;
             let (valid_here, rest) = std::mem::take(&mut valid).split_at_mut(n);
             valid = rest;
             let (variance_here, rest) = std::mem::take(&mut variances).split_at_mut(if variance { n } else { 0 });
             variances = rest;
-            parts.push((subset(&self.header, at..end), response_here, variance_here, valid_here));
-            at = end;
+            parts.push(Part { rows, response: response_here, variance: variance_here, valid: valid_here });
         }
-        parts.into_par_iter().try_for_each(|(part, response, variances, valid)| -> Result<()> {
-            let read = |array: &Array<FilesystemStore>, out: &mut [f32]| -> Result<()> {
-                if !out.is_empty() {
-                    out.copy_from_slice(&self.part::<f32>(array, &part)?);
-                }
-                Ok(())
-            };
-            let (a, b) = rayon::join(|| read(&self.response, response), || read(&self.variance, variances));
-            a.and(b)?;
-            valid.copy_from_slice(&self.part::<u8>(&self.valid, &part)?);
-            Ok(())
-        })?;
-        self.check(&block)?;
+        parts.into_par_iter().try_for_each(|part| self.read_part(part))?;
         Ok(block)
     }
 
-    fn part<T: ElementOwned>(&self, array: &Array<FilesystemStore>, part: &ArraySubset) -> Result<Vec<T>>
-    where
-        Vec<T>: zarrs::array::FromArrayBytes,
-    {
-        let broken = |reason: String| Error::BrokenMatrix { path: self.path.clone(), reason };
+    fn read_part(&self, part: Part<'_>) -> Result<()> {
+        let Part { rows, response, variance, valid } = part;
+        let unread = |name: &str, reason: String| match reason.starts_with("numbers of type") {
+            true => Error::MatrixFormat {
+                path: self.path.clone(),
+                part: format!("array {name}"),
+                expected: "numbers of type float32, float64 or float16".into(),
+                found: reason,
+            },
+            false => Error::BrokenMatrix { path: self.path.clone(), reason: format!("array {name}: {reason}") },
+        };
         if let Some(checksums) = &self.checksums {
-            checksums.check_chunks(array, part).map_err(broken)?;
+            let read = ["response", "valid"].into_iter().chain((!variance.is_empty()).then_some("variance"));
+            let broken = |reason: String| Error::BrokenMatrix { path: self.path.clone(), reason };
+            read.map(|name| checksums.check_rows(name, &rows)).collect::<Result<(), String>>().map_err(broken)?;
         }
-        array.retrieve_array_subset::<Vec<T>>(part).map_err(|e| broken(format!("array {}: {e}", array.path())))
+        if self.layout.stored != self.layout.window {
+            response.fill(f32::NAN);
+        }
+        let (a, b) = rayon::join(
+            || self.response.read(rows.clone(), &self.layout, response).map_err(|e| unread("response", e)),
+            || match &self.variance {
+                Some(array) if !variance.is_empty() => {
+                    array.read(rows.clone(), &self.layout, variance).map_err(|e| unread("variance", e))
+                }
+                _ => Ok(()),
+            },
+        );
+        a.and(b)?;
+        match &self.valid {
+            Some(array) => array.read_flags(rows.clone(), &self.layout, valid).map_err(|e| unread("valid", e))?,
+            None => valid.iter_mut().zip(&*response).for_each(|(valid, v)| *valid = u8::from(!v.is_nan())),
+        }
+        self.settle(rows.start, response, variance, valid)
     }
 
-    fn check(&self, block: &RowBlock) -> Result<()> {
-        if block.valid.par_chunks(CHECKED).any(|part| part.iter().fold(false, |bad, &v| bad | (v > 1))) {
-            let reason =
-                format!("array valid: a chunk of rows {} to {} is missing", block.first, block.first + block.rows);
-            return Err(Error::BrokenMatrix { path: self.path.clone(), reason });
+    /// Makes what was not measured 0, and refuses what is no number where it was measured.
+    fn settle(&self, first: usize, response: &mut [f32], variance: &mut [f32], valid: &[u8]) -> Result<()> {
+        if let Some(at) = first_bad(valid, |v| v > 1) {
+            return Err(self.bad_flag(first, at, valid[at]));
         }
-        for (field, values) in [("response", &block.response), ("variance", &block.variance)] {
-            // Without a way out of the loop it is a matter of vector instructions; where is looked for only when there is something.
-            if values.par_chunks(CHECKED).all(|part| part.iter().fold(true, |good, v| good & v.is_finite())) {
+        for (field, values) in [("response", response), ("variance", variance)] {
+            let settled = values.par_chunks_mut(CHECKED).zip(valid.par_chunks(CHECKED)).map(|(values, valid)| {
+                // Without a way out of the loop it is a matter of vector instructions; where is looked for only when there is something.
+                values.iter_mut().zip(valid).fold(true, |good, (v, &valid)| {
+                    *v = if valid == 0 { 0.0 } else { *v };
+                    good & v.is_finite()
+                })
+            });
+            if settled.reduce(|| true, |a, b| a & b) {
                 continue;
             }
             if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-                let (n, wx) = (self.header.row_len(), self.header.window[0]);
-                let (row, sample) = (block.first + at / n, at % n / CHANNELS);
-                let lit = [row % self.header.points[0], row / self.header.points[0]];
-                let at_text =
-                    format!("lit point {lit:?}, sample [{}, {}], channel {}", sample % wx, sample / wx, at % CHANNELS);
-                return Err(Error::NotFinite { path: self.path.clone(), field, found: values[at].into(), at: at_text });
+                return Err(self.not_finite(field, first, at, values[at]));
             }
         }
         Ok(())
+    }
+
+    fn bad_flag(&self, first: usize, at: usize, found: u8) -> Error {
+        let (place, text) = self.place(first, at);
+        let array = self.valid.as_ref().filter(|array| array.fill_byte() == Some(found));
+        match array.and_then(|array| array.missing_chunk(place)) {
+            Some(chunk) => Error::BrokenMatrix { path: self.path.clone(), reason: format!("chunk {chunk} is missing") },
+            None => Error::MatrixFormat {
+                path: self.path.clone(),
+                part: "array valid".into(),
+                expected: "1 where measured and 0 where not".into(),
+                found: format!("{found} at {text}"),
+            },
+        }
+    }
+
+    fn not_finite(&self, field: &'static str, first: usize, at: usize, found: f32) -> Error {
+        let (place, text) = self.place(first, at);
+        let array = if field == "response" { Some(&self.response) } else { self.variance.as_ref() };
+        match array.filter(|_| found.is_nan()).and_then(|array| array.missing_chunk(place)) {
+            Some(chunk) => Error::BrokenMatrix {
+                path: self.path.clone(),
+                reason: format!("chunk {chunk} is missing, though its samples are marked as measured"),
+            },
+            None => Error::NotFinite { path: self.path.clone(), field, found: found.into(), at: text },
+        }
+    }
+
+    /// Where number `at` of the rows from `first` on is: along each axis of the stored arrays, and for a person.
+    fn place(&self, first: usize, at: usize) -> ([usize; 5], String) {
+        let (n, [wx, _], [nx, _]) = (self.header.row_len(), self.header.window, self.header.points);
+        let (row, sample, channel) = (first + at / n, at % n / CHANNELS, at % CHANNELS);
+        let ([x, y], [left, top]) = ([row % nx, row / nx], self.layout.before);
+        let (dx, dy) = ((sample % wx).saturating_sub(left), (sample / wx).saturating_sub(top));
+        let channels = self.response.sides[4];
+        let text = format!("lit point [{x}, {y}], sample [{dx}, {dy}], channel {channel}");
+        ([y, x, dy, dx, channel.min(channels - 1)], text)
     }
 }
 
@@ -657,41 +688,18 @@ fn kind_of(reason: &str) -> std::io::ErrorKind {
     number.map_or(std::io::ErrorKind::Other, |number| std::io::Error::from_raw_os_error(number).kind())
 }
 
-/// No chunk has more numbers, of our own or of others.
-const MOST_IN_CHUNK: u64 = 1 << 29;
-
-/// Refuses chunks, and chunks of shards, of no numbers or of more than memory has: they are set aside before any is read.
-fn chunks_fit_memory(metadata: &Path) -> std::result::Result<(), String> {
-    let text = crate::files::read(metadata).map_err(|e| format!("zarr.json: {e}"))?;
-    let array: serde_json::Value = serde_json::from_slice(&text).map_err(|e| format!("zarr.json: {e}"))?;
-    let shards = array["codecs"].as_array().into_iter().flatten().map(|codec| &codec["configuration"]["chunk_shape"]);
-    for shape in shards.chain([&array["chunk_grid"]["configuration"]["chunk_shape"]]) {
-        let Some(shape) = shape.as_array() else { continue };
-        let numbers = shape.iter().try_fold(1u64, |n, side| n.checked_mul(side.as_u64()?));
-        if !numbers.is_some_and(|n| (1..=MOST_IN_CHUNK).contains(&n)) {
-            let shape = serde_json::Value::from(shape.clone());
-            return Err(format!("expected chunks of 1 to {MOST_IN_CHUNK} numbers, found {shape}"));
-        }
-    }
-    Ok(())
+/// Rows that are read at once, and where they go.
+struct Part<'a> {
+    rows: std::ops::Range<usize>,
+    response: &'a mut [f32],
+    variance: &'a mut [f32],
+    valid: &'a mut [u8],
 }
 
-fn small<T: ElementOwned>(root: &Path, array: &Array<FilesystemStore>, shape: &[u64]) -> Result<Vec<T>, String>
-where
-    Vec<T>: zarrs::array::FromArrayBytes,
-{
-    let name = array.path().to_string();
-    if array.shape() != shape {
-        return Err(format!("array {name}: expected shape {shape:?}, found {:?}", array.shape()));
-    }
-    // One chunk, not compressed: its size tells whether the shape may be believed before memory is set aside for it.
-    let file = root.join(array.chunk_key(&vec![0; shape.len()]).as_str());
-    let (found, expected) =
-        (std::fs::metadata(file).map_or(0, |kind| kind.len()), shape.iter().product::<u64>() * size_of::<T>() as u64);
-    if found < expected {
-        return Err(format!("array {name}: expected a chunk of {expected} bytes, found {found}"));
-    }
-    array.retrieve_array_subset(&array.subset_all()).map_err(|e| format!("array {name}: {e}"))
+/// The first of the numbers that is bad.
+fn first_bad(values: &[u8], bad: impl Fn(u8) -> bool + Sync) -> Option<usize> {
+    let any = values.par_chunks(CHECKED).any(|part| part.iter().fold(false, |any, &v| any | bad(v)));
+    any.then(|| values.iter().position(|&v| bad(v))).flatten()
 }
 
 impl RowBlock {

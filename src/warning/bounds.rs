@@ -18,6 +18,12 @@ pub(crate) const REFUSED_SLOPE: f64 = 0.1;
 pub(crate) const REFUSED_PROJECTOR_PX: f64 = 0.5;
 /// The white reference's level over the Gray code's that is off by more is refused: no lamp drifts so far in a session.
 pub(crate) const REFUSED_LEVEL: f64 = 0.1;
+/// Reference dots whose light is off by more than this, ln, from what the references say: exposure times as cameras round them explain 0.15, a
+/// dot of 9 instead of 8 projector px makes 0.24.
+pub(crate) const REFUSED_LIGHT: f64 = 0.2;
+/// Channels of the reference dots that are off by more than this from each other: the largest
+/// of 70 untouched captures differ by 0.056.
+pub(crate) const REFUSED_COLOUR: f64 = 0.06;
 /// Light of a black shot over that of white where the sample lies: a projector's black has a thousandth, a bad one a fiftieth.
 pub(crate) const BRIGHTEST_BLACK: f64 = 0.1;
 /// So many pixels of the white reference that differ from their surroundings are dust; more are a pattern, or something in the way.
@@ -37,6 +43,8 @@ pub(crate) const MOVED_SIGMA: f64 = 5.0;
 pub(crate) const SPREAD_VARIES_PX: f64 = 0.1;
 /// From this blur on a sharp dot's peak is known to two per cent and worse at 3 px a sample (docs/accuracy.md).
 pub(crate) const STRONG_BLUR_PX: f64 = 0.9;
+/// A sample that was measured with a ruler is of its stated size to a hundredth; printers are off by some hundredths.
+pub(crate) const OTHER_SIZE: f64 = 0.02;
 /// More light than arrives cannot leave.
 pub(crate) const LARGEST_ALBEDO: f64 = 1.0;
 /// More saturated pixels than this in the shortest exposure are more than hot ones.
@@ -49,3 +57,5 @@ pub(crate) const BLACK_SHARE: f64 = 0.95;
 pub(crate) const BLUR_SHARE: f64 = 1.0 / 3.0;
 /// Of the farthest drift that can be followed.
 pub(crate) const DRIFT_SHARE: f64 = 0.5;
+/// A window that leaves out more of the light than this is worth a warning: relit slabs are then darker by as much, which is what a careful white reference is good to.
+pub(crate) const LIGHT_OUTSIDE: f64 = 0.01;

@@ -1,8 +1,8 @@
 //! What a capture says twice, and not alike: photographs of a stack, patterns and dots, light, references, the rig's figures.
 
 use super::bounds::{
-    BRIGHTEST_BLACK, CLIPS_BELOW, DOUBT_SD, EVEN_REFUSED, REFUSED_LEVEL, REFUSED_PROJECTOR_PX, REFUSED_SLOPE,
-    REFUSED_TIME, UNEVEN_SHARE,
+    BRIGHTEST_BLACK, CLIPS_BELOW, DOUBT_SD, EVEN_REFUSED, OTHER_SIZE, REFUSED_COLOUR, REFUSED_LEVEL, REFUSED_LIGHT,
+    REFUSED_PROJECTOR_PX, REFUSED_SLOPE, REFUSED_TIME, UNEVEN_SHARE,
 };
 use crate::words::count;
 use serde::{Deserialize, Serialize};
@@ -85,6 +85,15 @@ pub enum ConsistencyWarning {
         /// The same over a window, as a share of a dot's light in it.
         share: f64,
     },
+    /// Light in one place of all lattice shots that were looked at, and not in the black shot.
+    LightSpot {
+        /// The black shot.
+        shot: String,
+        /// Where, camera px.
+        at_px: [f64; 2],
+        /// The least of the shots, DN/s.
+        dn_per_sec: f64,
+    },
     /// A halo that no lens has.
     HaloImplausible {
         /// Its share of the light.
@@ -130,6 +139,17 @@ pub enum ConsistencyWarning {
         /// How many shots.
         shots: usize,
     },
+    /// The reference dots of a shot are farther apart, or nearer, than those of the first shots.
+    ScaleChanges {
+        /// The first such shot.
+        shot: String,
+        /// How far apart, of what they are in the first shots.
+        scale: f64,
+        /// Standard deviation of that.
+        sd: f64,
+        /// How many shots.
+        shots: usize,
+    },
     /// The sensor's gain differs from channel to channel.
     ChannelGains {
         /// DN per electron of R, G, B.
@@ -142,12 +162,53 @@ pub enum ConsistencyWarning {
         /// What shows the axes: the shot of board or frame.
         shot: String,
     },
+    /// The board's photograph fits the light of the white reference when it is turned or mirrored.
+    BoardTurned {
+        /// Its shot.
+        shot: String,
+        /// What it is.
+        looks: String,
+        /// What the white of the board differs by from the white reference, standard deviation of ln.
+        left: f64,
+        /// The same when it is turned back.
+        turned_left: f64,
+    },
+    /// The sample's rim is not where its size and the board's put it.
+    SlabSize {
+        /// Its size by its rim, of the stated.
+        scale: f64,
+        /// Standard deviation of that.
+        sd: f64,
+    },
     /// The lamp's light changes over the sweep; it was corrected to that of the first shots.
     LampDrifts {
         /// Light of the last third of the shots over that of the first third, by their reference dots.
         level: f64,
         /// How many shots.
         shots: usize,
+        /// Whether it was corrected to the light of the references, which differs from that of the first shots.
+        #[serde(default)]
+        to_references: bool,
+    },
+    /// The reference dots of the lattice have other colours than white reference and black shots say.
+    LatticeColour {
+        /// Their light over what it should be, R, G, B.
+        levels: [f64; 3],
+        /// The largest standard deviation of these.
+        sd: f64,
+        /// What explains it.
+        looks: String,
+    },
+    /// The reference dots of the lattice have another light than white reference and black shots say.
+    LatticeLight {
+        /// Their light over what it should be.
+        level: f64,
+        /// Standard deviation of that.
+        sd: f64,
+        /// The manifest's `grid.dot_projector_px`.
+        dot_projector_px: usize,
+        /// The side of a dot that explains it.
+        size: Option<usize>,
     },
     /// A reference shot that is bright or dark where it should not be.
     ReferenceLight {
@@ -164,6 +225,19 @@ pub enum ConsistencyWarning {
         shot: String,
         /// Its black level less that of sample-black, DN, at all exposure times alike.
         difference_dn: f64,
+    },
+    /// The rows of a shot have another level than those of other shots say of the same pairs of places, which are reciprocal.
+    ShotLight {
+        /// The shot that is farthest off.
+        shot: String,
+        /// Its light over what the others say.
+        level: f64,
+        /// Standard deviation of that.
+        level_sd: f64,
+        /// In so many of so many places that were compared, where it is not the whole shot.
+        places: Option<[usize; 2]>,
+        /// How many shots are off.
+        shots: usize,
     },
     /// Every lattice shot has some of the light of the one before: a projector or a camera that lags.
     PatternRemains {
@@ -278,6 +352,10 @@ impl fmt::Display for ConsistencyWarning {
                 if *dn_per_sec > 0.0 { "more than" } else { "(less) than" },
                 100.0 * share
             ),
+            Self::LightSpot { shot, at_px: [x, y], dn_per_sec } => write!(
+                f,
+                "a bright spot beside the sample, at camera px ({x:.0}, {y:.0}), {dn_per_sec:.1} DN/s, is in all lattice shots that were looked at and not in \"{shot}\": a reflection or a lamp, no light of the dots; left out where stray light is measured"
+            ),
             Self::HaloImplausible { share, most } => write!(
                 f,
                 "{:.1} % of the light seems to be in a wide halo of the camera, no lens has more than {:.0} %: light falls on the frame, the black shot is wrong, or photographs clip",
@@ -318,6 +396,13 @@ impl fmt::Display for ConsistencyWarning {
                 )?;
                 if *shots > 1 { write!(f, "; so in {}", count(shots - 1, "other shot")) } else { Ok(()) }
             }
+            Self::ScaleChanges { shot, scale, sd, shots } => {
+                write!(
+                    f,
+                    "the reference dots of shot \"{shot}\" are {scale:.4} (± {sd:.4}) times as far apart as those of the first shots: zoom, focus or a distance changed; windows are not corrected for it"
+                )?;
+                if *shots > 1 { write!(f, "; so in {}", count(shots - 1, "other shot")) } else { Ok(()) }
+            }
             Self::ChannelGains { gains: [r, g, b], gain_sd } => write!(
                 f,
                 "noise says that R, G, B have {r:.4}, {g:.4}, {b:.4} DN per electron (± {gain_sd:.4}): files were multiplied by a white balance; stated variances are those of one gain"
@@ -326,11 +411,45 @@ impl fmt::Display for ConsistencyWarning {
                 f,
                 "the slab's axes are mirrored in the picture of shot \"{shot}\": x to the right must go with y down, as the camera sees the sample; the board is turned by 90°, or its corners or marks are listed in another order"
             ),
-            Self::LampDrifts { level, shots } => write!(
+            Self::BoardTurned { shot, looks, left, turned_left } => write!(
                 f,
-                "the lamp changes over the sweep: the reference dots of the last third of {} have {level:.3} times the light of the first third's; corrected to that of the first, beside which the references were taken",
-                count(*shots, "shot")
+                "the photograph of shot \"{shot}\" is {looks}: its white differs by {:.1} % from the light of the white reference, and by {:.1} % when that is undone",
+                100.0 * left,
+                100.0 * turned_left
             ),
+            Self::SlabSize { scale, sd } => write!(
+                f,
+                "the sample's rim is that of one of {scale:.3} (± {sd:.3}) times slab.size_mm, as the board measures it: the printed board is not of its stated size (board.square_mm), or slab.size_mm is wrong"
+            ),
+            Self::LampDrifts { level, shots, to_references } => write!(
+                f,
+                "the lamp changes over the sweep: the reference dots of the last third of {} have {level:.3} times the light of the first third's; corrected to that of {}",
+                count(*shots, "shot"),
+                match to_references {
+                    true => "the references, which the first shots do not have",
+                    false => "the first, beside which the references were taken",
+                }
+            ),
+            Self::LatticeColour { levels: [r, g, b], sd, looks } => write!(
+                f,
+                "the lattice's reference dots have {r:.3}, {g:.3}, {b:.3} (± {sd:.3}) times the light in R, G, B that the white reference and the black shots say: {looks}"
+            ),
+            Self::LatticeLight { level, sd, dot_projector_px, size } => {
+                write!(
+                    f,
+                    "the lattice's reference dots have {level:.3} (± {sd:.3}) times the light that the white reference and the black shots say: "
+                )?;
+                match size {
+                    Some(size) => write!(
+                        f,
+                        "dots of {size} projector px instead of {dot_projector_px} (grid.dot_projector_px) would have it; or the lamp changed, or light in the room between the black shots"
+                    ),
+                    None => write!(
+                        f,
+                        "the lamp changed between white reference and lattice, or light in the room between the black shots"
+                    ),
+                }
+            }
             Self::ReferenceLight { shot, looks, ratio } => write!(
                 f,
                 "shot \"{shot}\" has {:.2} % of the white reference's light where the sample lies: {looks}",
@@ -340,6 +459,14 @@ impl fmt::Display for ConsistencyWarning {
                 f,
                 "the black level of shot \"{shot}\" is {difference_dn:+.1} DN from that of sample-black at all exposure times alike: the camera sets its black level (noise.black_dn) by itself"
             ),
+            Self::ShotLight { shot, level, level_sd, places, shots } => {
+                write!(
+                    f,
+                    "the rows of shot \"{shot}\" have {level:.3} (± {level_sd:.3}) times the light that the rows of other shots have between the same places{}: something shadowed or lit the sample, not the frame",
+                    places.map_or_else(String::new, |[off, all]| format!(", in {off} of {all} places"))
+                )?;
+                if *shots > 1 { write!(f, "; so in {}", count(shots - 1, "other shot")) } else { Ok(()) }
+            }
             Self::PatternRemains { share, sd } => write!(
                 f,
                 "every lattice shot has {:.1} % (± {:.1} %) of a dot's light where the pattern before had its dots: the projector lags, or the shutter opens too early",
@@ -396,21 +523,35 @@ super::record::catalogue!(ConsistencyWarning {
     Self::AmbientChanged { share, .. } if share.abs() > EVEN_REFUSED => "ambient-changed", Warning, Light, Accepted,
         vec![part("ambient light")], bound("share", EVEN_REFUSED, "");
     Self::AmbientChanged { .. } => "ambient-changed", Warning, Light, Told, vec![part("ambient light")], None;
+    Self::LightSpot { shot: name, .. } => "light-spot", Warning, Light, Told, vec![shot(name), part("ambient light")], None;
     Self::HaloImplausible { most, .. } => "halo-implausible", Warning, Light, Accepted, vec![part("ambient light")],
         bound("share", *most, "");
     Self::LampLevel { shot: name, .. } => "lamp-level", Warning, Light, Corrected, vec![shot(name), part("lamp")], None;
     Self::ReferenceDots { shot: name, .. } => "reference-dots", Warning, Dots, Told, vec![shot(name)], None;
     Self::ColourChanges { shot: name, .. } => "colour-changes", Warning, Light, Told, vec![shot(name)], None;
     Self::BlurChanges { shot: name, .. } => "blur-changes", Warning, Focus, Told, vec![shot(name)], None;
+    Self::ScaleChanges { shot: name, .. } => "scale-changes", Warning, Registration, Told, vec![shot(name)], None;
     Self::ChannelGains { gain_sd, .. } => "channel-gains", Warning, Light, Told, vec![field("noise")],
         bound("gains", DOUBT_SD * 2f64.sqrt() * gain_sd, "DN per electron");
+    Self::ShotLight { shot: name, .. } => "shot-light", Warning, Light, Told, vec![shot(name)], None;
     Self::PatternRemains { .. } => "pattern-remains", Warning, Dots, Accepted, vec![part("projector")], None;
     Self::LampDrifts { .. } => "lamp-drifts", Warning, Light, Corrected, vec![part("lamp")], None;
+    Self::LatticeColour { .. } => "lattice-colour", Warning, Light, Accepted, vec![part("lattice's colour")],
+        bound("levels", REFUSED_COLOUR, "");
+    Self::LatticeLight { level, .. } if level.ln().abs() < REFUSED_LIGHT => "lattice-light", Warning, Light, Told,
+        vec![part("lamp")], None;
+    Self::LatticeLight { size: Some(_), .. } => "lattice-light", Warning, Light, Accepted,
+        vec![field("grid.dot_projector_px"), part("lamp")], bound("ln level", REFUSED_LIGHT, "");
+    Self::LatticeLight { size: None, .. } => "lattice-light", Warning, Light, Accepted, vec![part("lamp")],
+        bound("ln level", REFUSED_LIGHT, "");
     Self::ReferenceLight { shot: name, ratio, .. } if *ratio > BRIGHTEST_BLACK => "reference-light", Warning, Light, Accepted,
         vec![shot(name)], bound("ratio", BRIGHTEST_BLACK, "");
     Self::ReferenceLight { shot: name, .. } => "reference-light", Warning, Light, Told, vec![shot(name)], None;
     Self::BlackMoves { shot: name, .. } => "black-moves", Warning, Light, Told, vec![shot(name), field("noise.black_dn")], None;
     Self::MirroredSlab { shot: name } => "mirrored-slab", Warning, Registration, Accepted, vec![shot(name)], None;
+    Self::BoardTurned { shot: name, .. } => "board-turned", Warning, Registration, Accepted, vec![shot(name)], None;
+    Self::SlabSize { .. } => "slab-size", Warning, Registration, Told, vec![field("board.square_mm"), field("slab.size_mm")],
+        bound("scale - 1", OTHER_SIZE, "");
     Self::WhiteLevel { shot: name, level, .. } if (level - 1.0).abs() > REFUSED_LEVEL => "white-level", Warning, Light, Accepted,
         vec![shot(name), part("lamp")], bound("level - 1", REFUSED_LEVEL, "");
     Self::WhiteLevel { shot: name, .. } => "white-level", Warning, Light, Corrected, vec![shot(name), part("lamp")], None;

@@ -58,6 +58,14 @@ const WRITTEN: &[&str] = &[
     r#"{"warning":"mirrored-slab","shot":"board"}"#,
     r#"{"warning":"pattern-remains","share":0.1,"sd":0.01}"#,
     r#"{"warning":"lamp-drifts","level":0.875,"shots":30}"#,
+    r#"{"warning":"lattice-colour","levels":[0.875,1.0,0.75],"sd":0.0625,"looks":"white balance"}"#,
+    r#"{"warning":"lattice-light","level":1.5625,"sd":0.0625,"dot_projector_px":4,"size":5}"#,
+    r#"{"warning":"lattice-light","level":0.75,"sd":0.0625,"dot_projector_px":4,"size":null}"#,
+    r#"{"warning":"scale-changes","shot":"s","scale":1.0625,"sd":0.0625,"shots":3}"#,
+    r#"{"warning":"board-turned","shot":"board","looks":"turned by 180°","left":0.125,"turned_left":0.0625}"#,
+    r#"{"warning":"slab-size","scale":1.0625,"sd":0.0625}"#,
+    r#"{"warning":"shot-light","shot":"s","level":0.5,"level_sd":0.0625,"places":null,"shots":1}"#,
+    r#"{"warning":"light-spot","shot":"sample-black","at_px":[90.5,21.5],"dn_per_sec":12.5}"#,
     r#"{"warning":"reference-light","shot":"sample-black","looks":"it is lit","ratio":0.5}"#,
     r#"{"warning":"reference-light","shot":"sample-black","looks":"it has no light","ratio":0.0}"#,
     r#"{"warning":"black-moves","shot":"s","difference_dn":81.5}"#,
@@ -95,6 +103,11 @@ const WRITTEN: &[&str] = &[
     r#"{"warning":"refractive-index-differs","used":"wax","used_index":1.5,"other":"ink","other_index":1.25}"#,
     r#"{"warning":"diffusion-too-clear","medium":"wax","channel":"R","mean_free_path_mm":null,"exceeds":"window","length_mm":7.5}"#,
     r#"{"warning":"diffusion-too-dark","medium":"ink","channel":"B","reduced_scattering_per_mm":0.5,"absorption_per_mm":2.0}"#,
+    r#"{"warning":"negative-responses","entries":2,"share":0.001,"lowest":-0.5,"at":"response[0, 0, 1, 1, 2]"}"#,
+    r#"{"warning":"unmeasured-samples","entries":3,"of":90,"at":"response[0, 0, 1, 1, 2]"}"#,
+    r#"{"warning":"light-outside-window","share":0.0005,"window":[7,7]}"#,
+    r#"{"warning":"light-outside-window","share":0.25,"window":[3,3]}"#,
+    r#"{"warning":"imported-albedo","rows":4,"largest":3.25,"pitch_mm":0.5}"#,
 ];
 
 /// Each finding, and what is written of it.

@@ -1,0 +1,315 @@
+//! R_d(a, b) = R_d(b, a), whatever the sample is made of: what two rows say of each other's places must agree. A shot that had less light on
+//! the sample than on the frame, and light of the shot before, do not.
+
+use super::BuildOptions;
+use super::dots_seen::DotSeen;
+use super::lattice::ShotResult;
+use super::scene::Scene;
+use super::sink::RowSink;
+use crate::capture::Window;
+use crate::geometry::Point;
+use crate::registration::{median, scaled_deviation};
+use crate::transport::Row;
+use crate::{ConsistencyWarning, Result, Warning};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Rows are compared from this many radii of a dot on: nearer, the dot's own edge is what is seen.
+const LEAST_RADII: f64 = 2.0;
+/// Light that is not so many times its standard deviation is not compared.
+const SEEN_SIGMA: f64 = 6.0;
+/// A shot whose level differs by less, ln, from what others say is not told: beside a boundary of media a dot and a cell, which have not the same
+/// shape, see other shares of it. The largest of the 85 untouched captures of tests/tampered: 0.12.
+const LEAST_LEVEL: f64 = 0.2;
+/// Single places of a shot that differ by more, ln, are shadowed or lit when there are so many of them, and this share of those that were compared.
+const LEAST_PLACE: f64 = 0.35;
+const LEAST_PLACES: usize = 4;
+const PLACES_SHARE: f64 = 0.15;
+/// Light of this share of a dot's own in the place of the dot before is no chance of a medium's structure.
+const LEAST_LAG: f64 = 0.03;
+/// What is told is so many standard deviations off.
+const SIGMA: f64 = 6.0;
+/// With fewer values nothing is said; of those that a medium does not reach fewer are enough.
+const LEAST_VALUES: usize = 8;
+const LEAST_FAR: usize = 3;
+
+/// Light of a row in a place, and its variance.
+type Light = [f64; 2];
+
+/// What rows say of each other's places.
+///
+/// # Errors
+/// [`crate::Error::Contradiction`]; those of reading rows.
+pub(super) fn judge(
+    scene: &Scene<'_>,
+    results: &[ShotResult],
+    rows: &impl RowSink,
+    options: &BuildOptions,
+) -> Result<Vec<Warning>> {
+    let pairs = Pairs::of(scene, results);
+    let seen = pairs.look(scene, rows)?;
+    let mut warnings: Vec<Warning> = pairs.lag(&seen).map(|f| options.refuse(f)).transpose()?.into_iter().collect();
+    warnings.extend(pairs.levels(scene, &seen).map(Warning::from));
+    Ok(warnings)
+}
+
+/// A row: its shot's number in the sweep, and where it was lit.
+#[derive(Clone, Copy)]
+struct Lit {
+    shot: usize,
+    at_mm: Point,
+}
+
+/// The rows that are compared with each other.
+struct Pairs {
+    lit: Vec<Option<Lit>>,
+    /// Rows whose places each row is asked for.
+    asked: Vec<Vec<usize>>,
+    /// Each row with the nearest one of the shot before.
+    lag: Vec<[usize; 2]>,
+    shots: usize,
+    columns: usize,
+    /// How far beside their places the dots of the capture are seen, mm: from below the surface of an oblique sample, or by an error of registration.
+    offset_mm: Point,
+}
+
+/// What a row says: its own peak, and the light in the places that it was asked for.
+#[derive(Clone, Default)]
+struct Seen {
+    peak: f64,
+    /// Row, light in its place, and light as far beside it as dots are seen beside theirs.
+    there: Vec<(usize, [Light; 2])>,
+}
+
+impl Pairs {
+    fn of(scene: &Scene<'_>, results: &[ShotResult]) -> Self {
+        let manifest = &scene.capture.manifest;
+        let [nx, ny] = manifest.grid.points;
+        let mut lit: Vec<Option<Lit>> = vec![None; nx * ny];
+        for (shot, result) in results.iter().enumerate() {
+            for l in &result.lit {
+                lit[manifest.grid.row_index(l.dot)] = Some(Lit { shot, at_mm: l.center_mm });
+            }
+        }
+        let mut asked: Vec<Vec<usize>> = vec![vec![]; nx * ny];
+        let steps = steps(scene);
+        for (k, own) in lit.iter().enumerate() {
+            let Some(own) = own else { continue };
+            for [dx, dy] in &steps {
+                let to = [(k % nx) as isize + dx, (k / nx) as isize + dy];
+                if to[0] < 0 || to[1] < 0 || to[0] >= nx as isize || to[1] >= ny as isize {
+                    continue;
+                }
+                let other = to[1] as usize * nx + to[0] as usize;
+                if lit[other].is_some_and(|o| o.shot != own.shot) {
+                    asked[k].push(other);
+                }
+            }
+        }
+        let mut lag = Vec::new();
+        for pair in results.windows(2) {
+            for l in &pair[1].lit {
+                let far = |p: Point| (p[0] - l.center_mm[0]).hypot(p[1] - l.center_mm[1]);
+                let nearest = pair[0].lit.iter().min_by(|a, b| far(a.center_mm).total_cmp(&far(b.center_mm)));
+                let Some(before) = nearest else { continue };
+                let [own, other] = [l.dot, before.dot].map(|d| manifest.grid.row_index(d));
+                if inside(&manifest.window, l.center_mm, before.center_mm) {
+                    lag.push([own, other]);
+                    for (a, b) in [(own, other), (other, own)] {
+                        if !asked[a].contains(&b) {
+                            asked[a].push(b);
+                        }
+                    }
+                }
+            }
+        }
+        let off = |a: usize| {
+            let seen = results.iter().flat_map(|r| &r.seen);
+            let mut all: Vec<f64> =
+                seen.filter_map(|s| if let DotSeen::At { off_mm } = s { Some(off_mm[a]) } else { None }).collect();
+            median(&mut all)
+        };
+        Self { lit, asked, lag, shots: results.len(), columns: nx, offset_mm: [off(0), off(1)] }
+    }
+
+    fn look(&self, scene: &Scene<'_>, rows: &impl RowSink) -> Result<Vec<Seen>> {
+        let window = &scene.capture.manifest.window;
+        let look = |k: usize| {
+            let Some(own) = self.lit[k].filter(|_| !self.asked[k].is_empty()) else { return Ok(Seen::default()) };
+            let row = rows.row(k)?;
+            let place = |&j: &usize| {
+                let at = self.lit[j]?.at_mm;
+                let displaced = [0, 1].map(|a| at[a] + self.offset_mm[a]);
+                let light = |at: Point| light_at(&row, window, own.at_mm, at);
+                Some((j, [light(at)?, light(displaced)?]))
+            };
+            let peak = light_at(&row, window, own.at_mm, own.at_mm).map_or(0.0, |l| l[0]);
+            Ok(Seen { peak, there: self.asked[k].iter().filter_map(place).collect() })
+        };
+        (0..self.lit.len()).into_par_iter().map(look).collect()
+    }
+
+    /// For each shot, ln of its rows' light over that of the rows of other shots between the same places. What all pairs of a displacement have in
+    /// common is no shot's, and taken out: light from depth is seen beside its place.
+    fn ratios(&self, seen: &[Seen]) -> Vec<Vec<f64>> {
+        let mut pairs: Vec<(usize, [isize; 2], f64)> = Vec::new();
+        let mut alike: BTreeMap<[isize; 2], Vec<f64>> = BTreeMap::new();
+        for (k, own) in self.lit.iter().enumerate() {
+            let Some(own) = own else { continue };
+            for (j, there) in &seen[k].there {
+                let Some(back) = of(&seen[*j], k) else { continue };
+                let ([light, variance], [back, back_variance]) = (there[1], back[1]);
+                if light.min(back) > SEEN_SIGMA * (variance + back_variance).sqrt() {
+                    let (step, ratio) = (self.step(k, *j), (light / back).ln());
+                    pairs.push((own.shot, step, ratio));
+                    alike.entry(step).or_default().push(ratio);
+                }
+            }
+        }
+        alike.retain(|_, all| all.len() >= LEAST_VALUES);
+        let alike: BTreeMap<[isize; 2], f64> =
+            alike.into_iter().map(|(step, mut all)| (step, median(&mut all))).collect();
+        let mut shots: Vec<Vec<f64>> = vec![vec![]; self.shots];
+        for (shot, step, ratio) in pairs {
+            shots[shot].extend(alike.get(&step).map(|common| ratio - common));
+        }
+        shots
+    }
+
+    /// From one row to another, steps of the grid.
+    fn step(&self, from: usize, to: usize) -> [isize; 2] {
+        let place = |k: usize| [(k % self.columns) as isize, (k / self.columns) as isize];
+        [place(to)[0] - place(from)[0], place(to)[1] - place(from)[1]]
+    }
+
+    /// Shots whose rows have another light than the rows of other shots say, everywhere or in some places.
+    fn levels(&self, scene: &Scene<'_>, seen: &[Seen]) -> Option<ConsistencyWarning> {
+        let ratios = self.ratios(seen);
+        let level = |ratios: &Vec<f64>| {
+            let middle = median(&mut ratios.clone());
+            (ratios.len() >= 3).then(|| [middle, sd_of_median(ratios, middle)])
+        };
+        let levels: Vec<Option<[f64; 2]>> = ratios.iter().map(level).collect();
+        let usual = scaled_deviation(levels.iter().flatten().map(|l| l[0]), 0.0);
+        let off = |l: &[f64; 2]| l[0].abs() > LEAST_LEVEL.max(SIGMA * usual).max(SIGMA * l[1]);
+        let whole: Vec<(usize, [f64; 2])> =
+            levels.iter().enumerate().filter_map(|(k, l)| Some((k, (*l).filter(|l| off(l))?))).collect();
+        let find = |(shot, [level, sd]): (usize, [f64; 2]), places, shots| ConsistencyWarning::ShotLight {
+            shot: scene.photographs.name(scene.lattice()[shot]).to_owned(),
+            level: level.exp(),
+            level_sd: level.exp() * sd,
+            places,
+            shots,
+        };
+        if let Some(&worst) = whole.iter().max_by(|a, b| a.1[0].abs().total_cmp(&b.1[0].abs())) {
+            return Some(find(worst, None, whole.len()));
+        }
+        let limit = LEAST_PLACE.max(SIGMA * scaled_deviation(ratios.iter().flatten().copied(), 0.0));
+        let away = |ratios: &Vec<f64>| ratios.iter().copied().filter(|r| r.abs() > limit).collect::<Vec<f64>>();
+        let some: Vec<(usize, Vec<f64>)> = ratios
+            .iter()
+            .map(away)
+            .enumerate()
+            .filter(|(k, away)| {
+                away.len() >= LEAST_PLACES && away.len() as f64 > PLACES_SHARE * ratios[*k].len() as f64
+            })
+            .collect();
+        let (shot, away) = some.iter().max_by_key(|(_, away)| away.len())?;
+        let middle = median(&mut away.clone());
+        let places = [away.len(), ratios[*shot].len()];
+        Some(find((*shot, [middle, sd_of_median(away, middle)]), Some(places), some.len()))
+    }
+
+    /// Light of the pattern before in all shots.
+    fn lag(&self, seen: &[Seen]) -> Option<ConsistencyWarning> {
+        // Over the peak of the dot before: what its place has too much, and what a medium has there.
+        let values: Vec<[f64; 2]> = self.lag.iter().filter_map(|&pair| excess(seen, pair)).collect();
+        // So far from the dot before, a medium's own light is of no account.
+        let far: Vec<f64> = values.iter().filter(|v| v[1] < 0.5 * LEAST_LAG).map(|v| v[0]).collect();
+        let all: Vec<f64> = values.iter().map(|v| v[0]).collect();
+        let found = |mut values: Vec<f64>, least: usize| {
+            let share = median(&mut values);
+            let sd = sd_of_median(&values, share);
+            (values.len() >= least && share >= LEAST_LAG.max(SIGMA * sd)).then_some((share, sd))
+        };
+        let (share, sd) = found(far, LEAST_FAR).or_else(|| found(all, LEAST_VALUES))?;
+        Some(ConsistencyWarning::PatternRemains { share, sd })
+    }
+}
+
+/// Standard deviation of the median of some values.
+fn sd_of_median(values: &[f64], median: f64) -> f64 {
+    1.25 * scaled_deviation(values.iter().copied(), median) / (values.len() as f64).sqrt()
+}
+
+/// Light of a row in the place of the dot before, less what that dot's row has in its place, over that row's peak; and the latter of it.
+fn excess(seen: &[Seen], [own, before]: [usize; 2]) -> Option<[f64; 2]> {
+    let (there, back, peak) = (of(&seen[own], before)?, of(&seen[before], own)?, seen[before].peak);
+    // Light from depth displaces all of a row to one side, by something between none and what its peak is displaced by.
+    let [nominal, displaced] = [0, 1].map(|k| (there[k][0] - back[k][0]) / peak);
+    (peak > 0.0).then_some([nominal.min(displaced), back[0][0] / peak])
+}
+
+/// What a row says of the place of row `k`.
+fn of(seen: &Seen, k: usize) -> Option<[Light; 2]> {
+    seen.there.iter().find(|(j, _)| *j == k).map(|(_, light)| *light)
+}
+
+/// Steps of the grid, in eight directions, to the nearest point that is beyond a dot's edge and to the farthest in the window.
+fn steps(scene: &Scene<'_>) -> Vec<[isize; 2]> {
+    let window = &scene.capture.manifest.window;
+    let first = scene.nominal_mm([0, 0]);
+    let step_mm = [[1, 0], [0, 1]].map(|d| {
+        let p = scene.registration.slab_from_projector.map(scene.capture.manifest.grid.dot_projector_px(d));
+        [p[0] - first[0], p[1] - first[1]]
+    });
+    let least_mm = LEAST_RADII * scene.dot_radius_px() / scene.px_per_mm;
+    let mut steps = Vec::new();
+    for [dx, dy] in [[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]] {
+        let way = [0, 1].map(|a| f64::from(dx) * step_mm[0][a] + f64::from(dy) * step_mm[1][a]);
+        let near = (least_mm / way[0].hypot(way[1])).ceil().max(1.0);
+        // A cell less, for the drift.
+        let reach = |a: usize| (0.5 * window.samples[a] as f64 - 2.0) * window.pitch_mm / way[a].abs();
+        let far = reach(0).min(reach(1)).floor();
+        for k in [near, (0.5 * (near + far)).round(), far] {
+            let step = [dx as isize * k as isize, dy as isize * k as isize];
+            if k >= near && k <= far && !steps.contains(&step) {
+                steps.push(step);
+            }
+        }
+    }
+    steps
+}
+
+/// Whether a place lies within a window.
+fn inside(window: &Window, center_mm: Point, at_mm: Point) -> bool {
+    (0..2).all(|a| (at_mm[a] - center_mm[a]).abs() <= 0.5 * window.samples[a] as f64 * window.pitch_mm)
+}
+
+/// Light of a row in a place: the mean of the channels, linear between cells. `None` outside and beside cells that were not measured.
+fn light_at(row: &Row, window: &Window, center_mm: Point, at_mm: Point) -> Option<Light> {
+    let [nx, ny] = window.samples;
+    let u: Point = std::array::from_fn(|a| {
+        let last = (window.samples[a] - 1) as f64;
+        ((at_mm[a] - center_mm[a]) / window.pitch_mm + 0.5 * last).clamp(0.0, last)
+    });
+    if !inside(window, center_mm, at_mm) {
+        return None;
+    }
+    let low = [0, 1].map(|a| (u[a].floor() as usize).min([nx, ny][a].saturating_sub(2)));
+    let part = [0, 1].map(|a| u[a] - low[a] as f64);
+    let (mut light, mut variance) = (0.0, 0.0);
+    for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+        let weight = [i, j].iter().zip(part).map(|(&k, p)| if k == 1 { p } else { 1.0 - p }).product::<f64>();
+        if weight == 0.0 {
+            continue;
+        }
+        let k = (low[1] + j) * nx + low[0] + i;
+        for c in 3 * k..3 * k + 3 {
+            row.valid[c].then_some(())?;
+            light += weight * f64::from(row.response[c]);
+            variance += weight * weight * f64::from(row.variance[c]);
+        }
+    }
+    Some([light, variance])
+}
