@@ -83,7 +83,7 @@ fn an_array_becomes_a_store_that_other_commands_take() {
     assert_eq!(acquire(&["import-matrix", &out, "--out", &copy, "-q"]).0, 0);
     let copied = MatrixReader::open(Path::new(&copy)).unwrap().read(0..12).unwrap();
     assert_eq!(copied, MatrixReader::open(Path::new(&out)).unwrap().read(0..12).unwrap());
-    bench.fails(&["import-matrix", &out, "--out", &out, "--force"], &["--out", "another path than the input"]);
+    bench.fails(&["import-matrix", &out, "--out", &out, "--force"], &["--out", "which is the input"]);
     bench.fails(&["import-matrix", &out, "--out", &format!("{out}/inside.rd.zarr")], &["--out"]);
     bench.fails(&["import-matrix", &out, "--window", "3", "--out", &bench.path("w.rd.zarr")], &["--window", "3x3"]);
 }
