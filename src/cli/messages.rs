@@ -123,7 +123,9 @@ fn of_the_input(error: &Error) -> Option<String> {
             _ => known(path),
         },
         Error::NoManifest { path } => known(path),
-        Error::BrokenMatrix { path, .. } | Error::MatrixFormat { path, .. } => known(path).filter(|_| !path.join("zarr.json").is_file()),
+        Error::BrokenMatrix { path, .. } | Error::MatrixFormat { path, .. } => {
+            known(path).filter(|_| !path.join("zarr.json").is_file())
+        }
         Error::BrokenMaterial { path, .. } => known(path).filter(|_| path.is_dir()),
         Error::NoRig { path, looked } => {
             let near = [Path::new(looked), path].into_iter().find_map(rig_near)?;
