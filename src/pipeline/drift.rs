@@ -2,26 +2,29 @@
 
 use super::looks::looks;
 use super::scene::{STILL, Scene, overlap, part, square};
-use crate::capture::Rect;
+use crate::capture::{Pattern, Rect};
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
 use crate::registration::{
-    CameraMotion, DotShape, Drift, Located, Parallax, Registration, RimPlace, RimSegment, SampleDots, camera_motion,
-    locate_rim, measure_drift, rim_segments, rim_size,
+    CameraMotion, DotShape, Drift, Located, Parallax, Registration, RimFit, RimPlace, RimSegment, SampleDots,
+    camera_motion, fit_rim, locate_rim, measure_drift, rim_segments,
 };
-use crate::{Error, Result};
+use crate::warning::bounds::OTHER_SIZE;
+use crate::{ConsistencyWarning, Error, Result};
 use rayon::prelude::*;
 
 /// Shots that are decoded beforehand to learn how deep the dots on the sample are seen.
 const PILOT_SHOTS: usize = 8;
+/// A slab is of another size, or elsewhere, when its rim says so by so many standard deviations.
+const RIM_SIGMA: f64 = 6.0;
 /// Of the half distance between neighbouring dots: nearer to it, a dot cannot be told from its neighbour.
 const TOLD_APART: f64 = 0.9;
 
 /// What movements of a shot are measured from.
 pub(super) struct Movements {
     pub(super) source: DriftSource,
-    /// The sample's size by its rim over the stated one, and its standard deviation.
-    pub(super) rim_size: Option<[f64; 2]>,
+    /// Where the sample is by its rim.
+    pub(super) rim: Option<RimFit>,
     /// The sample's rim in pieces, and where each was found before the lattice shots.
     rims: Vec<RimSegment>,
     before: Vec<Option<RimPlace>>,
@@ -51,8 +54,30 @@ impl Movements {
         rims = rims.into_iter().zip(&before).filter_map(|(r, b)| b.map(|_| r)).collect();
         before.retain(Option::is_some);
         let (view, size_px) = (&scene.registration.view, scene.capture.rig.camera.size_px);
-        let rim_size = rim_size(view, size_mm, size_px, &scene.references.ambient);
-        Ok(Self { source: drift_source(scene)?, rim_size, rims, before })
+        let rim = fit_rim(view, size_mm, size_px, &scene.references.ambient);
+        Ok(Self { source: drift_source(scene)?, rim, rims, before })
+    }
+
+    /// What the sample's rim says of board, frame and slab.
+    pub(super) fn slab(&self, scene: &Scene<'_>) -> Vec<ConsistencyWarning> {
+        let Some(rim) = self.rim else { return vec![] };
+        let mut warnings = Vec::new();
+        if (rim.scale - 1.0).abs() > OTHER_SIZE.max(RIM_SIGMA * rim.scale_sd) {
+            warnings.push(ConsistencyWarning::SlabSize { scale: rim.scale, sd: rim.scale_sd });
+        }
+        let size_mm = scene.capture.manifest.slab.size_mm;
+        let view = &scene.registration.view;
+        let middle = size_mm.map(|s| 0.5 * s);
+        let seen = view.camera_from_slab(middle);
+        let at = view.slab_from_camera([seen[0] + rim.offset_px[0], seen[1] + rim.offset_px[1]]).unwrap_or(middle);
+        let offset_mm = [0, 1].map(|a| at[a] - middle[a]);
+        let sd_mm = rim.offset_sd_px / scene.px_per_mm;
+        if (0..2).any(|a| offset_mm[a].abs() > (OTHER_SIZE * size_mm[a]).max(RIM_SIGMA * sd_mm)) {
+            let shots = scene.capture.shots(|p| matches!(p, Pattern::Frame | Pattern::Board));
+            let shot = shots.first().map_or_else(String::new, |&s| scene.photographs.name(s).to_owned());
+            warnings.push(ConsistencyWarning::SlabElsewhere { shot, offset_mm, sd_mm });
+        }
+        warnings
     }
 
     /// How the camera's picture has moved; `None` where sample and frame are too dark to tell.

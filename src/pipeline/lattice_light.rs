@@ -181,3 +181,43 @@ fn camera_area(registration: &Registration, place: Point) -> f64 {
     let [[a, b], [c, d]] = registration.view.jacobian(registration.slab_from_projector.map(place));
     registration.slab_from_projector.area_scale(place) * (a * d - b * c).abs()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::Rect;
+
+    /// 40×30 px whose channels have this light, a little uneven.
+    fn picture(light: [f64; 3], variance: f32) -> Radiance {
+        let value = |k: usize, c: usize| (light[c] * (1.0 + 0.01 * ((k / 3) as f64).sin())) as f32;
+        Radiance {
+            rect: Rect { x: 0, y: 0, width: 40, height: 30 },
+            value: (0..3600).map(|k| value(k, k % 3)).collect(),
+            variance: vec![variance; 3600],
+            used: vec![1; 3600],
+        }
+    }
+
+    #[test]
+    fn a_frames_share_of_the_white_is_that_of_the_black_shots_where_these_are_seen() {
+        let (frame, white) = (picture([1.2, 0.9, 0.6], 0.01), picture([12.0, 10.0, 8.0], 0.01));
+        let found = frame_shares(&[[12.0, 9.0], [80.0, 9.0]], 4.0, &frame, &white);
+        let expected = [0.1, 0.09, 0.075];
+        assert!((0..3).all(|c| (found[0].unwrap()[c] / expected[c] - 1.0).abs() < 1e-3), "{found:?}");
+        assert_eq!(found[1], None, "beside the photograph");
+        // 1.25 · √(variance / 81) of the frame's blue light is a fifth of it.
+        assert_eq!(frame_shares(&[[12.0, 9.0]], 4.0, &picture([1.2, 0.9, 0.6], 0.8), &white), vec![None]);
+    }
+
+    #[test]
+    fn levels_that_references_explain_are_told_apart_from_those_of_the_last_shots() {
+        let light = |level: f64| LatticeLight { level: [level; 3], sd: 0.005, order: None };
+        assert!(!light(1.02).is_off() && light(1.08).is_off() && light(0.7).is_off());
+        assert!(!LatticeLight { sd: 0.05, ..light(1.2) }.is_off(), "dots that disagree by more say nothing");
+        // First shots at 80 %, the last ones as the references.
+        assert!(light(0.8).fits_later(1.24) && !light(0.8).fits_later(1.0) && !light(1.0).fits_later(1.24));
+        let anchored = light(0.8).anchored();
+        assert!((anchored.mean() - 1.0).abs() < 1e-12 && (anchored.sd - 0.00625).abs() < 1e-12);
+        assert!((colour([0.8, 1.0, 0.9]) - 0.25).abs() < 1e-12);
+    }
+}

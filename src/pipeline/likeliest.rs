@@ -37,6 +37,7 @@ pub(super) fn in_files(capture: &Capture, error: Error) -> Error {
         _ => false,
     });
     let cause = depth.cloned().map(Warning::from).or_else(|| shifted(capture, failed.as_deref()).map(Warning::from));
+    let cause = cause.or_else(|| eight_bits(capture).map(Warning::from));
     explained(error, cause)
 }
 
@@ -120,6 +121,20 @@ fn shifted(capture: &Capture, failed: Option<&str>) -> Option<CheckWarning> {
     let first = capture.brackets.iter().flatten().next()?;
     let beyond = others.iter().any(|l| f64::from(l.largest) > saturation_dn);
     (shared > 0 && beyond).then(|| CheckWarning::ValuesShifted { file: file(first), shot: None, bits: shared })
+}
+
+/// Photographs of 8 bits under a saturation that these cannot hold.
+fn eight_bits(capture: &Capture) -> Option<CheckWarning> {
+    let saturation_dn = capture.rig.noise.as_ref()?.saturation_dn;
+    let step = (capture.brackets.len() / LOOKS).max(1);
+    let mut looks = capture.brackets.iter().step_by(step).filter_map(|bracket| bracket.last());
+    let eight = |p: &&Photograph| {
+        let seen = decode_spread(std::slice::from_ref(*p), capture.rig.camera.size_px, LOOK_PX);
+        seen.is_ok_and(|seen| seen.exposures().iter().all(|e| matches!(e.samples, Samples::U8(_))))
+    };
+    let all = saturation_dn > f64::from(u8::MAX) && looks.clone().all(|p| eight(&p));
+    let file = capture.name_of(&looks.next()?.path);
+    all.then_some(CheckWarning::EightBits { file, saturation_dn })
 }
 
 /// What the code values of a 16-bit photograph have in common; of one that is all black or saturated nothing is known.

@@ -1,6 +1,5 @@
 //! From a capture folder to the matrix: the way of the photographs, stage by stage.
 
-mod board_light;
 mod crosstalk;
 mod defects;
 mod dots_seen;
@@ -34,8 +33,7 @@ use crate::progress::Progress;
 use crate::radiance::{Radiance, Sensor};
 use crate::registration::Registration;
 use crate::transport::{MatrixHeader, MatrixWriter, ShotRecord};
-use crate::warning::bounds::OTHER_SIZE;
-use crate::{ConsistencyWarning, Error, RadianceWarning, Result, Warning};
+use crate::{Error, RadianceWarning, Result, Warning};
 pub use crosstalk::CrossTalk;
 use drift::Movements;
 use findings::{Stages, unmeasured};
@@ -250,9 +248,6 @@ struct Before<'a> {
     start: Instant,
 }
 
-/// A sample is of another size when its rim says so by so many standard deviations.
-const SIZE_SIGMA: f64 = 6.0;
-
 /// Registration, references, and the lattice shots.
 fn build_rows(
     photographs: &Photographs<'_>,
@@ -274,16 +269,12 @@ fn build_rows(
     let times_are_off = |w: &Warning| matches!(w, Warning::Radiance(RadianceWarning::ExposureRatios { .. }));
     let lattice_light = light.flicker.judge(&scene, radiometry.warnings.iter().any(times_are_off), options)?;
     let movements = Movements::prepare(&scene)?;
-    let size = movements.rim_size.filter(|[scale, sd]| (scale - 1.0).abs() > OTHER_SIZE.max(SIZE_SIGMA * sd));
-    let size = size.map(|[scale, sd]| ConsistencyWarning::SlabSize { scale, sd });
-    if std::env::var_os("DBG").is_some() {
-        eprintln!("DBG rim size {:?}", movements.rim_size);
-    }
+    let slab = movements.slab(&scene);
     let prepared = Instant::now();
     let mut shots = lattice::extract(&scene, &light, &movements, &dots_seen::DotSearch::new(&scene)?, rows, progress)?;
     let mut seen = dots_seen::judge(&scene, &shots, options)?;
     seen.extend(lattice_light);
-    seen.extend(size.map(Warning::from));
+    seen.extend(slab.into_iter().map(Warning::from));
     seen.extend(stray_warnings);
     seen.extend(references.warnings.iter().cloned());
     let crosstalk = match options.keep_crosstalk {

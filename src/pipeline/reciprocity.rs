@@ -24,7 +24,7 @@ const LEAST_LEVEL: f64 = 0.2;
 /// Single places of a shot that differ by more, ln, are shadowed or lit when there are so many of them, and this share of those that were compared.
 const LEAST_PLACE: f64 = 0.35;
 const LEAST_PLACES: usize = 4;
-const PLACES_SHARE: f64 = 0.15;
+const PLACES_SHARE: f64 = 0.08;
 /// Light of this share of a dot's own in the place of the dot before is no chance of a medium's structure.
 const LEAST_LAG: f64 = 0.03;
 /// What is told is so many standard deviations off.
@@ -49,8 +49,26 @@ pub(super) fn judge(
     let pairs = Pairs::of(scene, results);
     let seen = pairs.look(scene, rows)?;
     let mut warnings: Vec<Warning> = pairs.lag(&seen).map(|f| options.refuse(f)).transpose()?.into_iter().collect();
-    warnings.extend(pairs.levels(scene, &seen).map(Warning::from));
+    warnings.extend(pairs.levels(&seen).map(|off| {
+        let shot = scene.photographs.name(scene.lattice()[off.shot]).to_owned();
+        let (level, level_sd) = (off.ln_level.exp(), off.ln_level.exp() * off.sd);
+        ConsistencyWarning::ShotLight { shot, level, level_sd, places: off.places, shots: off.shots }.into()
+    }));
     Ok(warnings)
+}
+
+/// The shot whose rows are farthest off.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct OffShot {
+    /// Its number in the sweep.
+    shot: usize,
+    /// ln of its light over what other shots say, and the standard deviation of that.
+    ln_level: f64,
+    sd: f64,
+    /// In so many of so many places, where it is not the whole shot.
+    places: Option<[usize; 2]>,
+    /// How many shots are off.
+    shots: usize,
 }
 
 /// A row: its shot's number in the sweep, and where it was lit.
@@ -183,7 +201,7 @@ impl Pairs {
     }
 
     /// Shots whose rows have another light than the rows of other shots say, everywhere or in some places.
-    fn levels(&self, scene: &Scene<'_>, seen: &[Seen]) -> Option<ConsistencyWarning> {
+    fn levels(&self, seen: &[Seen]) -> Option<OffShot> {
         let ratios = self.ratios(seen);
         let level = |ratios: &Vec<f64>| {
             let middle = median(&mut ratios.clone());
@@ -194,13 +212,8 @@ impl Pairs {
         let off = |l: &[f64; 2]| l[0].abs() > LEAST_LEVEL.max(SIGMA * usual).max(SIGMA * l[1]);
         let whole: Vec<(usize, [f64; 2])> =
             levels.iter().enumerate().filter_map(|(k, l)| Some((k, (*l).filter(|l| off(l))?))).collect();
-        let find = |(shot, [level, sd]): (usize, [f64; 2]), places, shots| ConsistencyWarning::ShotLight {
-            shot: scene.photographs.name(scene.lattice()[shot]).to_owned(),
-            level: level.exp(),
-            level_sd: level.exp() * sd,
-            places,
-            shots,
-        };
+        let find =
+            |(shot, [ln_level, sd]): (usize, [f64; 2]), places, shots| OffShot { shot, ln_level, sd, places, shots };
         if let Some(&worst) = whole.iter().max_by(|a, b| a.1[0].abs().total_cmp(&b.1[0].abs())) {
             return Some(find(worst, None, whole.len()));
         }
@@ -312,4 +325,97 @@ fn light_at(row: &Row, window: &Window, center_mm: Point, at_mm: Point) -> Optio
         }
     }
     Some([light, variance])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Seven by five points, one a shot, each asked for the five nearest on either side; light falls off as exp(−distance), drift as given.
+    fn pairs() -> Pairs {
+        let [nx, ny] = [7, 5];
+        let at = |k: usize| [(k % nx) as f64, 1.2 * (k / nx) as f64];
+        let lit = (0..nx * ny).map(|k| Some(Lit { shot: k, at_mm: at(k) })).collect();
+        let far = |a: usize, b: usize| (at(a)[0] - at(b)[0]).hypot(at(a)[1] - at(b)[1]);
+        let asked = (0..nx * ny).map(|k| (0..nx * ny).filter(|&j| j != k && far(k, j) < 3.5).collect()).collect();
+        let lag = (1..nx * ny).map(|k| [k, k - 1]).filter(|[a, b]| far(*a, *b) < 3.5).collect();
+        Pairs { lit, asked, lag, shots: nx * ny, columns: nx, offset_mm: [0.0; 2] }
+    }
+
+    /// What rows say, each times its level; `place` changes what row k has in the place of row j.
+    fn seen(pairs: &Pairs, place: impl Fn(usize, usize) -> f64) -> Vec<Seen> {
+        let at = |k: usize| pairs.lit[k].unwrap().at_mm;
+        let light = |k: usize, j: usize| {
+            let d = [at(j)[0] - at(k)[0], at(j)[1] - at(k)[1]];
+            // More to one side than to the other, as of light from depth; a little that is each pair's own.
+            let lean = 1.0 - 0.1 * d[0] / d[0].hypot(d[1]);
+            place(k, j) * lean * (-d[0].hypot(d[1])).exp() * (1.0 + 0.01 * ((7 * k + 3 * j) as f64).sin())
+        };
+        let there = |k: usize| pairs.asked[k].iter().map(|&j| (j, [[light(k, j), 1e-9]; 2])).collect();
+        (0..pairs.lit.len()).map(|k| Seen { peak: 1.5, there: there(k) }).collect()
+    }
+
+    #[test]
+    fn a_shot_under_less_light_is_named_with_its_level_and_a_sample_that_leans_to_one_side_is_not() {
+        let pairs = pairs();
+        assert_eq!(pairs.levels(&seen(&pairs, |_, _| 1.0)), None);
+        for (shot, level) in [(0, 0.5), (16, 0.6), (34, 1.7)] {
+            let found = pairs.levels(&seen(&pairs, |k, _| if k == shot { level } else { 1.0 })).unwrap();
+            assert_eq!((found.shot, found.places, found.shots), (shot, None, 1));
+            // The pairs' own per cent, and the median over a neighbour or two of what is alike.
+            assert!((found.ln_level.exp() / level - 1.0).abs() < 0.02, "{found:?}");
+        }
+        // A twentieth is within what boundaries of media do.
+        assert_eq!(pairs.levels(&seen(&pairs, |k, _| if k == 9 { 0.95 } else { 1.0 })), None);
+    }
+
+    #[test]
+    fn a_shadow_on_some_places_of_a_shot_is_that_of_the_shot() {
+        let pairs = pairs();
+        let shadow = |k: usize, j: usize| if k == 17 && j > 17 && j % 7 > 2 { 0.4 } else { 1.0 };
+        let found = pairs.levels(&seen(&pairs, shadow)).unwrap();
+        let places = pairs.asked[17].iter().filter(|&&j| shadow(17, j) < 1.0).count();
+        assert_eq!((found.shot, found.places, found.shots), (17, Some([places, pairs.asked[17].len()]), 1));
+        assert!((found.ln_level.exp() / 0.4 - 1.0).abs() < 0.03, "{found:?}");
+    }
+
+    #[test]
+    fn what_is_left_of_the_pattern_before_is_its_share() {
+        let pairs = pairs();
+        let lag = |share: f64| {
+            let mut seen = seen(&pairs, |_, _| 1.0);
+            for [own, before] in &pairs.lag {
+                let (_, there) = seen[*own].there.iter_mut().find(|(j, _)| j == before).unwrap();
+                there.iter_mut().for_each(|light| light[0] += 1.5 * share);
+            }
+            pairs.lag(&seen)
+        };
+        assert_eq!(lag(0.0), None);
+        let Some(ConsistencyWarning::PatternRemains { share, sd }) = lag(0.1) else { panic!("a tenth is found") };
+        // The lean of the sample, 0.2 · exp(−1) over a peak of 1.5, is to the other side.
+        assert!((share - 0.1 - 0.2 * (-1f64).exp() / 1.5).abs() < 0.01 && sd < 0.005, "{share} ± {sd}");
+    }
+
+    #[test]
+    fn light_in_a_place_is_linear_between_cells_and_nothing_beside_what_was_not_measured() {
+        let window = Window { samples: [3, 5], pitch_mm: 0.5 };
+        let value = |k: usize| (1 + k) as f32;
+        let mut row = Row {
+            response: (0..15).flat_map(|k| [value(k); 3]).collect(),
+            variance: vec![4.0; 45],
+            valid: vec![true; 45],
+        };
+        let light = |row: &Row, at: Point| light_at(row, &window, [10.0, 20.0], at);
+        // The middle cell, the seventh, in three channels.
+        assert_eq!(light(&row, [10.0, 20.0]), Some([24.0, 12.0]));
+        // Half way to the right, a quarter down: 8 + 0.5 + 0.25 · 3; weights 3/8 and 1/8 twice.
+        let [found, variance] = light(&row, [10.25, 20.125]).unwrap();
+        assert!((found - 3.0 * 9.25).abs() < 1e-9 && (variance - 12.0 * 2.0 * (9.0 + 1.0) / 64.0).abs() < 1e-9);
+        // The outermost half cell is as bright as its cell, beyond there is nothing.
+        assert_eq!(light(&row, [10.7, 20.0]).unwrap()[0], 27.0);
+        assert_eq!(light(&row, [10.8, 20.0]), None);
+        row.valid[3 * 8] = false;
+        assert_eq!(light(&row, [10.25, 20.125]), None);
+        assert!(light(&row, [10.0, 20.125]).is_some());
+    }
 }

@@ -96,11 +96,6 @@ pub(super) fn references(
     let white_variance = steadied.map(|l| l.variance_of_mean);
     white.subtract(&black);
     warnings.extend(unevenness(photographs, registered, &white, shots[1], options)?);
-    if let Some(tiles) = &registered.board_light {
-        let shot = photographs.name(photographs.one(|p| matches!(p, Pattern::Board))?);
-        let turned = tiles.turned(&tiles.alike(&white), shot);
-        warnings.extend(turned.map(|finding| options.refuse(finding)).transpose()?);
-    }
     let hot = find_hot_pixels(&ambient);
     mend(&mut white, &hot);
     let cell_px = registered.registration.px_per_mm() * photographs.capture.manifest.window.pitch_mm;

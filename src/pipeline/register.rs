@@ -1,7 +1,6 @@
 //! Slab, camera and projector related to each other: by the board or the frame's marks, and by the Gray code.
 
 use super::BuildOptions;
-use super::board_light::Tiles;
 use super::photographs::Photographs;
 use super::scene::on_slab;
 use crate::capture::{Board, Pattern, Surface};
@@ -24,8 +23,6 @@ pub(super) struct Registered {
     pub registration: Registration,
     /// Light of each Gray-code pattern and its inverse together, every [`SUM_STEP`]th pixel: white, but for the lamp.
     pub sums: Vec<Vec<f32>>,
-    /// Light of the board's white, all over it.
-    pub board_light: Option<Tiles>,
     pub warnings: Vec<Warning>,
 }
 
@@ -52,8 +49,7 @@ pub(super) fn register(
         },
         || bit_pairs(photographs, &codes, &stage),
     );
-    let ((camera, choice, board, warnings), pairs) = (camera?, pairs?);
-    let BoardPicture { point_spread, light: board_light } = board;
+    let ((camera, choice, point_spread, warnings), pairs) = (camera?, pairs?);
     let mut warnings: Vec<Warning> = warnings.into_iter().map(Warning::from).collect();
     warnings.extend(mirrored(photographs, &camera.view, options)?);
     let sum = |p: &BitPair| p.pattern.iter().zip(&p.inverse).step_by(SUM_STEP).map(|(a, b)| a + b).collect();
@@ -64,7 +60,7 @@ pub(super) fn register(
     let projector = projector_fit(photographs, &codes, &camera.view, &pairs)?.map_err(photographs.failed(first))?;
     let size_mm = photographs.capture.manifest.slab.size_mm;
     Registration::new(&camera, choice, point_spread, &projector, size_mm)
-        .map(|registration| Registered { registration, sums, board_light, warnings })
+        .map(|registration| Registered { registration, sums, warnings })
         .ok_or_else(|| photographs.failed(first)("the projector's map cannot be inverted".into()))
 }
 
@@ -145,29 +141,11 @@ pub(super) fn exchanged_pair(photographs: &Photographs<'_>) -> Result<Option<[us
     Ok(shot(false).zip(shot(true)).map(|(pattern, inverse)| [pattern, inverse]))
 }
 
-/// What a board's picture tells besides its corners.
-struct BoardPicture {
-    point_spread: Option<PointSpread>,
-    light: Option<Tiles>,
-}
-
-/// So many squares are a tile of the board's light: white is in each.
-const TILE_SQUARES: f64 = 2.0;
-
-/// Light of the white between a board's outer corners.
-fn board_light(picture: &Radiance, board: &Board, view: &CameraView) -> Tiles {
-    let middle = view.px_per_mm(board.corner_mm(board.inner_corners.map(|n| n / 2)));
-    let [first, last] = [[0, 0], board.inner_corners.map(|n| n - 1)].map(|c| board.corner_mm(c));
-    let inside = |x: f64, y: f64| {
-        let at = view.slab_from_camera([x, y]);
-        at.is_some_and(|p| (0..2).all(|a| p[a] > first[a] - board.square_mm && p[a] < last[a] + board.square_mm))
-    };
-    Tiles::of(picture, TILE_SQUARES * board.square_mm * middle, inside)
-}
-
 /// The board gives a plane, the frame's marks the plane as the sample really lies; the lens is fitted to all of them together, and to
 /// boards in other poses where there are any.
-fn camera_view(photographs: &Photographs<'_>) -> Result<(ViewFit, LensChoice, BoardPicture, Vec<RegistrationWarning>)> {
+fn camera_view(
+    photographs: &Photographs<'_>,
+) -> Result<(ViewFit, LensChoice, Option<PointSpread>, Vec<RegistrationWarning>)> {
     let (rig, fine) = (&photographs.capture.rig, &photographs.fine);
     let camera = &fine.camera();
     let mut warnings = Vec::new();
@@ -224,7 +202,6 @@ fn camera_view(photographs: &Photographs<'_>) -> Result<(ViewFit, LensChoice, Bo
     }
     // Boards come after the frame; the first of them, in the sample's plane if there is one, tells how sharp the picture is.
     let seen = &fits[usize::from(first.is_some() && fits.len() > 1)].view;
-    let light = sharp.as_ref().filter(|_| has_board).map(|(picture, board)| board_light(picture, board, seen));
     let point_spread = sharp.and_then(|(picture, board)| measure_point_spread(&picture, board, seen));
     // All of it was in finer pixels.
     let scale = fine.scale();
@@ -238,7 +215,7 @@ fn camera_view(photographs: &Photographs<'_>) -> Result<(ViewFit, LensChoice, Bo
         variance_sd_px2: scale * scale * p.variance_sd_px2,
         range_px: p.range_px.map(|r| scale * r),
     });
-    Ok((fit, choice, BoardPicture { point_spread, light }, warnings))
+    Ok((fit, choice, point_spread, warnings))
 }
 
 /// Whether board and frame disagree about where the slab's corners are seen.

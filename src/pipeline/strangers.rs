@@ -13,6 +13,10 @@ const LEAST_CLIPPED: usize = 3;
 /// Of the shots of a kind that have such a photograph, more than this share are a fault of the set-up, not of a photograph.
 const SINGLE_SHARE: f64 = 0.2;
 
+/// What more than half of the lattice shots have is a mistake in the rig's figures rather than in photographs.
+const ALL_DO: &str =
+    " (as most shots have one: camera.response, noise.saturation_dn or the exposure times are not those of the files)";
+
 /// What came of the stages, with what is to be told of such photographs. Where they failed, it is because of them.
 ///
 /// # Errors
@@ -74,7 +78,7 @@ fn judge(photographs: &Photographs<'_>, options: &BuildOptions) -> Result<Option
         looks: match stranger.factor {
             Some(factor) => format!("its light is {factor:.2} times what its exposure time says"),
             None => seen_in(photographs, shot, place)?,
-        },
+        } + if 2 * shots.len() > lattice { ALL_DO } else { "" },
         share: stranger.share,
         photographs: strangers.len(),
         or: stranger.or.map(file),

@@ -29,7 +29,7 @@ pub use gray_code::{BitPair, StripeSurface, register_projector};
 pub use jumps::{Jump, find_jumps};
 pub use lens_fit::{LensChoice, LensTrial, Pairs, fit_lens_of_views};
 pub use projector_fit::{ProjectorFit, fit_projector};
-pub use rim_size::rim_size;
+pub use rim_size::{RimFit, fit_rim};
 pub use sample_drift::{Located, Parallax, SampleDots};
 pub use sharpness::{PointSpread, measure_point_spread};
 

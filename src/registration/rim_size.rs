@@ -1,4 +1,5 @@
-//! How large the sample is by its rim, as the board sees it: a printed board that is not of its stated size, or another sample than stated.
+//! Where the sample is by its rim and how large, as the board sees it: a printed board that is not of its stated size, a photograph of it that
+//! is turned, another sample than stated.
 
 use super::camera_motion::{RimSegment, locate_rim, rim_segments};
 use super::drift::{median, scaled_deviation};
@@ -10,47 +11,122 @@ use crate::radiance::Radiance;
 const STEP_PX: f64 = 2.0;
 /// The largest difference that is looked for.
 const LARGEST: f64 = 0.12;
-/// Segments that are needed: of the sides that are seen, half, and of four segments each three sides.
+/// Segments along each side, and how many are needed at the least.
+const PER_SIDE: usize = 8;
 const LEAST_SEGMENTS: usize = 12;
 
-/// The sample's size over `size_mm`, by a similarity that takes its rim to where it is seen in `picture` (the whole photograph, the sample
-/// without dots), and its standard deviation; `None` where less than half of the rim is seen.
-///
-/// Not detected: a sample of another shape, one that is off by more than an eighth.
-pub fn rim_size(view: &CameraView, size_mm: Point, size_px: [usize; 2], picture: &Radiance) -> Option<[f64; 2]> {
-    let half_px = 0.5 * size_mm[0].min(size_mm[1]) * view.px_per_mm(size_mm.map(|s| 0.5 * s));
-    let steps = (LARGEST * half_px / STEP_PX).ceil() as isize;
-    let mut order: Vec<isize> = (-steps..=steps).collect();
-    order.sort_by_key(|k| k.abs());
-    let mut best: Option<(usize, [f64; 2])> = None;
-    for k in order {
-        let tried = 1.0 + k as f64 * STEP_PX / half_px;
-        let segments = rim_segments(&scaled(view, size_mm, tried), size_mm, size_px);
-        let found: Vec<(RimSegment, f64)> =
-            segments.iter().filter_map(|s| Some((*s, locate_rim(&part(picture, s)?, s, None)?.offset_px))).collect();
-        if found.len() < LEAST_SEGMENTS.max(segments.len() / 2) {
-            continue;
-        }
-        let Some((kept, [growth, sd])) = growth(&found, view.camera_from_slab(size_mm.map(|s| 0.5 * s))) else {
-            continue;
-        };
-        if best.is_none_or(|(most, _)| kept > most) {
-            best = Some((kept, [tried * (1.0 + growth), sd]));
-        }
-        // Where it should be: nothing else is looked for.
-        if k == 0 && 4 * kept > 3 * segments.len() {
-            break;
-        }
-    }
-    best.map(|b| b.1)
+/// Where a sample's rim is seen, of where it should be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RimFit {
+    /// Its size, of the stated.
+    pub scale: f64,
+    /// Standard deviation of that.
+    pub scale_sd: f64,
+    /// How far its middle is off, camera px.
+    pub offset_px: Point,
+    /// Standard deviation of that per axis.
+    pub offset_sd_px: f64,
 }
 
-/// The view of a sample that is larger by a factor about its middle.
-fn scaled(view: &CameraView, size_mm: Point, factor: f64) -> CameraView {
-    let m = view.ideal_from_slab.matrix;
-    let middle = size_mm.map(|s| 0.5 * s * (1.0 - factor));
-    let row = |r: [f64; 3]| [factor * r[0], factor * r[1], r[0] * middle[0] + r[1] * middle[1] + r[2]];
-    CameraView { ideal_from_slab: Homography { matrix: m.map(row) }, ..view.clone() }
+/// Fits a similarity that takes the rim of a slab of `size_mm` to where it is seen in `picture` (the whole photograph, the sample without
+/// dots); `None` where less than half of the rim is seen.
+///
+/// Not detected: a sample of another shape, one that is larger or smaller by more than an eighth, or off by more than that of its size.
+pub fn fit_rim(view: &CameraView, size_mm: Point, size_px: [usize; 2], picture: &Radiance) -> Option<RimFit> {
+    let half_px = 0.5 * size_mm[0].min(size_mm[1]) * view.px_per_mm(size_mm.map(|s| 0.5 * s));
+    let steps = (LARGEST * half_px / STEP_PX).ceil() as isize;
+    let scale = |k: isize| 1.0 + k as f64 * STEP_PX / half_px;
+    let fit = |tried: f64, offset_px: Point| {
+        let seen = Seen::at(&placed(view, size_mm, tried, offset_px), size_mm, size_px, picture);
+        let (kept, fit) = seen.similarity(view.camera_from_slab(size_mm.map(|s| 0.5 * s)))?;
+        let offset_px = [0, 1].map(|a| offset_px[a] + fit.offset_px[a]);
+        Some((kept, RimFit { scale: tried * fit.scale, offset_px, ..fit }))
+    };
+    // Where it should be: nothing else is looked for.
+    if let Some((kept, found)) = fit(1.0, [0.0; 2])
+        && 3 * kept > 2 * 4 * PER_SIDE
+    {
+        return Some(found);
+    }
+    let sizes = (-steps..=steps).filter_map(|k| fit(scale(k), [0.0; 2]));
+    if let Some((_, found)) = sizes.max_by_key(|(kept, _)| *kept) {
+        return Some(found);
+    }
+    // Elsewhere: sides tell how far along their normals only.
+    let offset = |a: usize| {
+        let along = |k: isize| std::array::from_fn(|i| if i == a { k as f64 * STEP_PX } else { 0.0 });
+        let sees = |k: &isize| {
+            let seen = Seen::at(&placed(view, size_mm, 1.0, along(*k)), size_mm, size_px, picture);
+            seen.segments.iter().filter(|(s, _)| s.normal[a].abs() > s.normal[1 - a].abs()).count()
+        };
+        (-2 * steps..=2 * steps).max_by_key(sees).map_or(0.0, |k| k as f64 * STEP_PX)
+    };
+    fit(1.0, [offset(0), offset(1)]).map(|(_, found)| found)
+}
+
+/// Segments of a rim that are seen, and how far along their normals, px.
+struct Seen {
+    all: usize,
+    segments: Vec<(RimSegment, f64)>,
+}
+
+impl Seen {
+    fn at(view: &CameraView, size_mm: Point, size_px: [usize; 2], picture: &Radiance) -> Self {
+        let segments = rim_segments(view, size_mm, size_px);
+        let place = |s: &RimSegment| Some((*s, locate_rim(&part(picture, s)?, s, None)?.offset_px));
+        Self { all: segments.len(), segments: segments.iter().filter_map(place).collect() }
+    }
+
+    /// Movement and growth about `middle` that explain where they are seen, and how many agree.
+    fn similarity(&self, middle: Point) -> Option<(usize, RimFit)> {
+        let row = |s: &RimSegment| {
+            let out = (s.at[0] - middle[0]) * s.normal[0] + (s.at[1] - middle[1]) * s.normal[1];
+            [s.normal[0], s.normal[1], out]
+        };
+        let (mut fit, mut limit) = ([0.0; 3], f64::INFINITY);
+        let mut result = None;
+        for _ in 0..5 {
+            let left =
+                |(s, offset): &(RimSegment, f64)| offset - row(s).iter().zip(fit).map(|(a, b)| a * b).sum::<f64>();
+            let kept: Vec<&(RimSegment, f64)> = self.segments.iter().filter(|f| left(f).abs() <= limit).collect();
+            if kept.len() < LEAST_SEGMENTS.max(self.all / 2) {
+                return None;
+            }
+            let (mut matrix, mut right) = ([[0.0; 3]; 3], [0.0; 3]);
+            for (s, offset) in &kept {
+                let row = row(s);
+                for i in 0..3 {
+                    (0..=i).for_each(|j| matrix[i][j] += row[i] * row[j]);
+                    right[i] += row[i] * offset;
+                }
+            }
+            let (solved, inverse) = solve_small(matrix, right)?;
+            fit = solved;
+            let left =
+                |(s, offset): &(RimSegment, f64)| offset - row(s).iter().zip(fit).map(|(a, b)| a * b).sum::<f64>();
+            let scale = 1.4826 * median(&mut self.segments.iter().map(|f| left(f).abs()).collect::<Vec<_>>());
+            limit = (4.0 * scale).max(0.2);
+            let spread = scaled_deviation(kept.iter().map(|f| left(f)), 0.0);
+            let found = RimFit {
+                scale: 1.0 + fit[2],
+                scale_sd: spread * inverse[2].sqrt(),
+                offset_px: [fit[0], fit[1]],
+                offset_sd_px: spread * inverse[0].max(inverse[1]).sqrt(),
+            };
+            result = Some((kept.len(), found));
+        }
+        result
+    }
+}
+
+/// The view of a sample that is larger by a factor about its middle, which is seen `offset_px` beside.
+fn placed(view: &CameraView, size_mm: Point, factor: f64, offset_px: Point) -> CameraView {
+    let middle = size_mm.map(|s| 0.5 * s);
+    let seen = view.camera_from_slab(middle);
+    let elsewhere = view.slab_from_camera([seen[0] + offset_px[0], seen[1] + offset_px[1]]).unwrap_or(middle);
+    let shift = [0, 1].map(|a| elsewhere[a] - factor * middle[a]);
+    let row = |r: [f64; 3]| [factor * r[0], factor * r[1], r[0] * shift[0] + r[1] * shift[1] + r[2]];
+    CameraView { ideal_from_slab: Homography { matrix: view.ideal_from_slab.matrix.map(row) }, ..view.clone() }
 }
 
 /// The pixels of a segment.
@@ -61,40 +137,6 @@ fn part(picture: &Radiance, segment: &RimSegment) -> Option<Radiance> {
     let cut = |all: &[f32]| rows.clone().flat_map(|k| all[k].iter().copied()).collect();
     let used = || rows.clone().flat_map(|k| picture.used[k].iter().copied()).collect();
     inside.then(|| Radiance { rect: r, value: cut(&picture.value), variance: cut(&picture.variance), used: used() })
-}
-
-/// Movement and growth about `middle` that explain where segments are seen: how many agree, and the growth with its standard deviation.
-fn growth(found: &[(RimSegment, f64)], middle: Point) -> Option<(usize, [f64; 2])> {
-    let row = |s: &RimSegment| {
-        let out = (s.at[0] - middle[0]) * s.normal[0] + (s.at[1] - middle[1]) * s.normal[1];
-        [s.normal[0], s.normal[1], out]
-    };
-    let (mut fit, mut limit) = ([0.0; 3], f64::INFINITY);
-    let mut result = None;
-    for _ in 0..5 {
-        let left = |(s, offset): &(RimSegment, f64)| offset - row(s).iter().zip(fit).map(|(a, b)| a * b).sum::<f64>();
-        let kept: Vec<&(RimSegment, f64)> = found.iter().filter(|f| left(f).abs() <= limit).collect();
-        if kept.len() < LEAST_SEGMENTS {
-            return None;
-        }
-        let (mut matrix, mut right) = ([[0.0; 3]; 3], [0.0; 3]);
-        for (s, offset) in &kept {
-            let row = row(s);
-            for i in 0..3 {
-                (0..=i).for_each(|j| matrix[i][j] += row[i] * row[j]);
-                right[i] += row[i] * offset;
-            }
-        }
-        let (solved, inverse) = solve_small(matrix, right)?;
-        fit = solved;
-        let left = |(s, offset): &(RimSegment, f64)| offset - row(s).iter().zip(fit).map(|(a, b)| a * b).sum::<f64>();
-        let mut misses: Vec<f64> = found.iter().map(|f| left(f).abs()).collect();
-        let scale = 1.4826 * median(&mut misses);
-        limit = (4.0 * scale).max(0.2);
-        let spread = scaled_deviation(kept.iter().map(|f| left(f)), 0.0);
-        result = Some((kept.len(), [fit[2], spread * inverse[2].sqrt()]));
-    }
-    result
 }
 
 #[cfg(test)]
@@ -130,14 +172,19 @@ mod tests {
 
     #[test]
     fn a_sample_is_measured_by_its_rim_where_it_is_a_tenth_larger_or_smaller_and_beside_its_place() {
-        for (factor, shift) in [(1.0, 0.0), (1.0, 0.2), (1.05, -0.1), (0.95, 0.1), (1.1, 0.0), (0.9, 0.0)] {
-            let [size, sd] = rim_size(&view(), [28.0, 19.0], SIZE_PX, &picture(factor, shift)).unwrap();
+        let cases =
+            [(1.0, 0.0), (1.0, 0.2), (1.05, -0.1), (0.95, 0.1), (1.1, 0.0), (0.9, 0.0), (1.0, 1.9), (1.0, -2.3)];
+        for (factor, shift) in cases {
+            let found = fit_rim(&view(), [28.0, 19.0], SIZE_PX, &picture(factor, shift)).unwrap();
             // Edges of 25 points a pixel are right to a tenth of one, of some 70 px to the middle.
-            assert!((size - factor).abs() < 0.003, "{factor} {shift}: {size} ± {sd}");
-            assert!(sd < 0.002, "{sd}");
+            assert!((found.scale - factor).abs() < 0.003, "{factor} {shift}: {found:?}");
+            // Some 6 px a mm.
+            let [x, y] = found.offset_px;
+            assert!((x / 6.2 - shift).abs() < 0.1 && y.abs() < 0.6, "{factor} {shift}: {found:?}");
+            assert!(found.scale_sd < 0.002 && found.offset_sd_px < 0.1, "{found:?}");
         }
         let mut even = picture(1.0, 0.0);
         even.value.fill(4.0);
-        assert_eq!(rim_size(&view(), [28.0, 19.0], SIZE_PX, &even), None);
+        assert_eq!(fit_rim(&view(), [28.0, 19.0], SIZE_PX, &even), None);
     }
 }

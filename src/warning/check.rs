@@ -109,6 +109,13 @@ pub enum CheckWarning {
         /// By how many bits.
         bits: u32,
     },
+    /// All photographs have 8 bits, and the rig's figures of noise are those of more.
+    EightBits {
+        /// One of them.
+        file: String,
+        /// The rig's saturation, beyond what 8 bits hold.
+        saturation_dn: f64,
+    },
     /// The Gray code fits, with all dots on the slab, when the photographs of a pattern and its inverse are exchanged, and not as it is.
     GrayPairExchanged {
         /// The pattern's shot.
@@ -189,6 +196,8 @@ catalogue!(CheckWarning {
     Self::DotSaturated { file, shot: name, dot: at, .. } => "dot-saturated", Error, Light, Refused,
         vec![photograph(file), shot(name), dot(*at)], None;
     Self::ValuesShifted { file, .. } => "values-shifted", Error, Files, Refused, vec![photograph(file)], None;
+    Self::EightBits { file, .. } => "eight-bits", Error, Files, Refused,
+        vec![photograph(file), field("noise.saturation_dn")], bound("saturation_dn", f64::from(u8::MAX), "DN");
     Self::GrayPairExchanged { shot: name, inverse } => "gray-pair-exchanged", Error, Registration, Refused,
         vec![shot(name), shot(inverse)], None;
     Self::Saturated { shot: name, .. } => "saturated", Warning, Light, Told, vec![shot(name)],
@@ -247,6 +256,10 @@ impl fmt::Display for CheckWarning {
                 "{file}: all code values of the capture are multiples of {} and exceed noise.saturation_dn of rig.toml: they are shifted left by {}",
                 1u32 << bits,
                 count(*bits as usize, "bit")
+            ),
+            Self::EightBits { file, saturation_dn } => write!(
+                f,
+                "{file}: the photographs have 8 bits, code values up to 255, and noise.saturation_dn of rig.toml is {saturation_dn}: [noise] is that of other files"
             ),
             Self::GrayPairExchanged { shot, inverse } => write!(
                 f,

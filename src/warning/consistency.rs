@@ -162,18 +162,16 @@ pub enum ConsistencyWarning {
         /// What shows the axes: the shot of board or frame.
         shot: String,
     },
-    /// The board's photograph fits the light of the white reference when it is turned or mirrored.
-    BoardTurned {
-        /// Its shot.
+    /// The sample's rim is beside where board or frame put the slab.
+    SlabElsewhere {
+        /// The shot of board or frame.
         shot: String,
-        /// What it is.
-        looks: String,
-        /// What the white of the board differs by from the white reference, standard deviation of ln.
-        left: f64,
-        /// The same when it is turned back.
-        turned_left: f64,
+        /// How far, mm, along x and y.
+        offset_mm: [f64; 2],
+        /// Standard deviation.
+        sd_mm: f64,
     },
-    /// The sample's rim is not where its size and the board's put it.
+    /// The sample's rim is that of a larger or smaller sample.
     SlabSize {
         /// Its size by its rim, of the stated.
         scale: f64,
@@ -411,11 +409,9 @@ impl fmt::Display for ConsistencyWarning {
                 f,
                 "the slab's axes are mirrored in the picture of shot \"{shot}\": x to the right must go with y down, as the camera sees the sample; the board is turned by 90°, or its corners or marks are listed in another order"
             ),
-            Self::BoardTurned { shot, looks, left, turned_left } => write!(
+            Self::SlabElsewhere { shot, offset_mm: [x, y], sd_mm } => write!(
                 f,
-                "the photograph of shot \"{shot}\" is {looks}: its white differs by {:.1} % from the light of the white reference, and by {:.1} % when that is undone",
-                100.0 * left,
-                100.0 * turned_left
+                "the sample's rim is ({x:+.2}, {y:+.2}) mm (± {sd_mm:.2}) from where shot \"{shot}\" puts the slab: board.origin_mm is wrong, the photograph of the board is turned or mirrored, or the sample lies elsewhere"
             ),
             Self::SlabSize { scale, sd } => write!(
                 f,
@@ -549,7 +545,8 @@ super::record::catalogue!(ConsistencyWarning {
     Self::ReferenceLight { shot: name, .. } => "reference-light", Warning, Light, Told, vec![shot(name)], None;
     Self::BlackMoves { shot: name, .. } => "black-moves", Warning, Light, Told, vec![shot(name), field("noise.black_dn")], None;
     Self::MirroredSlab { shot: name } => "mirrored-slab", Warning, Registration, Accepted, vec![shot(name)], None;
-    Self::BoardTurned { shot: name, .. } => "board-turned", Warning, Registration, Accepted, vec![shot(name)], None;
+    Self::SlabElsewhere { shot: name, .. } => "slab-elsewhere", Warning, Registration, Told,
+        vec![shot(name), field("board.origin_mm")], bound("offset_mm / slab.size_mm", OTHER_SIZE, "");
     Self::SlabSize { .. } => "slab-size", Warning, Registration, Told, vec![field("board.square_mm"), field("slab.size_mm")],
         bound("scale - 1", OTHER_SIZE, "");
     Self::WhiteLevel { shot: name, level, .. } if (level - 1.0).abs() > REFUSED_LEVEL => "white-level", Warning, Light, Accepted,
