@@ -135,8 +135,7 @@ impl RowArray {
         Ok(())
     }
 
-    /// The part of the array that has these lit points, of lines of `nx`.
-    pub(super) fn subset(&self, rows: &Range<usize>, nx: usize) -> ArraySubset {
+    fn subset(&self, rows: &Range<usize>, nx: usize) -> ArraySubset {
         let (y, x) = (rows.start / nx, rows.start % nx);
         let lines = rows.len().div_ceil(nx).max(1);
         let columns = if lines == 1 { x..x + rows.len() } else { 0..nx };

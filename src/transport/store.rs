@@ -324,14 +324,8 @@ impl MatrixWriter {
             valid.store_array_subset(&subset, block.valid)?;
             Ok::<_, BoxedError>(())
         })?;
-        for name in checksum::ARRAYS {
-            let mut array = Array::open(store.clone(), &format!("/{name}"))?;
-            let sums = checksum::of_chunks(store_path, &array)?;
-            array.attributes_mut().insert(checksum::CHUNKS.into(), sums);
-            array.store_metadata()?;
-        }
         // Last, as it has the checksum of all metadata.
-        attributes.insert(checksum::GROUP.into(), checksum::of_group(store_path, &attributes)?);
+        attributes.insert(checksum::GROUP.into(), checksum::seal(store_path, &attributes)?);
         zarrs::group::GroupBuilder::new().attributes(attributes).build(store, "/")?.store_metadata()?;
         Ok(())
     }
@@ -600,37 +594,29 @@ impl MatrixReader {
             },
             false => Error::BrokenMatrix { path: self.path.clone(), reason: format!("array {name}: {reason}") },
         };
+        if let Some(checksums) = &self.checksums {
+            let read = ["response", "valid"].into_iter().chain((!variance.is_empty()).then_some("variance"));
+            let checked: Result<(), String> = read.map(|name| checksums.check_rows(name, &rows)).collect();
+            checked.map_err(|reason| Error::BrokenMatrix { path: self.path.clone(), reason })?;
+        }
         if self.layout.stored != self.layout.window {
             response.fill(f32::NAN);
         }
-        let read = |name: &str, array: &RowArray, out: &mut [f32]| {
-            self.check_chunks(array, &rows)?;
-            array.read(rows.clone(), &self.layout, out).map_err(|e| unread(name, e))
-        };
         let (a, b) = rayon::join(
-            || read("response", &self.response, response),
+            || self.response.read(rows.clone(), &self.layout, response).map_err(|e| unread("response", e)),
             || match &self.variance {
-                Some(array) if !variance.is_empty() => read("variance", array, variance),
+                Some(array) if !variance.is_empty() => {
+                    array.read(rows.clone(), &self.layout, variance).map_err(|e| unread("variance", e))
+                }
                 _ => Ok(()),
             },
         );
         a.and(b)?;
         match &self.valid {
-            Some(array) => {
-                self.check_chunks(array, &rows)?;
-                array.read_flags(rows.clone(), &self.layout, valid).map_err(|e| unread("valid", e))?;
-            }
+            Some(array) => array.read_flags(rows.clone(), &self.layout, valid).map_err(|e| unread("valid", e))?,
             None => valid.iter_mut().zip(&*response).for_each(|(valid, v)| *valid = u8::from(!v.is_nan())),
         }
         self.settle(rows.start, response, variance, valid)
-    }
-
-    /// Whether the chunks that have these rows are those that were written there.
-    fn check_chunks(&self, array: &RowArray, rows: &std::ops::Range<usize>) -> Result<()> {
-        let Some(checksums) = &self.checksums else { return Ok(()) };
-        let subset = array.subset(rows, self.layout.points[0]);
-        let checked = checksums.check_chunks(&array.array, &subset);
-        checked.map_err(|reason| Error::BrokenMatrix { path: self.path.clone(), reason })
     }
 
     /// Makes what was not measured 0, and refuses what is no number where it was measured.
