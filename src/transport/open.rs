@@ -200,6 +200,9 @@ fn header(group: &StoreGroup, layout: &RowLayout, pitch_mm: f64) -> Result<Matri
     Ok(header)
 }
 
+/// Values of a small array, its shape, the names of its dimensions.
+type Small = (Vec<f64>, Vec<usize>, Option<Vec<String>>);
+
 /// The attribute `lit_pitch_mm`: one number or two.
 fn lit_pitch(group: &StoreGroup) -> Result<Option<Point>> {
     match group.attributes.get("lit_pitch_mm") {
@@ -318,7 +321,7 @@ impl StoreGroup {
     }
 
     /// A small array, and the names of its dimensions.
-    fn small(&self, name: &str, most: usize) -> Result<Option<(Vec<f64>, Vec<usize>, Option<Vec<String>>)>> {
+    fn small(&self, name: &str, most: usize) -> Result<Option<Small>> {
         let Some(array) = self.array(name)? else { return Ok(None) };
         let part = format!("array {name}");
         let shape: Vec<usize> = array.shape().iter().map(|&n| usize::try_from(n).unwrap_or(usize::MAX)).collect();

@@ -595,8 +595,8 @@ impl MatrixReader {
             false => Error::BrokenMatrix { path: self.path.clone(), reason: format!("array {name}: {reason}") },
         };
         if let Some(checksums) = &self.checksums {
-            let read = ["response", "valid"].into_iter().chain((!variance.is_empty()).then_some("variance"));
-            let checked: Result<(), String> = read.map(|name| checksums.check_rows(name, &rows)).collect();
+            let mut read = ["response", "valid"].into_iter().chain((!variance.is_empty()).then_some("variance"));
+            let checked: Result<(), String> = read.try_for_each(|name| checksums.check_rows(name, &rows));
             checked.map_err(|reason| Error::BrokenMatrix { path: self.path.clone(), reason })?;
         }
         if self.layout.stored != self.layout.window {

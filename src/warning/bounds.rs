@@ -22,8 +22,8 @@ pub(crate) const REFUSED_LEVEL: f64 = 0.1;
 /// dot of 9 instead of 8 projector px makes 0.24.
 pub(crate) const REFUSED_LIGHT: f64 = 0.2;
 /// Channels of the reference dots that are off by more than this from each other: the largest
-/// of 70 untouched captures differ by 0.056.
-pub(crate) const REFUSED_COLOUR: f64 = 0.06;
+/// of 70 untouched captures differ by 0.056, of sRGB files in 8 bits by 0.083.
+pub(crate) const REFUSED_COLOUR: f64 = 0.15;
 /// Light of a black shot over that of white where the sample lies: a projector's black has a thousandth, a bad one a fiftieth.
 pub(crate) const BRIGHTEST_BLACK: f64 = 0.1;
 /// So many pixels of the white reference that differ from their surroundings are dust; more are a pattern, or something in the way.

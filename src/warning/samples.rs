@@ -58,7 +58,7 @@ const WRITTEN: &[&str] = &[
     r#"{"warning":"channel-gains","gains":[0.5,0.25,0.375],"gain_sd":0.01}"#,
     r#"{"warning":"mirrored-slab","shot":"board"}"#,
     r#"{"warning":"pattern-remains","share":0.1,"sd":0.01}"#,
-    r#"{"warning":"lamp-drifts","level":0.875,"shots":30}"#,
+    r#"{"warning":"lamp-drifts","level":0.875,"shots":30,"to_references":false}"#,
     r#"{"warning":"lattice-colour","levels":[0.875,1.0,0.75],"sd":0.0625,"looks":"white balance"}"#,
     r#"{"warning":"lattice-light","level":1.5625,"sd":0.0625,"dot_projector_px":4,"size":5}"#,
     r#"{"warning":"lattice-light","level":0.75,"sd":0.0625,"dot_projector_px":4,"size":null}"#,

@@ -259,8 +259,8 @@ fn form(arrays: &MatrixArrays<'_>, options: &ArraysOptions) -> Result<Form> {
             ));
         }
     };
-    let form = match sides.as_slice() {
-        &[n, m] => {
+    let form = match *sides.as_slice() {
+        [n, m] => {
             if n != m {
                 return Err(refused("as many outgoing as lit points"));
             }
@@ -282,7 +282,7 @@ fn form(arrays: &MatrixArrays<'_>, options: &ArraysOptions) -> Result<Form> {
             };
             Form { points, window: [1; 2], channels, full: true }
         }
-        &[ny, nx, h, w] => {
+        [ny, nx, h, w] => {
             if options.full && [ny, nx] != [h, w] {
                 return Err(refused(
                     "[y_i, x_i, y_o, x_o] with as many outgoing as lit points, as it is said to be full",

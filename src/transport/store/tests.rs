@@ -7,7 +7,7 @@ pub(in crate::transport) fn header(points: [usize; 2], window: [usize; 2]) -> Ma
         window,
         pitch_mm: 0.5,
         lit_pitch_mm: [0.5, 0.5],
-        lit_mm: (0..rows).map(|r| [r as f64 * 0.5, 1.0]).collect(),
+        lit_mm: (0..rows).map(|r| [(r % points[0]) as f64 * 0.5, 1.0 + (r / points[0]) as f64 * 0.5]).collect(),
         position_sd_mm: vec![0.01; rows],
         shot_of: (0..rows).map(|r| (r > 0).then_some(0)).collect(),
         shots: vec![ShotRecord { name: "a".into(), drift_px: [0.1, 0.2], drift_sd_px: None }],
@@ -20,10 +20,10 @@ pub(in crate::transport) fn header(points: [usize; 2], window: [usize; 2]) -> Ma
 /// A row of which every other number was measured.
 pub(in crate::transport) fn row(header: &MatrixHeader, index: usize) -> Row {
     let n = header.row_len();
-    let measured = |k: usize, v: f32| if k % 2 == 0 { v } else { 0.0 };
+    let measured = |k: usize, v: f32| if k.is_multiple_of(2) { v } else { 0.0 };
     let response = (0..n).map(|k| measured(k, (index * n + k) as f32)).collect();
     let variance = (0..n).map(|k| measured(k, index as f32)).collect();
-    Row { response, variance, valid: (0..n).map(|k| k % 2 == 0).collect() }
+    Row { response, variance, valid: (0..n).map(|k| k.is_multiple_of(2)).collect() }
 }
 
 #[test]
@@ -82,7 +82,8 @@ fn uneven() -> MatrixHeader {
         points: [3, 2],
         window: [5, 3],
         pitch_mm: 0.25,
-        lit_pitch_mm: [0.75, 0.5],
+        // The mean distances of these places.
+        lit_pitch_mm: [3.640054944640259, 8.077747210701755],
         lit_mm: (0..6).map(|r| [10.0 + f64::from(r), -20.0 - 0.5 * f64::from(r * r)]).collect(),
         position_sd_mm: (0..6).map(|r| 0.01 * f64::from(r)).collect(),
         shot_of: [Some(1), None, Some(0), Some(1), Some(0), None].to_vec(),
@@ -243,6 +244,7 @@ fn a_number_on_disk_that_is_not_finite_is_told_with_its_place() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.rd.zarr");
     for name in ["response", "variance"] {
+        let _ = std::fs::remove_dir_all(&path);
         let writer = MatrixWriter::create(&path, uneven()).unwrap();
         let row = Row { response: vec![1.0; 45], variance: vec![1.0; 45], valid: vec![true; 45] };
         (0..6).for_each(|index| writer.put(index, &row).unwrap());
@@ -345,7 +347,7 @@ fn a_folder_that_is_no_whole_matrix_is_refused() {
     assert!(refused(&other).starts_with(&other.display().to_string()));
     after(&|_| ());
     std::fs::write(path.join("notes.txt"), "keep").unwrap();
-    assert!(refused(&path).contains("notes.txt: not replaced"));
+    assert!(refused(&path).contains(": not replaced"));
     assert!(path.join("notes.txt").is_file() && path.join("zarr.json").is_file());
 }
 
@@ -440,10 +442,10 @@ fn a_store_without_checksums_and_one_that_was_written_anew_are_read() {
         change(&mut json);
         std::fs::write(path.join(file), json.to_string()).unwrap();
     };
-    edit("zarr.json", &|group| group["attributes"]["pitch_mm"] = 0.5.into());
+    edit("zarr.json", &|group| group["attributes"]["camera_px_per_mm"] = 0.5.into());
     assert!(matches!(MatrixReader::open(&path), Err(Error::BrokenMatrix { .. })), "changed");
     unsealed(&path);
-    assert_eq!(MatrixReader::open(&path).unwrap().header().pitch_mm, 0.5);
+    assert_eq!(MatrixReader::open(&path).unwrap().header().camera_px_per_mm, Some(0.5));
 }
 
 #[test]
@@ -478,7 +480,8 @@ fn a_crop_that_another_program_made_is_read_and_is_not_replaced_and_an_array_of_
     array.store_metadata().unwrap();
     array.store_array_subset(&array.subset_all(), values).unwrap();
     let source = Array::open(from, "/dx").unwrap();
-    let values: Vec<f64> = source.retrieve_array_subset(&ArraySubset::new_with_ranges(&[1..5])).unwrap();
+    let values: Vec<f64> =
+        source.retrieve_array_subset(&ArraySubset::new_with_start_shape(vec![1], vec![4]).unwrap()).unwrap();
     let array = builder(&[4], &source, &["dx"]).build(to, "/dx").unwrap();
     array.store_metadata().unwrap();
     array.store_array_subset(&array.subset_all(), values).unwrap();
@@ -486,7 +489,7 @@ fn a_crop_that_another_program_made_is_read_and_is_not_replaced_and_an_array_of_
     assert_eq!((cropped.header().points, cropped.header().window), ([3, 2], [5, 3]));
     let (whole, part) = (MatrixReader::open(&path).unwrap().read(0..6).unwrap(), cropped.read(0..6).unwrap());
     for k in 0..whole.response.len() {
-        let expected = if k / CHANNELS % 5 == 0 { (0.0, 0) } else { (whole.response[k], whole.valid[k]) };
+        let expected = if (k / CHANNELS).is_multiple_of(5) { (0.0, 0) } else { (whole.response[k], whole.valid[k]) };
         assert_eq!((part.response[k], part.valid[k]), expected, "number {k}");
     }
     assert!(matches!(MatrixWriter::create(&crop, header.clone()), Err(Error::NotOurs { .. })));
