@@ -82,7 +82,8 @@ fn uneven() -> MatrixHeader {
         points: [3, 2],
         window: [5, 3],
         pitch_mm: 0.25,
-        lit_pitch_mm: [0.75, 0.5],
+        // Near the median distances of the places: another pitch would be that of a matrix which this one was cut out of.
+        lit_pitch_mm: [3.5, 8.0],
         lit_mm: (0..6).map(|r| [10.0 + f64::from(r), -20.0 - 0.5 * f64::from(r * r)]).collect(),
         position_sd_mm: (0..6).map(|r| 0.01 * f64::from(r)).collect(),
         shot_of: [Some(1), None, Some(0), Some(1), Some(0), None].to_vec(),
@@ -442,10 +443,10 @@ fn a_store_without_checksums_and_one_that_was_written_anew_are_read() {
         change(&mut json);
         std::fs::write(path.join(file), json.to_string()).unwrap();
     };
-    edit("zarr.json", &|group| group["attributes"]["pitch_mm"] = 0.5.into());
+    edit("zarr.json", &|group| group["attributes"]["camera_px_per_mm"] = 0.5.into());
     assert!(matches!(MatrixReader::open(&path), Err(Error::BrokenMatrix { .. })), "changed");
     unsealed(&path);
-    assert_eq!(MatrixReader::open(&path).unwrap().header().pitch_mm, 0.5);
+    assert_eq!(MatrixReader::open(&path).unwrap().header().camera_px_per_mm, Some(0.5));
 }
 
 #[test]
