@@ -419,7 +419,7 @@ fn a_matrix_that_announces_more_than_it_holds_is_refused() {
         std::fs::write(path, value.to_string()).unwrap();
     };
     let out = bench.path("m.safetensors");
-    rewrite("", &|v| v["attributes"]["note"] = serde_json::json!(1));
+    rewrite("", &|v| v["attributes"]["camera_px_per_mm"] = serde_json::json!(1.5));
     bench.fails(&["factor", matrix.to_str().unwrap(), "--out", out.to_str().unwrap()], &["attributes", "changed"]);
     // As a forger would mend it.
     rewrite("", &|v| drop(v["attributes"].as_object_mut().unwrap().remove("checksum")));

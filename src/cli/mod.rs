@@ -223,12 +223,13 @@ pub fn check_matrix_output<P: AsRef<Path>>(setting: &'static str, out: &Path, in
 /// # Errors
 /// [`Error::Setting`], [`Error::Io`].
 pub fn check_folder<P: AsRef<Path>>(setting: &'static str, out: &Path, inputs: &[P], is_matrix: bool) -> Result<()> {
+    check_apart(setting, out, inputs)?;
     let ending = ending(out);
     if FILES.contains(&ending.as_str()) || (ending == "zarr" && !is_matrix) {
         let expected = if is_matrix { "a name that ends in .rd.zarr" } else { "the name of a folder" };
         return Err(Error::Setting { setting, expected: expected.into(), found: out.display().to_string() });
     }
-    check_apart(setting, out, inputs)
+    Ok(())
 }
 
 /// What a build reads, and what an evaluation of it needs: an output may lie beside these in the capture's folder, and may not hold one of them.
