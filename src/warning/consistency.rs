@@ -545,7 +545,7 @@ super::record::catalogue!(ConsistencyWarning {
     Self::ReferenceLight { shot: name, .. } => "reference-light", Warning, Light, Told, vec![shot(name)], None;
     Self::BlackMoves { shot: name, .. } => "black-moves", Warning, Light, Told, vec![shot(name), field("noise.black_dn")], None;
     Self::MirroredSlab { shot: name } => "mirrored-slab", Warning, Registration, Accepted, vec![shot(name)], None;
-    Self::SlabElsewhere { shot: name, .. } => "slab-elsewhere", Warning, Registration, Told,
+    Self::SlabElsewhere { shot: name, .. } => "slab-elsewhere", Note, Registration, Told,
         vec![shot(name), field("board.origin_mm")], bound("offset_mm / slab.size_mm", OTHER_SIZE, "");
     Self::SlabSize { .. } => "slab-size", Warning, Registration, Told, vec![field("board.square_mm"), field("slab.size_mm")],
         bound("scale - 1", OTHER_SIZE, "");
