@@ -291,8 +291,5 @@ fn shown(scene: &Scene<'_>, results: &[ShotResult], common: &Common, lattice: &[
 
 /// The smaller distance of neighbouring lit points, mm.
 fn step_mm(scene: &Scene<'_>) -> f64 {
-    let grid = &scene.capture.manifest.grid;
-    let first = scene.nominal_mm([0, 0]);
-    let ends = [[1, 0], [0, 1]].map(|d| scene.registration.slab_from_projector.map(grid.dot_projector_px(d)));
-    ends.map(|e| (e[0] - first[0]).hypot(e[1] - first[1])).into_iter().fold(f64::INFINITY, f64::min)
+    scene.steps_mm().map(|[x, y]| x.hypot(y)).into_iter().fold(f64::INFINITY, f64::min)
 }

@@ -77,7 +77,7 @@ impl Flicker {
         if let (Some(level), Some(light)) = (&mut flicker.level, &mut flicker.light)
             && level.drift.is_some_and(|drift| light.fits_later(drift))
         {
-            level.anchor(light.mean(), light.sd);
+            level.anchor(light.mean(), light.sd / light.mean());
             *light = light.anchored();
             flicker.anchored = true;
         }

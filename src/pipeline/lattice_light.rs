@@ -6,7 +6,7 @@
 
 use super::BuildOptions;
 use super::reference_dots::Level;
-use super::scene::{Scene, part, square};
+use super::scene::{Scene, square};
 use crate::geometry::Point;
 use crate::radiance::Radiance;
 use crate::registration::{Registration, median, scaled_deviation};
@@ -40,7 +40,7 @@ pub(super) fn frame_shares(
     let size_px = [sample_black.rect.width, sample_black.rect.height];
     let share = |&at: &Point| {
         let rect = square(at, reach_px, size_px)?;
-        let [frame, white] = [sample_black, reference_black].map(|p| level(&part(p, rect)));
+        let [frame, white] = [sample_black, reference_black].map(|p| level(&p.part(rect)));
         let (frame, white) = (frame?, white?);
         Some([0, 1, 2].map(|c| frame[c] / white[c]))
     };

@@ -46,7 +46,7 @@ pub(super) fn judge(
     rows: &impl RowSink,
     options: &BuildOptions,
 ) -> Result<Vec<Warning>> {
-    let pairs = Pairs::of(scene, results);
+    let pairs = Compared::of(scene, results);
     let seen = pairs.look(scene, rows)?;
     let mut warnings: Vec<Warning> = pairs.lag(&seen).map(|f| options.refuse(f)).transpose()?.into_iter().collect();
     warnings.extend(pairs.levels(&seen).map(|off| {
@@ -79,7 +79,7 @@ struct Lit {
 }
 
 /// The rows that are compared with each other.
-struct Pairs {
+struct Compared {
     lit: Vec<Option<Lit>>,
     /// Rows whose places each row is asked for.
     asked: Vec<Vec<usize>>,
@@ -99,7 +99,7 @@ struct Seen {
     there: Vec<(usize, [Light; 2])>,
 }
 
-impl Pairs {
+impl Compared {
     fn of(scene: &Scene<'_>, results: &[ShotResult]) -> Self {
         let manifest = &scene.capture.manifest;
         let [nx, ny] = manifest.grid.points;
@@ -268,14 +268,10 @@ fn of(seen: &Seen, k: usize) -> Option<[Light; 2]> {
     seen.there.iter().find(|(j, _)| *j == k).map(|(_, light)| *light)
 }
 
-/// Steps of the grid, in eight directions, to the nearest point that is beyond a dot's edge and to the farthest in the window.
+/// Steps of the grid, in eight directions, to the nearest point that is beyond a dot's edge, to the farthest in the window, and half way.
 fn steps(scene: &Scene<'_>) -> Vec<[isize; 2]> {
     let window = &scene.capture.manifest.window;
-    let first = scene.nominal_mm([0, 0]);
-    let step_mm = [[1, 0], [0, 1]].map(|d| {
-        let p = scene.registration.slab_from_projector.map(scene.capture.manifest.grid.dot_projector_px(d));
-        [p[0] - first[0], p[1] - first[1]]
-    });
+    let step_mm = scene.steps_mm();
     let least_mm = LEAST_RADII * scene.dot_radius_px() / scene.px_per_mm;
     let mut steps = Vec::new();
     for [dx, dy] in [[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]] {
@@ -299,7 +295,7 @@ fn inside(window: &Window, center_mm: Point, at_mm: Point) -> bool {
     (0..2).all(|a| (at_mm[a] - center_mm[a]).abs() <= 0.5 * window.samples[a] as f64 * window.pitch_mm)
 }
 
-/// Light of a row in a place: the mean of the channels, linear between cells. `None` outside and beside cells that were not measured.
+/// Light of a row in a place: the sum of the channels, linear between cells. `None` outside and beside cells that were not measured.
 fn light_at(row: &Row, window: &Window, center_mm: Point, at_mm: Point) -> Option<Light> {
     let [nx, ny] = window.samples;
     let u: Point = std::array::from_fn(|a| {
@@ -331,19 +327,19 @@ fn light_at(row: &Row, window: &Window, center_mm: Point, at_mm: Point) -> Optio
 mod tests {
     use super::*;
 
-    /// Seven by five points, one a shot, each asked for the five nearest on either side; light falls off as exp(−distance), drift as given.
-    fn pairs() -> Pairs {
+    /// Seven by five points, one a shot, each asked for those within 3.5 mm.
+    fn pairs() -> Compared {
         let [nx, ny] = [7, 5];
         let at = |k: usize| [(k % nx) as f64, 1.2 * (k / nx) as f64];
         let lit = (0..nx * ny).map(|k| Some(Lit { shot: k, at_mm: at(k) })).collect();
         let far = |a: usize, b: usize| (at(a)[0] - at(b)[0]).hypot(at(a)[1] - at(b)[1]);
         let asked = (0..nx * ny).map(|k| (0..nx * ny).filter(|&j| j != k && far(k, j) < 3.5).collect()).collect();
         let lag = (1..nx * ny).map(|k| [k, k - 1]).filter(|[a, b]| far(*a, *b) < 3.5).collect();
-        Pairs { lit, asked, lag, shots: nx * ny, columns: nx, offset_mm: [0.0; 2] }
+        Compared { lit, asked, lag, shots: nx * ny, columns: nx, offset_mm: [0.0; 2] }
     }
 
-    /// What rows say, each times its level; `place` changes what row k has in the place of row j.
-    fn seen(pairs: &Pairs, place: impl Fn(usize, usize) -> f64) -> Vec<Seen> {
+    /// What rows say: exp(−distance), times what `place` says of row k in the place of row j.
+    fn seen(pairs: &Compared, place: impl Fn(usize, usize) -> f64) -> Vec<Seen> {
         let at = |k: usize| pairs.lit[k].unwrap().at_mm;
         let light = |k: usize, j: usize| {
             let d = [at(j)[0] - at(k)[0], at(j)[1] - at(k)[1]];

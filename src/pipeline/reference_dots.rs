@@ -70,10 +70,9 @@ impl Level {
             return None;
         }
         // A lamp that warms up or steps: the references were taken beside the first shots.
-        let third = found.len() / 3;
-        let level_of = |shots: &[(f64, f64)]| median(&mut shots.iter().map(|f| f.0).collect::<Vec<_>>());
-        let (first, last) = (level_of(&found[..third.max(1)]), level_of(&found[found.len() - third.max(1)..]));
-        let (rough, steady) = (change_within(&found.iter().map(|f| f.0).collect::<Vec<_>>()), 1.0 + first);
+        let levels: Vec<f64> = found.iter().map(|f| f.0).collect();
+        let [first, last] = ends(&levels);
+        let (rough, steady) = (change_within(&levels), 1.0 + first);
         if is_steady && (last - first).abs() > LEAST_LAMP.max(LAMP_SIGMA * rough) && steady > 0.0 {
             level.mean.iter_mut().flatten().for_each(|m| *m *= steady);
             // All that shots differ by is the lamp's.
@@ -99,10 +98,11 @@ impl Level {
         &self.mean
     }
 
-    /// From now on levels are over a light that is `level` times the mean, known to a relative standard deviation of `sd`.
-    pub(super) fn anchor(&mut self, level: f64, sd: f64) {
-        self.mean.iter_mut().flatten().for_each(|m| *m *= level);
-        self.mean_variance += sd * sd;
+    /// From now on levels are over the light that the references say, of which the mean is `level` times, known to a relative standard
+    /// deviation of `relative_sd`.
+    pub(super) fn anchor(&mut self, level: f64, relative_sd: f64) {
+        self.mean.iter_mut().flatten().for_each(|m| *m /= level);
+        self.mean_variance += relative_sd * relative_sd;
     }
 
     /// A shot's light over the mean less one, and its variance; dots that the others contradict do not count.
@@ -186,12 +186,8 @@ impl SeenDots {
     pub(super) fn are_steady(shots: &[Self]) -> bool {
         let steady = |of: &dyn Fn(&Self) -> Option<f64>, least: f64| {
             let all: Vec<f64> = shots.iter().filter_map(of).collect();
-            let third = (all.len() / 3).max(1);
-            if all.len() < 4 {
-                return true;
-            }
-            let [first, last] = [&all[..third], &all[all.len() - third..]].map(|part| median(&mut part.to_vec()));
-            (last / first - 1.0).abs() < least.max(LAMP_SIGMA * change_within(&all) / first)
+            let [first, last] = ends(&all);
+            all.len() < 4 || (last / first - 1.0).abs() < least.max(LAMP_SIGMA * change_within(&all) / first)
         };
         steady(&|s| s.spread_px2, WIDER) && steady(&|s| s.scale, LEAST_SCALE)
     }
@@ -201,6 +197,12 @@ impl SeenDots {
 pub(super) const WIDER: f64 = 0.2;
 /// Dots that are farther apart by this share are seen through another zoom: far beyond what centroids of dots some ten pixels apart say.
 pub(super) const LEAST_SCALE: f64 = 0.003;
+
+/// Medians of the first and of the last third of a sweep; 0 for none.
+pub(super) fn ends(values: &[f64]) -> [f64; 2] {
+    let third = (values.len() / 3).max(1).min(values.len());
+    [&values[..third], &values[values.len() - third..]].map(|part| median(&mut part.to_vec()))
+}
 
 /// How far values differ from the one before, as a standard deviation of each: what a slow change does not make.
 pub(super) fn change_within(values: &[f64]) -> f64 {
@@ -299,6 +301,17 @@ mod tests {
         // A light without any noise does not rule alone for ever: 1e-12 of itself is left to it.
         let (_, variance) = level.measured(&vec![Some([100.0, 0.0]), None, None, None]).unwrap();
         assert!((variance - 1e-12).abs() < 1e-18);
+    }
+
+    #[test]
+    fn an_anchored_level_is_over_the_light_of_the_references() {
+        let mut level = Level::of(&[0.0, 0.01, -0.01, 0.0].map(|l| light(l, 5e-5)), true).unwrap();
+        let before = level.mean_variance;
+        // The dots of these shots have four fifths of the light that the references say: a quarter more is as these have it.
+        level.anchor(0.8, 0.01);
+        assert!(level.measured(&light(0.25, 5e-5)).unwrap().0.abs() < 1e-9);
+        assert!((level.measured(&light(0.0, 5e-5)).unwrap().0 + 0.2).abs() < 1e-9);
+        assert!((level.mean_variance - before - 1e-4).abs() < 1e-12);
     }
 
     #[test]
