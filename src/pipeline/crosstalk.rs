@@ -43,6 +43,12 @@ impl CrossTalk {
     }
 }
 
+/// The smallest distance of dots, samples, where the light of one can be in another's window.
+pub(super) fn overlap_samples(scene: &Scene<'_>) -> Option<f64> {
+    let window = &scene.capture.manifest.window;
+    scene.smallest_spacing().filter(|spacing| spacing * window.pitch_mm <= reach_mm(window))
+}
+
 /// Leaves in each row the light of its own dot. `None` when no dot's light can reach another's window, or no row holds any.
 pub(super) fn separate(
     scene: &Scene<'_>,
@@ -51,10 +57,7 @@ pub(super) fn separate(
     progress: &Progress,
 ) -> Result<Option<CrossTalk>> {
     let manifest = &scene.capture.manifest;
-    let Some(spacing_samples) = scene.smallest_spacing() else { return Ok(None) };
-    if spacing_samples * manifest.window.pitch_mm > reach_mm(&manifest.window) {
-        return Ok(None);
-    }
+    let Some(spacing_samples) = overlap_samples(scene) else { return Ok(None) };
     let stage = progress.stage("separate", results.len());
     let rows_of = |result: &ShotResult| -> Result<Vec<LitRow>> {
         let row = |lit: &super::lattice::LitPoint| {

@@ -281,7 +281,9 @@ fn build_rows(
         true => None,
         false => crosstalk::separate(&scene, &mut shots, rows, progress)?,
     };
-    if seen.is_empty() {
+    // Rows that hold the light of other dots say nothing of each other's places.
+    let mixed = options.keep_crosstalk && crosstalk::overlap_samples(&scene).is_some();
+    if seen.is_empty() && !mixed {
         seen = reciprocity::judge(&scene, &shots, rows, options)?;
     }
     let stages = Stages { before, registered: &registered, light: &light };
