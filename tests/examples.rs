@@ -217,7 +217,9 @@ fn run(folder: &Path, words: &[String]) -> Output {
 fn make_room(folder: &Path, words: &[String]) {
     let after = |option: &str| words.iter().position(|w| w == option).and_then(|k| words.get(k + 1));
     let simulated = words.get(1).filter(|_| words[0] == "simulate");
-    for name in [after("--out"), after("-o"), simulated].into_iter().flatten() {
+    // The default name.
+    let factored = words.get(1).filter(|_| words[0] == "factor").map(|m| m.replace(".rd.zarr", ".safetensors"));
+    for name in [after("--out"), after("-o"), simulated, factored.as_ref()].into_iter().flatten() {
         let path = folder.join(name);
         let _ = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
     }
