@@ -354,6 +354,15 @@ impl Error {
     pub fn is_internal(&self) -> bool {
         matches!(self, Self::Internal { .. })
     }
+
+    /// Whether the system ended the work, which is to be done again as it was: a full disk, a file that cannot be read.
+    pub(crate) fn is_of_system(&self) -> bool {
+        match self {
+            Self::Io { .. } => true,
+            Self::Explained { error, .. } => error.is_of_system(),
+            _ => false,
+        }
+    }
 }
 
 /// A number as a person would write it: huge and tiny ones with an exponent.

@@ -1,7 +1,7 @@
 pub(super) use super::options::Build as Options;
 
 use super::Context;
-use crate::pipeline::{BuildReport, build_matrix};
+use crate::pipeline::{BuildReport, TakenOver, build_matrix};
 use crate::words::count;
 use crate::{Error, Result, Warning};
 use std::path::{Path, PathBuf};
@@ -46,6 +46,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     }
     let report = built?;
     context.tell(&report.warnings);
+    taken_over(&report).into_iter().for_each(|line| context.done(line));
     context.done(summary(&report));
     let stages: Vec<_> = context.progress.timings().iter().map(|t| format!("{} {:.2} s", t.stage, t.secs)).collect();
     context.done(stages.join(", "));
@@ -68,6 +69,16 @@ fn json(built: &Result<BuildReport>, capture: &Path, out: &Path) -> Result<Strin
         }
     };
     serde_json::to_string_pretty(&object).map_err(Error::internal)
+}
+
+/// What a stopped run had measured.
+pub(super) fn taken_over(report: &BuildReport) -> Option<String> {
+    let TakenOver { shots, of, anew } = report.taken_over;
+    match (shots, anew) {
+        (_, true) => Some("a stopped run had begun with other photographs, options or version: all was measured anew".into()),
+        (0, false) => None,
+        _ => Some(format!("{shots} of {} were measured by a stopped run, and taken over", count(of, "lattice shot"))),
+    }
 }
 
 /// One line that says what was measured.

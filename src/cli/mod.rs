@@ -122,12 +122,19 @@ pub fn main() -> ExitCode {
     for path in crate::output::take_removed().iter().filter(|_| !quiet) {
         message(format_args!("note: removed {}, which a stopped run had left", path.display()));
     }
+    let kept = crate::output::take_kept();
     match done.unwrap_or_else(|_| Err(Error::internal("the program panicked"))) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             message(format_args!("error: {}", messages::text(&error)));
             if let Some(hint) = messages::hint(&error) {
                 message(format_args!("hint: {hint}"));
+            }
+            for path in kept {
+                message(format_args!(
+                    "kept: what was finished, in {}; the same command goes on from there, `acquire clean` removes it",
+                    path.display()
+                ));
             }
             ExitCode::from(if error.is_internal() { 2 } else { 1 })
         }

@@ -58,6 +58,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
 
     let build = build_matrix(&args.capture, &build_options, &folder.join(MATRIX), &context.progress)?;
     context.tell(&build.warnings);
+    super::build_matrix::taken_over(&build).into_iter().for_each(|line| context.done(line));
     context.done(super::build_matrix::summary(&build));
 
     let made = from_matrix(&args, &factoring, &title, &build, &folder, context);

@@ -2,6 +2,7 @@
 
 use super::scratch::{LOCK, OLD, PREFIX};
 use super::signals::remove;
+use super::work_log;
 use crate::{Error, Result};
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -10,7 +11,11 @@ use std::sync::Mutex;
 /// What was removed on the way of this process, and not told yet.
 static REMOVED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// Removes what stopped runs have left in `folder`; of `deep`, in the folders in it, too. Returns what was removed.
+/// Folders with work for a next run that this process has left, and not told yet.
+static KEPT: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// Removes what stopped runs have left in `folder`; of `deep`, in the folders in it, too, and with the work that they had finished. Returns what was
+/// removed.
 ///
 /// A scratch folder is a stopped run's when its lock is ours and nobody holds it; any other file or folder stays, whatever its name.
 ///
@@ -26,7 +31,8 @@ pub(crate) fn remove_leftovers(folder: &Path, deep: bool) -> Result<Vec<PathBuf>
             continue;
         }
         if is_scratch_name(&entry.file_name().to_string_lossy()) {
-            if remove_if_dead(&path) {
+            // Hours of work may be in it: only who asks for it removes that.
+            if (deep || !work_log::has_work(&path)) && remove_if_dead(&path) {
                 removed.push(path);
             }
         } else if deep {
@@ -48,33 +54,69 @@ pub(crate) fn take_removed() -> Vec<PathBuf> {
     std::mem::take(&mut REMOVED.lock().unwrap_or_else(std::sync::PoisonError::into_inner))
 }
 
+/// A folder stays for a next run.
+pub(super) fn remember_kept(folder: &Path) {
+    KEPT.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push(folder.to_path_buf());
+}
+
+/// What stays for a next run, since this was asked last.
+pub(crate) fn take_kept() -> Vec<PathBuf> {
+    std::mem::take(&mut KEPT.lock().unwrap_or_else(std::sync::PoisonError::into_inner))
+}
+
 fn is_scratch_name(name: &str) -> bool {
     name.strip_prefix(PREFIX).is_some_and(|end| end.len() == 6 && end.bytes().all(|b| b.is_ascii_alphanumeric()))
 }
 
-/// Removes the scratch folder of a run that is no more; says whether it was one.
-fn remove_if_dead(folder: &Path) -> bool {
-    #[derive(serde::Deserialize)]
-    struct Lock {
-        program: String,
-        #[serde(rename = "for")]
-        name: Option<String>,
-    }
+/// The scratch folder of a stopped run for `target` that had finished some work, and its lock, which is ours now.
+pub(super) fn with_work(parent: &Path, target: &Path) -> Option<(PathBuf, File)> {
+    let mut folders: Vec<PathBuf> = std::fs::read_dir(parent).ok()?.flatten().map(|entry| entry.path()).collect();
+    folders.retain(|f| f.file_name().is_some_and(|name| is_scratch_name(&name.to_string_lossy())));
+    folders.sort();
+    folders.into_iter().find_map(|folder| {
+        let Some((file, Some(lock))) = dead(&folder) else { return None };
+        let same = lock.name.is_some() && lock.name.as_deref() == target.file_name().and_then(|n| n.to_str());
+        if !same || !work_log::has_work(&folder) {
+            return None;
+        }
+        put_back(&folder, lock.name);
+        Some((folder, file))
+    })
+}
+
+/// What a lock says.
+#[derive(serde::Deserialize)]
+struct Lock {
+    program: String,
+    #[serde(rename = "for")]
+    name: Option<String>,
+}
+
+/// The lock of a run that is no more, which is held from now on, and what it says where that is ours.
+fn dead(folder: &Path) -> Option<(File, Option<Lock>)> {
     let path = folder.join(LOCK);
-    let Ok(file) = File::open(&path) else {
-        // Killed between the two: an empty folder holds nothing of anybody's.
-        return std::fs::remove_dir(folder).is_ok();
-    };
+    let file = File::open(&path).ok()?;
     if !path.symlink_metadata().is_ok_and(|kind| kind.is_file() && kind.len() < 1 << 16) || file.try_lock().is_err() {
-        return false;
+        return None;
     }
     let text = std::fs::read_to_string(&path).unwrap_or_default();
-    let lock = serde_json::from_str::<Lock>(&text).ok().filter(|lock| lock.program.starts_with("acquire "));
-    match lock {
-        Some(Lock { name, .. }) => put_back(folder, name),
+    match serde_json::from_str::<Lock>(&text).ok().filter(|lock| lock.program.starts_with("acquire ")) {
+        Some(lock) => Some((file, Some(lock))),
         // Killed before a word was written, or not ours.
-        None if !text.is_empty() || std::fs::read_dir(folder).is_ok_and(|all| all.count() > 1) => return false,
-        None => {}
+        None if !text.is_empty() || std::fs::read_dir(folder).is_ok_and(|all| all.count() > 1) => None,
+        None => Some((file, None)),
+    }
+}
+
+/// Removes the scratch folder of a run that is no more; says whether it was one.
+fn remove_if_dead(folder: &Path) -> bool {
+    if folder.join(LOCK).symlink_metadata().is_err() {
+        // Killed between the two: an empty folder holds nothing of anybody's.
+        return std::fs::remove_dir(folder).is_ok();
+    }
+    let Some((_held, lock)) = dead(folder) else { return false };
+    if let Some(Lock { name, .. }) = lock {
+        put_back(folder, name);
     }
     remove(folder);
     !folder.exists()

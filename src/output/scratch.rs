@@ -2,10 +2,12 @@
 
 use super::leftovers;
 use super::signals::{Unfinished, remove};
+use super::work_log;
 use crate::{Error, Result};
 use std::fs::{File, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// What the names of all scratch folders begin with; six letters or digits follow.
 pub(super) const PREFIX: &str = ".acquire-new-";
@@ -20,13 +22,15 @@ pub(super) const OLD: &str = "old";
 #[derive(Debug)]
 pub(crate) struct ScratchFolder {
     path: PathBuf,
+    kept: AtomicBool,
     // Dropped after the folder is gone: between the two a signal finds it gone, not forgotten.
     _unfinished: Unfinished,
     _lock: File,
 }
 
 impl ScratchFolder {
-    /// Makes a folder in `parent`, after removing those that stopped runs have left there; errors name `target`, the output that it is for.
+    /// Makes a folder in `parent`, after removing those that stopped runs have left there without finished work; errors name `target`, the output that
+    /// it is for.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -38,9 +42,31 @@ impl ScratchFolder {
             // A run that cleans up may find it before it is locked; then another is made.
             let Some(lock) = claim(folder.path(), target).map_err(failed)? else { continue };
             let path = folder.keep();
-            let _unfinished = Unfinished::new(&path);
-            return Ok(Self { path, _unfinished, _lock: lock });
+            return Ok(Self::of(path, lock));
         }
+    }
+
+    /// Takes over the folder of a stopped run for the same output that had finished some work, with all that is in it; makes one where there is none.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub(crate) fn go_on(parent: &Path, target: &Path) -> Result<Self> {
+        match leftovers::with_work(parent, target) {
+            Some((path, lock)) => Ok(Self::of(path, lock)),
+            None => Self::new(parent, target),
+        }
+    }
+
+    fn of(path: PathBuf, lock: File) -> Self {
+        let _unfinished = Unfinished::new(&path);
+        Self { path, kept: AtomicBool::new(false), _unfinished, _lock: lock }
+    }
+
+    /// From now on the folder stays when it is dropped, if it has finished work for a next run; says whether it has.
+    pub(crate) fn keep_work(&self) -> bool {
+        let has = work_log::has_work(&self.path);
+        self.kept.store(has, Ordering::Relaxed);
+        has
     }
 
     /// Where it is.
@@ -56,7 +82,10 @@ impl ScratchFolder {
 
 impl Drop for ScratchFolder {
     fn drop(&mut self) {
-        remove(&self.path);
+        match self.kept.load(Ordering::Relaxed) {
+            true => leftovers::remember_kept(&self.path),
+            false => remove(&self.path),
+        }
     }
 }
 

@@ -73,7 +73,7 @@ pub(super) fn separate(
             let mut measured = rows_of(result)?;
             let found = model.separate(&mut measured, &manifest.window);
             for (lit, separated) in result.lit.iter_mut().zip(&measured) {
-                rows.put(manifest.grid.row_index(lit.dot), &separated.row)?;
+                rows.replace(manifest.grid.row_index(lit.dot), &separated.row)?;
                 lit.albedo = albedo(&separated.row, &manifest.window);
             }
             stage.advance(1);

@@ -14,7 +14,7 @@ use crate::warning::bounds::REFUSED_PROJECTOR_PX;
 use crate::{ConsistencyWarning, Result, Warning};
 
 /// Where a dot of the sample was seen.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) enum DotSeen {
     /// Its core was found, this far (mm) from where pattern, registration and drift put it.
     At { off_mm: Point },

@@ -3,6 +3,7 @@
 use super::lattice::{LightCorrections, ShotResult};
 use super::reference_dots::{LEAST_SCALE, WIDER, change_within, ends};
 use super::register::Registered;
+use super::resume::TakenOver;
 use super::scene::Scene;
 use super::{Before, BuildReport, BuildSecs, CrossTalk, Overview};
 use crate::capture::{Manifest, Pattern};
@@ -119,6 +120,7 @@ pub(super) fn summarize(
         window: header.window,
         overview: overview(scene, &header)?,
         secs,
+        taken_over: TakenOver::default(),
     };
     Ok((header, report))
 }

@@ -22,6 +22,7 @@ mod reference_dots;
 mod references;
 mod register;
 mod resolution;
+mod resume;
 mod scene;
 mod sink;
 mod strangers;
@@ -41,6 +42,7 @@ use flicker::Flicker;
 use lattice::LightCorrections;
 use photographs::Photographs;
 pub use resolution::{Resolution, Working};
+pub use resume::TakenOver;
 use scene::Scene;
 use sink::{HeldRows, RowSink};
 use std::path::{Path, PathBuf};
@@ -108,6 +110,8 @@ pub struct BuildReport {
     pub overview: Overview,
     /// What it took.
     pub secs: BuildSecs,
+    /// What a stopped run had measured of it.
+    pub taken_over: TakenOver,
 }
 
 /// Seconds that a build took, reading the capture and writing the matrix left out.
@@ -142,7 +146,9 @@ pub struct Overview {
 
 /// Builds the matrix of the capture in `dir` and writes it to `out` (see [`MatrixWriter`]).
 ///
-/// Streams: besides the ambient and white pictures one shot per thread is in memory.
+/// Streams: besides the ambient and white pictures one shot per thread is in memory. Shots that an earlier run for the same `out` has measured, which was
+/// killed or ended by [`crate::Error::Io`], are not measured again where their photographs and all that they are measured against are the same; the result
+/// is that of an undisturbed run.
 ///
 /// # Errors
 /// Those of [`Capture::open`], of decoding and registration; [`crate::Error::DotOutsideSlab`], [`crate::Error::DotSaturated`]; [`crate::Error::Io`] for `out`.
@@ -154,8 +160,12 @@ pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &P
         stage.advance(1);
         capture
     };
-    let mut rows = MatrixWriter::create(out, unmeasured(&capture.manifest))?;
-    let (mut header, mut report) = measure(&capture, options, &rows, progress)?;
+    let mut rows = MatrixWriter::go_on(out, unmeasured(&capture.manifest))?;
+    let measured = measure(&capture, options, &rows, progress);
+    if measured.as_ref().is_err_and(Error::is_of_system) {
+        rows.keep_work();
+    }
+    let (mut header, mut report) = measured?;
     let stage = progress.stage("write", 1);
     // Here, so that neither a check nor a capture that cannot be built replaces an earlier curve.
     let not_saved = radiometry::save_curve(&capture, &report.sensor).map(Warning::from);
@@ -271,7 +281,8 @@ fn build_rows(
     let movements = Movements::prepare(&scene)?;
     let slab = movements.slab(&scene);
     let prepared = Instant::now();
-    let mut shots = lattice::extract(&scene, &light, &movements, &dots_seen::DotSearch::new(&scene)?, rows, progress)?;
+    let search = dots_seen::DotSearch::new(&scene)?;
+    let (mut shots, taken_over) = lattice::extract(&scene, &light, &movements, &search, rows, progress)?;
     let mut seen = dots_seen::judge(&scene, &shots, options)?;
     seen.extend(lattice_light);
     seen.extend(slab.into_iter().map(Warning::from));
@@ -289,6 +300,7 @@ fn build_rows(
     let stages = Stages { before, registered: &registered, light: &light };
     let secs = BuildSecs { once: (prepared - before.start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
     let (mut header, mut report) = findings::summarize(&scene, &stages, &shots, crosstalk, secs)?;
+    report.taken_over = taken_over;
     tell(&mut header, &mut report, seen);
     Ok((header, report))
 }

@@ -23,7 +23,7 @@ pub(super) struct Level {
 pub(super) type DotLight = Vec<Option<[f64; 2]>>;
 
 /// What the reference dots of a shot show besides the lamp's level.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct DotsShow {
     /// How many of them have another light than the others say.
     pub strange: usize,

@@ -8,6 +8,7 @@ mod open;
 mod positioned;
 mod row_array;
 pub mod rows;
+mod scratch_rows;
 mod store;
 
 /// R, G, B.

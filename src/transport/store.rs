@@ -16,14 +16,14 @@
 use super::checksum::{self, Checksums};
 use super::open::{self, Opened};
 use super::row_array::{RowArray, RowLayout};
-use super::{CHANNELS, earlier, positioned};
-use crate::output::{ScratchFolder, put};
+use super::scratch_rows::ScratchRows;
+use super::{CHANNELS, earlier};
+use crate::output::{Earlier, ScratchFolder, WorkLog, put};
 use crate::{Error, FindingRecord, Result, Warning, geometry::Point};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use zarrs::array::codec::{Crc32cCodec, ZstdCodec};
 use zarrs::array::{Array, ArrayBuilder, ArraySubset, ChunkKeySeparator, data_type};
 use zarrs::filesystem::FilesystemStore;
@@ -191,15 +191,14 @@ pub struct RowBlock {
 
 /// Writes a matrix. Rows come in any order from any thread; nothing appears under the final name before [`Self::finish`].
 ///
-/// A lattice shot lights points all over the slab, so rows wait uncompressed in a scratch file until all of a chunk are there.
+/// Rows wait uncompressed in a scratch file until all of a chunk are there.
 #[derive(Debug)]
 pub struct MatrixWriter {
     path: PathBuf,
     header: MatrixHeader,
     folder: ScratchFolder,
     replaces: bool,
-    scratch: File,
-    written: Mutex<Vec<bool>>,
+    rows: ScratchRows,
 }
 
 impl MatrixWriter {
@@ -209,6 +208,19 @@ impl MatrixWriter {
     /// [`Error::Io`] when the folder of `path` cannot be written; [`Error::NotOurs`], [`Error::Changed`] when something other than a matrix of this
     /// program is at `path`.
     pub fn create(path: &Path, header: MatrixHeader) -> Result<Self> {
+        Self::new(path, header, ScratchFolder::new)
+    }
+
+    /// [`Self::create`], with what a stopped run for the same `path` had finished.
+    pub(crate) fn go_on(path: &Path, header: MatrixHeader) -> Result<Self> {
+        Self::new(path, header, ScratchFolder::go_on)
+    }
+
+    fn new(
+        path: &Path,
+        header: MatrixHeader,
+        scratch: impl FnOnce(&Path, &Path) -> Result<ScratchFolder>,
+    ) -> Result<Self> {
         if path.to_str().is_none() {
             // The Zarr crate could not read it back.
             let reason = "the path of a matrix must be UTF-8";
@@ -218,10 +230,9 @@ impl MatrixWriter {
         // Where a link leads: it stays.
         let path = &if replaces { path.canonicalize().map_err(Error::io("create", path))? } else { path.to_path_buf() };
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let folder = ScratchFolder::new(parent, path)?;
-        let scratch = tempfile::tempfile_in(folder.path()).map_err(Error::io("create", path))?;
-        let written = Mutex::new(vec![false; header.rows()]);
-        Ok(Self { path: path.clone(), header, folder, replaces, scratch, written })
+        let folder = scratch(parent, path)?;
+        let rows = ScratchRows::new(&folder, header.rows(), header.row_len()).map_err(Error::io("create", path))?;
+        Ok(Self { path: path.clone(), header, folder, replaces, rows })
     }
 
     /// What will be written besides the rows.
@@ -239,22 +250,15 @@ impl MatrixWriter {
     /// # Errors
     /// [`Error::Io`]; [`Error::Internal`] when the row has another length than the header says, or a value is not finite.
     pub fn put(&self, index: usize, row: &Row) -> Result<()> {
-        let n = self.header.row_len();
-        if index >= self.header.rows() || [row.response.len(), row.variance.len(), row.valid.len()] != [n; 3] {
-            return Err(Error::internal(format_args!("row {index} does not fit the matrix")));
-        }
-        let mut bytes = Vec::with_capacity(n * 9);
-        for value in row.response.iter().chain(&row.variance) {
-            if !value.is_finite() {
-                return Err(Error::internal(format_args!("row {index} holds {value}")));
-            }
-            bytes.extend_from_slice(&value.to_le_bytes());
-        }
-        bytes.extend(row.valid.iter().map(|&v| u8::from(v)));
-        positioned::write_all_at(&self.scratch, &bytes, (index * n * 9) as u64)
-            .map_err(Error::io("write", &self.path))?;
-        self.written.lock().map_err(Error::internal)?[index] = true;
-        Ok(())
+        self.rows.put(index, row, false, &self.path)
+    }
+
+    /// Stores row `index` in the place of the one that was put, which a later run can still take over.
+    ///
+    /// # Errors
+    /// Those of [`Self::put`].
+    pub(crate) fn replace(&self, index: usize, row: &Row) -> Result<()> {
+        self.rows.put(index, row, true, &self.path)
     }
 
     /// The row that was put last at `index`.
@@ -262,16 +266,26 @@ impl MatrixWriter {
     /// # Errors
     /// [`Error::Io`]; [`Error::Internal`] when there is none.
     pub fn row(&self, index: usize) -> Result<Row> {
-        let written = self.written.lock().map_err(Error::internal)?.get(index).copied();
-        if written != Some(true) {
-            return Err(Error::internal(format_args!("row {index} has not been put")));
-        }
-        let block = self.read_scratch(index..index + 1, |_| true).map_err(Error::io("read", &self.path))?;
-        Ok(Row {
-            response: block.response,
-            variance: block.variance,
-            valid: block.valid.into_iter().map(|v| v != 0).collect(),
-        })
+        self.rows.row(index, &self.path)
+    }
+
+    /// Takes the rows of a stopped run for its own if together they have this BLAKE3; says whether they have.
+    pub(crate) fn adopt(&self, indices: &[usize], hash: &blake3::Hash) -> bool {
+        self.rows.adopt(indices, hash)
+    }
+
+    /// What the stopped run had finished that this one goes on from ([`Self::go_on`]), if it worked on the same `key`; what is added from now on is
+    /// there for a next run.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub(crate) fn earlier<T: serde::de::DeserializeOwned>(&self, key: &str) -> Result<(WorkLog, Earlier<T>)> {
+        WorkLog::open(&self.folder, key)
+    }
+
+    /// From now on what was finished stays for a next run, whatever becomes of this one; says whether there is any.
+    pub(crate) fn keep_work(&self) -> bool {
+        self.folder.keep_work()
     }
 
     /// Writes the store and renames it into place. Rows never put are invalid throughout.
@@ -280,9 +294,22 @@ impl MatrixWriter {
     /// [`Error::Io`]; [`Error::Internal`] when the header holds what [`MatrixReader::open`] would refuse.
     pub fn finish(self) -> Result<()> {
         self.header.check().and_then(|()| self.header.check_places()).map_err(Error::internal)?;
-        let written = self.written.lock().map_err(Error::internal)?.clone();
+        let done = self.write();
+        // A full disk, say: the rows need not be measured again.
+        if done.as_ref().is_err_and(Error::is_of_system) && self.keep_work() {
+            let _ = std::fs::remove_dir_all(self.folder.new_path());
+        }
+        done
+    }
+
+    fn write(&self) -> Result<()> {
         let store_path = self.folder.new_path();
-        self.write_store(&store_path, &written).map_err(|e| e.to_string()).map_err(|reason| Error::Io {
+        // Half of one that a stopped run has left.
+        match std::fs::remove_dir_all(&store_path) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(Error::io("write", &self.path)(e)),
+            _ => {}
+        }
+        self.write_store(&store_path).map_err(|e| e.to_string()).map_err(|reason| Error::Io {
             path: self.path.clone(),
             action: "write",
             source: std::io::Error::new(kind_of(&reason), reason),
@@ -291,7 +318,7 @@ impl MatrixWriter {
         put(&self.folder, &self.path, self.replaces).map_err(Error::io("write", &self.path))
     }
 
-    fn write_store(&self, store_path: &Path, written: &[bool]) -> Result<(), BoxedError> {
+    fn write_store(&self, store_path: &Path) -> Result<(), BoxedError> {
         let header = &self.header;
         let store = Arc::new(FilesystemStore::new(store_path)?);
         let mut attributes = serde_json::Map::new();
@@ -315,7 +342,7 @@ impl MatrixWriter {
         }
         let chunks: Vec<_> = chunks(header).collect();
         chunks.into_par_iter().try_for_each(|rows| {
-            let mut block = self.read_scratch(rows.clone(), |row| written[row])?;
+            let mut block = self.rows.block(rows.clone())?;
             let not = block.valid.iter().enumerate().filter(|(_, v)| **v == 0).map(|(k, _)| k);
             not.for_each(|k| (block.response[k], block.variance[k]) = (f32::NAN, f32::NAN));
             let subset = subset(header, rows);
@@ -328,23 +355,6 @@ impl MatrixWriter {
         attributes.insert(checksum::GROUP.into(), checksum::seal(store_path, &attributes)?);
         zarrs::group::GroupBuilder::new().attributes(attributes).build(store, "/")?.store_metadata()?;
         Ok(())
-    }
-
-    fn read_scratch(&self, rows: std::ops::Range<usize>, written: impl Fn(usize) -> bool) -> std::io::Result<RowBlock> {
-        let n = self.header.row_len();
-        let mut block = RowBlock::zeros(rows.clone(), n);
-        let mut bytes = vec![0u8; n * 9];
-        for (k, row) in rows.enumerate().filter(|&(_, row)| written(row)) {
-            positioned::read_exact_at(&self.scratch, &mut bytes, (row * n * 9) as u64)?;
-            let (values, valid) = bytes.split_at(n * 8);
-            let floats = values.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
-            for (i, value) in floats.enumerate() {
-                let target = if i < n { &mut block.response } else { &mut block.variance };
-                target[k * n + i % n] = value;
-            }
-            block.valid[k * n..(k + 1) * n].copy_from_slice(valid);
-        }
-        Ok(block)
     }
 
     fn write_coordinates(&self, store: &Arc<FilesystemStore>) -> Result<(), BoxedError> {
@@ -701,7 +711,7 @@ fn first_bad(values: &[u8], bad: impl Fn(u8) -> bool + Sync) -> Option<usize> {
 }
 
 impl RowBlock {
-    fn zeros(rows: std::ops::Range<usize>, row_len: usize) -> Self {
+    pub(super) fn zeros(rows: std::ops::Range<usize>, row_len: usize) -> Self {
         let n = rows.len() * row_len;
         Self { first: rows.start, rows: rows.len(), response: vec![0.0; n], variance: vec![0.0; n], valid: vec![0; n] }
     }
