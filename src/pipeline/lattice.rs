@@ -96,7 +96,7 @@ pub(super) fn extract(
     let stage = progress.stage("extract", photographs);
     let resumed = Resumed::of(scene, light, rows)?;
     let taken = AtomicUsize::new(0);
-    let measure = |shot: usize| {
+    let measure = |shot: usize| -> Result<ShotResult> {
         if let Some(measured) = resumed.take(scene, shot, rows)? {
             taken.fetch_add(1, Ordering::Relaxed);
             return Ok(measured);
