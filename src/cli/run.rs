@@ -3,8 +3,8 @@ use crate::capture::Manifest;
 use crate::evaluate::evaluate;
 use crate::factor::{FactorOptions, Factored, factor};
 use crate::material::{self, Precision, Responses, Source, export_exr, export_npz};
-use crate::output::NewFolder;
-use crate::pipeline::{BuildReport, build_matrix};
+use crate::output::{NewFolder, key_of};
+use crate::pipeline::{BuildReport, build_matrix_in};
 use crate::report::{self, Comparison, MaterialSummary, ReportInput, RowSurvey};
 use crate::simulate::TRUTH_MATRIX;
 use crate::transport::MatrixReader;
@@ -50,13 +50,21 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let inputs = super::inputs_of(&args.capture, args.build.calibration.as_deref());
     super::check_folder("out", &args.out, &inputs, false)?;
     let build_options = args.build.clone().into();
-    let results = NewFolder::create(&args.out, args.force)?;
+    // What of it is still right the matrix's own work says.
+    let (results, log, _) = NewFolder::go_on::<()>(&args.out, args.force, &key_of(&"run")?)?;
+    log.add(&())?;
+    results.clear()?;
     let folder = results.path();
     let manifest = Manifest::read(&args.capture)?;
     check_truth(&args.capture, &manifest)?;
     let title = manifest.name;
 
-    let build = build_matrix(&args.capture, &build_options, &folder.join(MATRIX), &context.progress)?;
+    let matrix = folder.join(MATRIX);
+    let build = build_matrix_in(results.scratch(), &args.capture, &build_options, &matrix, &context.progress);
+    if build.as_ref().is_err_and(Error::is_of_system) {
+        results.keep_work();
+    }
+    let build = build?;
     context.tell(&build.warnings);
     super::build_matrix::taken_over(&build).into_iter().for_each(|line| context.done(line));
     context.done(super::build_matrix::summary(&build));

@@ -4,7 +4,7 @@ use super::{Context, options};
 use crate::words::count;
 use crate::{
     Result,
-    simulate::{self, Cause, SimulateOptions, SlabMaterial},
+    simulate::{self, Cause, SimulateOptions, SlabMaterial, TakenOver},
 };
 use std::path::PathBuf;
 
@@ -80,6 +80,16 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let start = std::time::Instant::now();
     let summary = simulate::simulate(&options, &args.dir, &context.progress)?;
     context.tell(&summary.warnings);
+    match summary.taken_over {
+        TakenOver { anew: true, .. } => {
+            context.done("a stopped run had begun with other options or as another version: all was made anew");
+        }
+        TakenOver { parts: 0, .. } => {}
+        TakenOver { parts, .. } => {
+            let what = if options.truth_only { "lit point" } else { "shot" };
+            context.done(format_args!("{} made by a stopped run and taken over", count(parts, what)));
+        }
+    }
     let (dir, secs) = (args.dir.display(), start.elapsed().as_secs_f64());
     let noise = summary.photon_noise.map_or(String::new(), |noise| format!(" (photon noise {:.2} %)", 100.0 * noise));
     if options.truth_only {

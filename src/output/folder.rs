@@ -1,7 +1,8 @@
 //! Folders that appear when they are whole, with a record of what is in them.
 
-use super::{ScratchFolder, put};
+use super::{Earlier, ScratchFolder, WorkLog, put};
 use crate::{Error, Result};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -39,22 +40,76 @@ impl NewFolder {
     /// # Errors
     /// [`Error::NotEmpty`], [`Error::NotOurs`], [`Error::Changed`], [`Error::Io`].
     pub(crate) fn create(target: &Path, force: bool) -> Result<Self> {
+        Self::new(target, force, ScratchFolder::new)
+    }
+
+    /// [`Self::create`], with all that a stopped run for the same `target` had made, if that was with the same `key`; what it made with
+    /// another one is removed.
+    ///
+    /// # Errors
+    /// Those of [`Self::create`].
+    pub(crate) fn go_on<T: DeserializeOwned>(
+        target: &Path,
+        force: bool,
+        key: &str,
+    ) -> Result<(Self, WorkLog, Earlier<T>)> {
+        let new = Self::new(target, force, ScratchFolder::go_on)?;
+        let (log, earlier) = WorkLog::open(&new.scratch, key)?;
+        if !matches!(earlier, Earlier::Finished(_)) {
+            new.clear()?;
+        }
+        Ok((new, log, earlier))
+    }
+
+    /// Removes what was made so far.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub(crate) fn clear(&self) -> Result<()> {
+        let path = self.path();
+        let made_anew = std::fs::remove_dir_all(&path).and_then(|()| std::fs::create_dir(&path));
+        made_anew.map_err(Error::io("create", &path))
+    }
+
+    /// From now on what was made stays for a next run, whatever becomes of this one.
+    pub(crate) fn keep_work(&self) {
+        self.scratch.keep_work();
+    }
+
+    /// What [`Self::create`] refuses is refused, and nothing is made.
+    ///
+    /// # Errors
+    /// Those of [`Self::create`].
+    pub(crate) fn check(target: &Path, force: bool) -> Result<()> {
+        check(target, force).map(drop)
+    }
+
+    fn new(
+        target: &Path,
+        force: bool,
+        scratch: impl FnOnce(&Path, &Path) -> Result<ScratchFolder>,
+    ) -> Result<Self> {
         let replaces = check(target, force)?;
         // Where a link leads: it stays.
         let real = if replaces { target.canonicalize() } else { std::path::absolute(target) };
         let target = real.map_err(Error::io("create", target))?;
         let parent = target.parent().unwrap_or(&target).to_path_buf();
         std::fs::create_dir_all(&parent).map_err(Error::io("create", &parent))?;
-        let scratch = ScratchFolder::new(&parent, &target)?;
+        let scratch = scratch(&parent, &target)?;
         // One folder deeper, for the permissions of an ordinary folder.
         let new = Self { scratch, target, replaces };
-        std::fs::create_dir(new.path()).map_err(Error::io("create", new.path()))?;
+        std::fs::create_dir_all(new.path()).map_err(Error::io("create", new.path()))?;
         Ok(new)
     }
 
     /// Where the files go for now.
     pub(crate) fn path(&self) -> PathBuf {
         self.scratch.new_path()
+    }
+
+    /// The folder around it, for what is needed until it is finished.
+    pub(crate) fn scratch(&self) -> &Path {
+        self.scratch.path()
     }
 
     /// Whether there is an earlier output that this will replace.

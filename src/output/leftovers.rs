@@ -4,6 +4,7 @@ use super::scratch::{LOCK, OLD, PREFIX};
 use super::signals::remove;
 use super::work_log;
 use crate::{Error, Result};
+use std::ffi::OsStr;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -30,7 +31,7 @@ pub(crate) fn remove_leftovers(folder: &Path, deep: bool) -> Result<Vec<PathBuf>
         if !entry.file_type().is_ok_and(|kind| kind.is_dir()) {
             continue;
         }
-        if is_scratch_name(&entry.file_name().to_string_lossy()) {
+        if is_scratch_name(&entry.file_name()) {
             // Hours of work may be in it: only who asks for it removes that.
             if (deep || !work_log::has_work(&path)) && remove_if_dead(&path) {
                 removed.push(path);
@@ -61,17 +62,21 @@ pub(super) fn remember_kept(folder: &Path) {
 
 /// What stays for a next run, since this was asked last.
 pub(crate) fn take_kept() -> Vec<PathBuf> {
-    std::mem::take(&mut KEPT.lock().unwrap_or_else(std::sync::PoisonError::into_inner))
+    let mut kept = std::mem::take(&mut *KEPT.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+    // Parts of an output are in its own folder, and may be gone with it.
+    let all = kept.clone();
+    kept.retain(|path| path.is_dir() && !path.ancestors().skip(1).any(|outer| all.iter().any(|p| p == outer)));
+    kept
 }
 
-fn is_scratch_name(name: &str) -> bool {
-    name.strip_prefix(PREFIX).is_some_and(|end| end.len() == 6 && end.bytes().all(|b| b.is_ascii_alphanumeric()))
+pub(super) fn is_scratch_name(name: &OsStr) -> bool {
+    name.to_string_lossy().strip_prefix(PREFIX).is_some_and(|end| end.len() == 6 && end.bytes().all(|b| b.is_ascii_alphanumeric()))
 }
 
 /// The scratch folder of a stopped run for `target` that had finished some work, and its lock, which is ours now.
 pub(super) fn with_work(parent: &Path, target: &Path) -> Option<(PathBuf, File)> {
     let mut folders: Vec<PathBuf> = std::fs::read_dir(parent).ok()?.flatten().map(|entry| entry.path()).collect();
-    folders.retain(|f| f.file_name().is_some_and(|name| is_scratch_name(&name.to_string_lossy())));
+    folders.retain(|f| f.file_name().is_some_and(is_scratch_name));
     folders.sort();
     folders.into_iter().find_map(|folder| {
         let Some((file, Some(lock))) = dead(&folder) else { return None };

@@ -26,4 +26,4 @@ pub(crate) use place::put;
 pub(crate) use scratch::ScratchFolder;
 pub(crate) use seal::{SEAL, seal};
 pub(crate) use signals::remove_on_signals;
-pub(crate) use work_log::{Earlier, WorkLog};
+pub(crate) use work_log::{Earlier, WorkLog, key_of};

@@ -62,10 +62,15 @@ impl ScratchFolder {
         Self { path, kept: AtomicBool::new(false), _unfinished, _lock: lock }
     }
 
+    /// From now on the folder stays when it is dropped.
+    pub(crate) fn keep(&self) {
+        self.kept.store(true, Ordering::Relaxed);
+    }
+
     /// From now on the folder stays when it is dropped, if it has finished work for a next run; says whether it has.
     pub(crate) fn keep_work(&self) -> bool {
         let has = work_log::has_work(&self.path);
-        self.kept.store(has, Ordering::Relaxed);
+        self.kept.fetch_or(has, Ordering::Relaxed);
         has
     }
 

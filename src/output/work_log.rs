@@ -1,6 +1,7 @@
 //! What a run has finished, kept in its scratch folder, so that the next run for the same output goes on from there.
 
 use super::ScratchFolder;
+use super::leftovers::is_scratch_name;
 use crate::{Error, Result};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -72,10 +73,24 @@ impl WorkLog {
     }
 }
 
-/// Whether a scratch folder has work that a next run can go on from.
+/// The key of work that depends on `inputs` alone, done by this version.
+///
+/// # Errors
+/// [`Error::Internal`].
+pub(crate) fn key_of(inputs: &impl Serialize) -> Result<String> {
+    let text = serde_json::to_string(&(super::folder::PROGRAM, inputs)).map_err(Error::internal)?;
+    Ok(blake3::hash(text.as_bytes()).to_hex().to_string())
+}
+
+/// Whether a scratch folder has work that a next run can go on from: lines of its own that say something, or those of a part of its output.
 pub(super) fn has_work(folder: &Path) -> bool {
     let text = std::fs::read(folder.join(LOG)).unwrap_or_default();
-    text.split(|b| *b == b'\n').filter_map(checked).nth(1).is_some()
+    let mut lines = text.split(|b| *b == b'\n').filter_map(checked);
+    if lines.next().is_none() {
+        return false;
+    }
+    let part = |entry: std::fs::DirEntry| is_scratch_name(&entry.file_name()) && has_work(&entry.path());
+    lines.any(|line| line != b"null") || std::fs::read_dir(folder).is_ok_and(|all| all.flatten().any(part))
 }
 
 fn write_line(file: &mut File, text: &[u8]) -> std::io::Result<()> {

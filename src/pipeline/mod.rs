@@ -154,13 +154,36 @@ pub struct Overview {
 /// Those of [`Capture::open`], of decoding and registration; [`crate::Error::DotOutsideSlab`], [`crate::Error::DotSaturated`]; [`crate::Error::Io`] for `out`.
 /// Nothing appears at `out` then.
 pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &Progress) -> Result<BuildReport> {
+    build_matrix_to(dir, options, |header| MatrixWriter::go_on(out, header), progress)
+}
+
+/// [`build_matrix`] for a part of an output: what was measured stays in its scratch folder `outer` until all of it is there.
+///
+/// # Errors
+/// Those of [`build_matrix`].
+pub(crate) fn build_matrix_in(
+    outer: &Path,
+    dir: &Path,
+    options: &BuildOptions,
+    out: &Path,
+    progress: &Progress,
+) -> Result<BuildReport> {
+    build_matrix_to(dir, options, |header| MatrixWriter::go_on_in(outer, out, header), progress)
+}
+
+fn build_matrix_to(
+    dir: &Path,
+    options: &BuildOptions,
+    writer: impl FnOnce(MatrixHeader) -> Result<MatrixWriter>,
+    progress: &Progress,
+) -> Result<BuildReport> {
     let capture = {
         let stage = progress.stage("read", 1);
         let capture = Capture::open_with(dir, options.calibration.as_deref(), options.exposure_from)?;
         stage.advance(1);
         capture
     };
-    let mut rows = MatrixWriter::go_on(out, unmeasured(&capture.manifest))?;
+    let mut rows = writer(unmeasured(&capture.manifest))?;
     let measured = measure(&capture, options, &rows, progress);
     if measured.as_ref().is_err_and(Error::is_of_system) {
         rows.keep_work();

@@ -7,7 +7,7 @@ use super::lattice::{LightCorrections, ShotResult};
 use super::photographs::Said;
 use super::scene::Scene;
 use super::sink::RowSink;
-use crate::output::{Earlier, WorkLog};
+use crate::output::{Earlier, WorkLog, key_of};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -89,21 +89,9 @@ fn key(scene: &Scene<'_>, light: &LightCorrections) -> Result<String> {
     let (capture, references) = (scene.capture, scene.references);
     let times: Vec<Vec<f64>> =
         scene.photographs.brackets.iter().map(|b| b.iter().map(|p| p.exposure_secs).collect()).collect();
-    let stages = serde_json::json!({
-        "registration": scene.registration,
-        "references": [&serde_json::to_value(&references.hot).map_err(Error::internal)?,
-            &serde_json::to_value(references.white_variance).map_err(Error::internal)?],
-        "light": [&serde_json::to_value(&light.stray).map_err(Error::internal)?,
-            &serde_json::to_value(&light.flicker).map_err(Error::internal)?],
-        "exposures_secs": times,
-    });
-    let text = format!(
-        "{} {:?} {:?} {:?} {stages} {}",
-        env!("CARGO_PKG_VERSION"),
-        capture.manifest,
-        capture.rig,
-        scene.photographs.sensor,
-        scene.photographs.hash()?,
-    );
-    Ok(blake3::hash(text.as_bytes()).to_hex().to_string())
+    key_of(&(
+        format!("{:?} {:?} {:?} {}", capture.manifest, capture.rig, scene.photographs.sensor, scene.photographs.hash()?),
+        (scene.registration, &references.hot, references.white_variance),
+        (&light.stray, &light.flicker, times),
+    ))
 }

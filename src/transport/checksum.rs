@@ -135,6 +135,8 @@ impl Grid {
 pub(super) struct Checksums {
     root: PathBuf,
     arrays: BTreeMap<&'static str, (Grid, Vec<[u8; TRAILER]>)>,
+    /// BLAKE3 of attributes and metadata, with the sums of all chunks in them.
+    pub(super) digest: String,
 }
 
 impl Checksums {
@@ -155,7 +157,8 @@ impl Checksums {
         let names: Option<BTreeSet<String>> =
             stated["attributes"].as_array().and_then(|a| a.iter().map(|v| v.as_str().map(str::to_owned)).collect());
         let names = names.ok_or_else(|| format!("attribute {GROUP}: expected the names of attributes"))?;
-        if stated["blake3"].as_str() != Some(&digest(attributes, &names, &arrays)?) {
+        let digest = digest(attributes, &names, &arrays)?;
+        if stated["blake3"].as_str() != Some(&digest) {
             return Err("attributes or the metadata of an array were changed after they had been written".into());
         }
         let of = |(&name, array): (&&'static str, &Value)| {
@@ -171,7 +174,8 @@ impl Checksums {
                 )),
             }
         };
-        let sums = Self { root: root.to_path_buf(), arrays: arrays.iter().map(of).collect::<Result<_, String>>()? };
+        let arrays = arrays.iter().map(of).collect::<Result<_, String>>()?;
+        let sums = Self { root: root.to_path_buf(), arrays, digest };
         for (name, (grid, _)) in &sums.arrays {
             match ROWS.contains(name) {
                 true => sums.check_names(name)?,

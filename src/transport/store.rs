@@ -216,6 +216,14 @@ impl MatrixWriter {
         Self::new(path, header, ScratchFolder::go_on)
     }
 
+    /// [`Self::go_on`] for a `path` in an output that is not finished: rows wait in its scratch folder `outer` and stay there when the store is written,
+    /// so that a run that is stopped afterwards need not measure them again.
+    pub(crate) fn go_on_in(outer: &Path, path: &Path, header: MatrixHeader) -> Result<Self> {
+        let writer = Self::new(path, header, |_, path| ScratchFolder::go_on(outer, path))?;
+        writer.folder.keep();
+        Ok(writer)
+    }
+
     fn new(
         path: &Path,
         header: MatrixHeader,
@@ -514,6 +522,11 @@ impl MatrixReader {
     /// Where it is.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// What tells it from every other matrix; `None` for one without checksums.
+    pub(crate) fn digest(&self) -> Option<&str> {
+        self.checksums.as_ref().map(|c| c.digest.as_str())
     }
 
     /// Channels that are stored: 3, or 1, which is read as all three.
