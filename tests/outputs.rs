@@ -385,3 +385,155 @@ fn a_run_that_fails_after_the_matrix_keeps_it() {
     assert!(!bench.path("results/measures.json").exists());
     bench.refused("run capture --out results", &["--force"]);
 }
+
+/// Ends a command with SIGKILL when a stopped run after it could go on from `finished` parts of the work.
+#[cfg(unix)]
+fn kill_after(finished: usize, bench: &Bench, line: &str) {
+    fn lines(folder: &Path) -> usize {
+        let entries = std::fs::read_dir(folder).map(|all| all.flatten().collect::<Vec<_>>()).unwrap_or_default();
+        let scratch = entries.iter().filter(|e| e.file_name().to_string_lossy().starts_with(".acquire-new-"));
+        let of = |path: PathBuf| {
+            let text = std::fs::read(path.join("finished")).unwrap_or_default();
+            // The key is no work, nor is that an output was begun.
+            let lines = text.split(|b| *b == b'\n').filter(|line| line.len() > 100).count();
+            lines + self::lines(&path)
+        };
+        scratch.map(|e| of(e.path())).sum()
+    }
+    let mut child = Command::new(env!("CARGO_BIN_EXE_acquire"))
+        .args(line.split(' '))
+        .current_dir(bench.0.path())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    while lines(bench.0.path()) < finished {
+        assert!(child.try_wait().unwrap().is_none(), "{line}: it ended before it was killed");
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+#[cfg(unix)]
+fn scratch_folders(bench: &Bench) -> usize {
+    let entries = std::fs::read_dir(bench.0.path()).unwrap().map(|e| e.unwrap().file_name());
+    entries.filter(|name| name.to_string_lossy().starts_with(".acquire-new-")).count()
+}
+
+/// A long capture of few photographs, so that a run can be killed on its way.
+#[cfg(unix)]
+const LONG: &str = "simulate c --grid 8x6 --window 21x17 --exposures 2 --voxels-per-sample 1";
+
+#[cfg(unix)]
+#[test]
+fn a_killed_run_goes_on_where_it_was_to_the_same_bytes() {
+    let bench = Bench::new();
+    bench.done(LONG);
+    for (line, out, whole) in [
+        ("build-matrix c --out o.rd.zarr", "o.rd.zarr", "measured by a stopped run"),
+        ("run c --out o", "o/matrix.rd.zarr", "measured by a stopped run"),
+        ("simulate s --grid 8x6 --window 21x17 --exposures 2 --seed 4", "s", "made by a stopped run"),
+        ("simulate t --grid 8x6 --window 21x17 --truth-only", "t", "made by a stopped run"),
+    ] {
+        bench.done(line);
+        let undisturbed = files(&bench.path(out));
+        let first = bench.path(out.split('/').next().unwrap());
+        std::fs::remove_dir_all(&first).unwrap();
+        kill_after(3, &bench, line);
+        // Twice, and work beside it leaves it alone.
+        bench.done("export m.safetensors --to npz --out beside.npz --force");
+        kill_after(7, &bench, line);
+        assert_eq!(scratch_folders(&bench), 1);
+        let (status, stderr) = bench.run(line);
+        assert!(status == 0 && stderr.contains(whole) && stderr.contains("taken over"), "{line}: {stderr}");
+        assert!(files(&bench.path(out)) == undisturbed, "{line}: other bytes than of an undisturbed run");
+        assert_eq!(scratch_folders(&bench), 0, "{line}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_killed_run_is_not_gone_on_with_when_its_inputs_or_options_are_others() {
+    let bench = Bench::new();
+    bench.done(LONG);
+    let line = "build-matrix c --out o.rd.zarr";
+    bench.done(line);
+    let undisturbed = files(&bench.path("o.rd.zarr"));
+    std::fs::remove_dir_all(bench.path("o.rd.zarr")).unwrap();
+
+    // Other times, and then the same ones again: nothing is left of the others.
+    kill_after(4, &bench, line);
+    let (status, stderr) = bench.run(&format!("{line} --exposure-from estimate"));
+    assert!(status == 0 && stderr.contains("measured anew") && !stderr.contains("taken over"), "{stderr}");
+    bench.done(&format!("{line} --force"));
+    assert!(files(&bench.path("o.rd.zarr")) == undisturbed);
+
+    // One photograph is another one: its shot is measured again, with what is to be said of it.
+    std::fs::remove_dir_all(bench.path("o.rd.zarr")).unwrap();
+    kill_after(8, &bench, line);
+    let photographs = bench.path("c/photos");
+    let mut names: Vec<_> = std::fs::read_dir(&photographs).unwrap().map(|e| e.unwrap().path()).collect();
+    names.retain(|p| p.file_name().unwrap().to_string_lossy().starts_with("lattice"));
+    names.sort();
+    std::fs::copy(&names[0], &names[2]).unwrap();
+    bench.refused(line, &["is not as it was"]);
+
+    // A row that power loss has spoilt is measured again.
+    bench.done("simulate c --grid 8x6 --window 21x17 --exposures 2 --voxels-per-sample 1 --force");
+    kill_after(8, &bench, line);
+    let scratch = std::fs::read_dir(bench.0.path()).unwrap().map(|e| e.unwrap().path());
+    let rows = scratch.map(|p| p.join("rows")).find(|p| p.is_file()).unwrap();
+    let len = std::fs::metadata(&rows).unwrap().len();
+    std::fs::write(&rows, vec![0; len as usize]).unwrap();
+    let (status, stderr) = bench.run(line);
+    assert!(status == 0 && !stderr.contains("taken over"), "{stderr}");
+    assert!(files(&bench.path("o.rd.zarr")) == undisturbed);
+
+    // Who does not want it any more removes it.
+    std::fs::remove_dir_all(bench.path("o.rd.zarr")).unwrap();
+    kill_after(2, &bench, line);
+    bench.done("clean .");
+    assert_eq!(scratch_folders(&bench), 0);
+}
+
+#[cfg(unix)]
+#[test]
+fn what_was_measured_until_the_disk_was_full_is_gone_on_with() {
+    let bench = Bench::new();
+    bench.done(LONG);
+    let line = "build-matrix c --out o.rd.zarr";
+    bench.done(line);
+    let undisturbed = files(&bench.path("o.rd.zarr"));
+    std::fs::remove_dir_all(bench.path("o.rd.zarr")).unwrap();
+    // Files of more than so many blocks of 512 bytes cannot be written: some rows fit.
+    let limited = format!("trap '' XFSZ; ulimit -f 400; exec {} {line}", env!("CARGO_BIN_EXE_acquire"));
+    let output = Command::new("sh").args(["-c", &limited]).current_dir(bench.0.path()).output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(1) && stderr.contains("kept: what was finished"), "{stderr}");
+    assert_eq!(scratch_folders(&bench), 1);
+    let (status, stderr) = bench.run(line);
+    assert!(status == 0 && stderr.contains("taken over"), "{stderr}");
+    assert!(files(&bench.path("o.rd.zarr")) == undisturbed);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_killed_tradeoff_measures_only_what_it_had_not() {
+    let bench = Bench::new();
+    let line = "tradeoff m.rd.zarr --quick --out o";
+    kill_after(2, &bench, line);
+    let (status, stderr) = bench.run(line);
+    assert!(status == 0 && stderr.contains("factorizations measured by a stopped run"), "{stderr}");
+    let json: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(bench.path("o/tradeoff.json")).unwrap()).unwrap();
+    let table = |json: &serde_json::Value| -> Vec<serde_json::Value> {
+        let keep =
+            |p: &serde_json::Value| serde_json::json!([p["model"], p["terms"], p["degree"], p["rel_rmse"], p["bytes"]]);
+        json["measured"].as_array().unwrap().iter().map(keep).collect()
+    };
+    bench.done(&format!("{line} --force"));
+    let whole: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(bench.path("o/tradeoff.json")).unwrap()).unwrap();
+    assert_eq!(table(&json), table(&whole));
+}

@@ -75,7 +75,9 @@ fn json(built: &Result<BuildReport>, capture: &Path, out: &Path) -> Result<Strin
 pub(super) fn taken_over(report: &BuildReport) -> Option<String> {
     let TakenOver { shots, of, anew } = report.taken_over;
     match (shots, anew) {
-        (_, true) => Some("a stopped run had begun with other photographs, options or version: all was measured anew".into()),
+        (_, true) => {
+            Some("a stopped run had begun with other photographs, options or version: all was measured anew".into())
+        }
         (0, false) => None,
         _ => Some(format!("{shots} of {} were measured by a stopped run, and taken over", count(of, "lattice shot"))),
     }

@@ -60,7 +60,8 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
         Earlier::Nothing => vec![],
     };
     if !earlier.is_empty() {
-        context.done(format_args!("{} measured by a stopped run and taken over", count(earlier.len(), "factorization")));
+        context
+            .done(format_args!("{} measured by a stopped run and taken over", count(earlier.len(), "factorization")));
     }
     let found = tradeoff_from(earlier, |measured| log.add(measured), &reader, &options, &context.progress);
     if found.as_ref().is_err_and(Error::is_of_system) {

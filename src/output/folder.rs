@@ -84,11 +84,7 @@ impl NewFolder {
         check(target, force).map(drop)
     }
 
-    fn new(
-        target: &Path,
-        force: bool,
-        scratch: impl FnOnce(&Path, &Path) -> Result<ScratchFolder>,
-    ) -> Result<Self> {
+    fn new(target: &Path, force: bool, scratch: impl FnOnce(&Path, &Path) -> Result<ScratchFolder>) -> Result<Self> {
         let replaces = check(target, force)?;
         // Where a link leads: it stays.
         let real = if replaces { target.canonicalize() } else { std::path::absolute(target) };

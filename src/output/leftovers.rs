@@ -70,7 +70,9 @@ pub(crate) fn take_kept() -> Vec<PathBuf> {
 }
 
 pub(super) fn is_scratch_name(name: &OsStr) -> bool {
-    name.to_string_lossy().strip_prefix(PREFIX).is_some_and(|end| end.len() == 6 && end.bytes().all(|b| b.is_ascii_alphanumeric()))
+    name.to_string_lossy()
+        .strip_prefix(PREFIX)
+        .is_some_and(|end| end.len() == 6 && end.bytes().all(|b| b.is_ascii_alphanumeric()))
 }
 
 /// The scratch folder of a stopped run for `target` that had finished some work, and its lock, which is ours now.

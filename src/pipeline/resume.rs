@@ -90,7 +90,13 @@ fn key(scene: &Scene<'_>, light: &LightCorrections) -> Result<String> {
     let times: Vec<Vec<f64>> =
         scene.photographs.brackets.iter().map(|b| b.iter().map(|p| p.exposure_secs).collect()).collect();
     key_of(&(
-        format!("{:?} {:?} {:?} {}", capture.manifest, capture.rig, scene.photographs.sensor, scene.photographs.hash()?),
+        format!(
+            "{:?} {:?} {:?} {}",
+            capture.manifest,
+            capture.rig,
+            scene.photographs.sensor,
+            scene.photographs.hash()?
+        ),
         (scene.registration, &references.hot, references.white_variance),
         (&light.stray, &light.flicker, times),
     ))
