@@ -73,7 +73,7 @@ impl NewFolder {
 
     /// From now on what was made stays for a next run, whatever becomes of this one.
     pub(crate) fn keep_work(&self) {
-        self.scratch.keep_work();
+        self.scratch.keep();
     }
 
     /// What [`Self::create`] refuses is refused, and nothing is made.
@@ -123,7 +123,9 @@ impl NewFolder {
         let text = serde_json::to_string(&Record { program: PROGRAM.into(), files }).map_err(Error::internal)?;
         std::fs::write(&path, text).map_err(Error::io("write", &path))?;
         check(&self.target, self.replaces)?;
-        put(&self.scratch, &self.target, self.replaces).map_err(Error::io("write", &self.target))
+        put(&self.scratch, &self.target, self.replaces).map_err(Error::io("write", &self.target))?;
+        self.scratch.let_go();
+        Ok(())
     }
 }
 

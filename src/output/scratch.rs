@@ -22,6 +22,7 @@ pub(super) const OLD: &str = "old";
 #[derive(Debug)]
 pub(crate) struct ScratchFolder {
     path: PathBuf,
+    /// Whether finished work outlives this.
     kept: AtomicBool,
     // Dropped after the folder is gone: between the two a signal finds it gone, not forgotten.
     _unfinished: Unfinished,
@@ -52,9 +53,15 @@ impl ScratchFolder {
     /// [`Error::Io`].
     pub(crate) fn go_on(parent: &Path, target: &Path) -> Result<Self> {
         match leftovers::with_work(parent, target) {
-            Some((path, lock)) => Ok(Self::of(path, lock)),
+            // What was kept once is lost by no error.
+            Some((path, lock)) => Ok(Self::of(path, lock).kept()),
             None => Self::new(parent, target),
         }
+    }
+
+    fn kept(self) -> Self {
+        self.keep();
+        self
     }
 
     fn of(path: PathBuf, lock: File) -> Self {
@@ -62,16 +69,14 @@ impl ScratchFolder {
         Self { path, kept: AtomicBool::new(false), _unfinished, _lock: lock }
     }
 
-    /// From now on the folder stays when it is dropped.
+    /// From now on the folder stays when it is dropped, if it has finished work for a next run.
     pub(crate) fn keep(&self) {
         self.kept.store(true, Ordering::Relaxed);
     }
 
-    /// From now on the folder stays when it is dropped, if it has finished work for a next run; says whether it has.
-    pub(crate) fn keep_work(&self) -> bool {
-        let has = work_log::has_work(&self.path);
-        self.kept.fetch_or(has, Ordering::Relaxed);
-        has
+    /// From now on it does not: the output is in its place.
+    pub(crate) fn let_go(&self) {
+        self.kept.store(false, Ordering::Relaxed);
     }
 
     /// Where it is.
@@ -87,7 +92,7 @@ impl ScratchFolder {
 
 impl Drop for ScratchFolder {
     fn drop(&mut self) {
-        match self.kept.load(Ordering::Relaxed) {
+        match self.kept.load(Ordering::Relaxed) && work_log::has_work(&self.path) {
             true => leftovers::remember_kept(&self.path),
             false => remove(&self.path),
         }

@@ -199,6 +199,8 @@ pub struct MatrixWriter {
     folder: ScratchFolder,
     replaces: bool,
     rows: ScratchRows,
+    /// Whether rows outlive the writing of the store.
+    stays: bool,
 }
 
 impl MatrixWriter {
@@ -220,8 +222,8 @@ impl MatrixWriter {
     /// so that a run that is stopped afterwards need not measure them again.
     pub(crate) fn go_on_in(outer: &Path, path: &Path, header: MatrixHeader) -> Result<Self> {
         let writer = Self::new(path, header, |_, path| ScratchFolder::go_on(outer, path))?;
-        writer.folder.keep();
-        Ok(writer)
+        writer.keep_work();
+        Ok(Self { stays: true, ..writer })
     }
 
     fn new(
@@ -240,7 +242,7 @@ impl MatrixWriter {
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let folder = scratch(parent, path)?;
         let rows = ScratchRows::new(&folder, header.rows(), header.row_len()).map_err(Error::io("create", path))?;
-        Ok(Self { path: path.clone(), header, folder, replaces, rows })
+        Ok(Self { path: path.clone(), header, folder, replaces, rows, stays: false })
     }
 
     /// What will be written besides the rows.
@@ -291,9 +293,9 @@ impl MatrixWriter {
         WorkLog::open(&self.folder, key)
     }
 
-    /// From now on what was finished stays for a next run, whatever becomes of this one; says whether there is any.
-    pub(crate) fn keep_work(&self) -> bool {
-        self.folder.keep_work()
+    /// From now on what was finished stays for a next run, whatever becomes of this one.
+    pub(crate) fn keep_work(&self) {
+        self.folder.keep();
     }
 
     /// Writes the store and renames it into place. Rows never put are invalid throughout.
@@ -304,8 +306,13 @@ impl MatrixWriter {
         self.header.check().and_then(|()| self.header.check_places()).map_err(Error::internal)?;
         let done = self.write();
         // A full disk, say: the rows need not be measured again.
-        if done.as_ref().is_err_and(Error::is_of_system) && self.keep_work() {
-            let _ = std::fs::remove_dir_all(self.folder.new_path());
+        match &done {
+            Ok(()) if !self.stays => self.folder.let_go(),
+            Err(error) if error.is_of_system() => {
+                self.keep_work();
+                let _ = std::fs::remove_dir_all(self.folder.new_path());
+            }
+            _ => {}
         }
         done
     }
