@@ -3,11 +3,12 @@
 
 scripts/reliability.py kills [N]        SIGKILL at random moments of commands that replace an output; then the old or the new one must be there, whole
 scripts/reliability.py full-disk        the same commands on a tmpfs of growing size (needs root); nothing may look whole that is not
+scripts/reliability.py resume           kills at a third, half and five sixths of a longer run, then the same command again: times of both over an undisturbed one's
 scripts/reliability.py damage [N]       one changed bit in a random place of each kind of file; counts what the reader says
 
 ACQUIRE is the program (default target/release/acquire). Everything happens in a temporary folder.
 """
-import os, pathlib, random, shutil, signal, subprocess, sys, tempfile, time
+import hashlib, os, pathlib, random, shutil, signal, subprocess, sys, tempfile, time
 
 ACQUIRE = os.environ.get("ACQUIRE") or str(pathlib.Path(__file__).resolve().parent.parent / "target/release/acquire")
 SMALL = "--grid 6x5 --window 11x9 --exposures 2 --voxels-per-sample 1".split()
@@ -87,10 +88,51 @@ def full_disk():
                         fits += 1
                     else:
                         hints += "the disk is full" in done.stderr
-                        bad += whole or done.returncode != 1 or bool(left(disk))
+                        bad += whole or done.returncode != 1 or bool(left(disk)) != ("kept: " in done.stderr)
                 finally:
                     subprocess.run(["umount", disk], check=True)
             print(f"{name}: {points} sizes, {fits} large enough, {hints} refused as a full disk, {bad} left something or ended otherwise", flush=True)
+
+
+def digest(path):
+    """All files of an output that do not hold times."""
+    files = sorted(p for p in pathlib.Path(path).rglob("*") if p.is_file() and p.suffix not in (".html", ".csv", ".json", ".svg") or p.name == "zarr.json")
+    return hashlib.sha256(b"".join(p.read_bytes() for p in files)).hexdigest()
+
+
+def resume():
+    long = "--material chessboard-4x4 --grid 26x22 --window 25x21 --lit-pitch-mm 1.5".split()
+    with tempfile.TemporaryDirectory() as base:
+        run("simulate", "c", *long, "--seed", "1", cwd=base)
+        run("build-matrix", "c", "--out", "m.rd.zarr", cwd=base)
+        for name, command, output in [
+            ("build-matrix", ["build-matrix", "c", "--out", "out.rd.zarr"], "out.rd.zarr"),
+            ("simulate", ["simulate", "out", *long, "--seed", "2"], "out"),
+            ("run", ["run", "c", "--out", "out"], "out"),
+            ("tradeoff", ["tradeoff", "m.rd.zarr", "--quick", "--out", "out"], "out"),
+        ]:
+            undisturbed = []
+            for _ in range(3):
+                shutil.rmtree(os.path.join(base, output), ignore_errors=True)
+                start = time.time()
+                run(*command, cwd=base)
+                undisturbed.append(time.time() - start)
+            whole, same = digest(os.path.join(base, output)), digest(os.path.join(base, output, "matrix.rd.zarr"))
+            secs = sorted(undisturbed)[1]
+            print(f"{name}: undisturbed {secs:.2f} s;", end="", flush=True)
+            for share in (1 / 3, 1 / 2, 5 / 6):
+                shutil.rmtree(os.path.join(base, output))
+                child = subprocess.Popen([ACQUIRE, *command, "--quiet"], cwd=base, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+                time.sleep(share * secs)
+                child.send_signal(signal.SIGKILL)
+                child.wait()
+                start = time.time()
+                done = subprocess.run([ACQUIRE, *command], cwd=base, capture_output=True, text=True, check=True)
+                again = time.time() - start
+                taken = [line for line in done.stderr.splitlines() if "stopped run" in line and "taken" in line]
+                equal = digest(os.path.join(base, output)) == whole or digest(os.path.join(base, output, "matrix.rd.zarr")) == same
+                print(f" killed at {share:.0%}: {again:.2f} s more, {(share * secs + again) / secs:.2f} in all ({'; '.join(taken) or 'nothing taken over'}; {'same bytes' if equal else 'OTHER BYTES'})", end="", flush=True)
+            print(flush=True)
 
 
 def damage(count):
@@ -144,6 +186,8 @@ if __name__ == "__main__":
         kills(count)
     elif what == "full-disk":
         full_disk()
+    elif what == "resume":
+        resume()
     elif what == "damage":
         damage(count)
     else:

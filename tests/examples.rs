@@ -96,7 +96,7 @@ impl Bench {
         for command in [
             "build-matrix captures --out slab.rd.zarr",
             "factor slab.rd.zarr --out slab.safetensors",
-            "relight slab.safetensors --light spot --out light.exr",
+            "relight slab.safetensors --light spot --out window.exr",
             "simulate few --grid 4 --window 7",
             // Four single dots, far apart: what `patterns` takes for a probe.
             "simulate captures/probe --grid 2 --lit-pitch-mm 4 --step-projector-px 32 --spacing 2 --window 31",
@@ -105,7 +105,8 @@ impl Bench {
             let output = run(bench.path(), &words);
             assert!(output.status.success(), "{command}: {}", String::from_utf8_lossy(&output.stderr));
         }
-        std::fs::rename(at("light.png"), at("window.png")).unwrap();
+        let light = |x: usize, y: usize| (0.1 * x as f32, 1.0, 0.2 * y as f32);
+        exr::prelude::write_rgb_file(at("light.exr"), 12, 9, light).unwrap();
         common::copy_folder(&at("captures/probe/calibration"), &at("lab/projector"));
         let rig = std::fs::read_to_string(at("lab/projector/rig.toml")).unwrap();
         let (before, projector) = rig.split_once("[projector]\nsize_px = [").unwrap();
@@ -217,9 +218,16 @@ fn run(folder: &Path, words: &[String]) -> Output {
 fn make_room(folder: &Path, words: &[String]) {
     let after = |option: &str| words.iter().position(|w| w == option).and_then(|k| words.get(k + 1));
     let simulated = words.get(1).filter(|_| words[0] == "simulate");
-    // The default name.
-    let factored = words.get(1).filter(|_| words[0] == "factor").map(|m| m.replace(".rd.zarr", ".safetensors"));
-    for name in [after("--out"), after("-o"), simulated, factored.as_ref()].into_iter().flatten() {
+    let out = after("--out").or(after("-o"));
+    // The default name is that of the first argument.
+    let ending = match words[0].as_str() {
+        "factor" => Some("safetensors"),
+        "export" => after("--to").map(String::as_str),
+        _ => None,
+    };
+    let default = ending.zip(words.get(1)).filter(|_| out.is_none());
+    let default = default.map(|(ending, from)| format!("{}.{ending}", from.split('.').next().unwrap_or_default()));
+    for name in [out, simulated, default.as_ref()].into_iter().flatten() {
         let path = folder.join(name);
         let _ = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
     }

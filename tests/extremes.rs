@@ -508,10 +508,13 @@ fn a_million_rows_of_rank_one_are_one_term() {
         let options = FactorOptions { backend: Some(backend), ..fixed(15, 1) };
         let f = run(&options, [1000, 1000], [3, 3], response).unwrap();
         assert_eq!(f.material.header.terms, 1, "{backend:?}: {:?}", f.material.header.singular_values);
-        // A million equal rows of norm ‖h‖: their rounding to f32 is independent and averages out.
+        // A million equal rows of norm ‖h‖: their rounding to f32 is independent and averages out. With the randomized back end vectors and the
+        // nine products of a row are rounded to f32, too, alike in all rows.
+        let roundings = if backend == Backend::Gram { 1.0 } else { 10.0 };
         let norm = (0..9).map(|k| profile([(k % 3) as f64 - 1.0, (k / 3) as f64 - 1.0], 1.0).powi(2)).sum::<f64>();
         let expected = (1e6 * norm).sqrt();
-        assert!((f.material.header.singular_values[0] / expected - 1.0).abs() < ROUNDING);
+        let off = (f.material.header.singular_values[0] / expected - 1.0).abs();
+        assert!(off < roundings * ROUNDING, "{backend:?}: {off:e}");
         for i in (0..1_000_000).step_by(9973) {
             assert!(row_error(&f, i, |d, c| response(i, d, c)) <= ONE_TERM, "row {i}");
         }
