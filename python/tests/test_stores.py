@@ -72,7 +72,7 @@ def codecs():
     yield "none", {"compressors": None}
     yield "gzip", {"compressors": GzipCodec()}
     yield "zstd", {"compressors": ZstdCodec()}
-    # numcodecs is built without snappy; tests/foreign_stores.rs has it.
+    # numcodecs is built without snappy; tests/all/foreign_stores.rs has it.
     for name in ("lz4", "lz4hc", "blosclz", "zstd", "zlib"):
         yield f"blosc-{name}", {"compressors": BloscCodec(cname=name, shuffle="bitshuffle")}
     yield "crc32c", {"compressors": [ZstdCodec(), Crc32cCodec()]}

@@ -1,15 +1,10 @@
 //! Merged radiance against the Cramér–Rao bound of the sensor that took the photographs; the example that merges a bracket.
 
-#[path = "../examples/merge_bracket.rs"]
+#[path = "../../examples/merge_bracket.rs"]
 #[allow(dead_code, unreachable_pub)]
 mod merge_bracket;
-#[path = "common/merge_levels.rs"]
-mod merge_levels;
-#[path = "common/photon_sensor.rs"]
-mod photon_sensor;
-
-use merge_levels::{Bracketing, measure};
-use photon_sensor::PhotonSensor;
+use crate::merge_levels::{Bracketing, measure};
+use crate::photon_sensor::PhotonSensor;
 use std::path::Path;
 
 /// The default bracket of the simulator, five decades and the neighbourhood of every saturation.

@@ -1,7 +1,7 @@
 //! `acquire patterns`: pictures that light every point once, and that a simulated bench would have shown.
 
-mod common;
-
+use crate::common;
+use crate::common::acquire;
 use acquire::capture::{Axis, Capture, Pattern, Rig};
 use acquire::geometry::Point;
 use acquire::patterns::{
@@ -11,7 +11,6 @@ use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{SimulateOptions, Truth};
 use acquire::transport::MatrixReader;
-use common::acquire;
 use std::path::{Path, PathBuf};
 
 /// A simulated capture of nine lattice shots with its truth.

@@ -1,14 +1,13 @@
 //! From simulated photographs to the matrix: known truth recovered to a stated error.
 
-mod common;
-
+use crate::common;
+use crate::common::compare;
 use acquire::geometry::{CameraView, Homography};
 use acquire::pipeline::{BuildOptions, BuildReport, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{SimulateOptions, SlabMaterial};
 use acquire::transport::MatrixReader;
 use acquire::{CaptureWarning, RadianceWarning, ResponseWarning, Warning};
-use common::compare;
 use std::path::Path;
 
 fn build(dir: &Path) -> (std::path::PathBuf, BuildReport) {

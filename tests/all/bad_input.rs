@@ -1,9 +1,8 @@
 //! Whatever is wrong with the input: exit 1, one message that names file and field, a hint, and no output that looks whole.
 
-mod common;
-
+use crate::common;
+use crate::common::{acquire, copy_folder};
 use acquire::simulate::SimulateOptions;
-use common::{acquire, copy_folder};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 

@@ -1,9 +1,8 @@
 //! Outputs: what is replaced and what is not, and what is there after a run that was stopped.
 
-mod common;
-
+use crate::common;
+use crate::common::acquire;
 use acquire::simulate::SimulateOptions;
-use common::acquire;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

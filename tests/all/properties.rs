@@ -1,7 +1,6 @@
 //! What a change of the capture must change in the matrix, and nothing else: turned, mirrored, scaled, permuted captures.
 
-mod common;
-
+use crate::common;
 use acquire::capture::{Axis, Manifest, Pattern, Rig};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;

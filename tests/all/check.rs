@@ -1,10 +1,9 @@
 //! `acquire check`: what can be known before the work. That it fails wherever `build-matrix` does is in `bad_input.rs`.
 
-mod common;
-
+use crate::common;
+use crate::common::{acquire, copy_folder};
 use acquire::capture::{Manifest, Pattern};
 use acquire::simulate::SimulateOptions;
-use common::{acquire, copy_folder};
 use exif::{Field, In, Rational, Tag, Value};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;

@@ -1,11 +1,10 @@
 //! Set-ups that are not upright: turned and mirrored projectors, a turned and tilted camera, and both.
 
-mod common;
-
+use crate::common;
+use crate::common::compare;
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::SimulateOptions;
-use common::compare;
 
 fn bench() -> SimulateOptions {
     SimulateOptions {

@@ -1,12 +1,11 @@
 //! The same bench seen by cameras of more pixels.
 
-mod common;
-
+use crate::common;
+use crate::common::compare;
 use acquire::Warning;
 use acquire::pipeline::{BuildOptions, Resolution, Working, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{FileFormat, SimulateOptions, SlabMaterial};
-use common::compare;
 
 /// Builds it at a resolution; what was chosen, the comparison with the truth, and the findings.
 fn built(dir: &std::path::Path, resolution: Resolution) -> (Working, common::Comparison, Vec<Warning>) {

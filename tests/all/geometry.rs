@@ -1,14 +1,13 @@
 //! Where things are: boards, frames, stripes and drift of simulated captures against their truth.
 
-mod common;
-
+use crate::common;
+use crate::common::compare;
 use acquire::capture::{Manifest, Pattern, Rig, Surface};
 use acquire::geometry::{CameraView, Homography, Lens, Point, SlabFromProjector};
 use acquire::pipeline::{BuildOptions, BuildReport, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{Cause, SimulateOptions, SlabMaterial};
 use acquire::{Error, RegistrationWarning, Result, Warning};
-use common::compare;
 use std::path::Path;
 
 fn try_build(dir: &Path) -> Result<BuildReport> {

@@ -1,12 +1,11 @@
 //! The sensor's noise from the capture itself.
 
-mod common;
-
+use crate::common;
+use crate::common::compare;
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{FileFormat, SensorKind, SimulateOptions, SlabMaterial};
 use acquire::{Error, RadianceWarning, Warning};
-use common::compare;
 use std::path::Path;
 
 fn build(dir: &Path) -> acquire::Result<(std::path::PathBuf, Vec<Warning>)> {

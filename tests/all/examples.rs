@@ -14,8 +14,7 @@
 //! An example that none of this makes runnable fails the test: mend the example, or add what it names to the bench.
 //! README's Python needs xarray, which is not required to build or test, and is not run.
 
-mod common;
-
+use crate::common;
 use npyz::WriterBuilder;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

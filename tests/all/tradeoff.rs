@@ -1,12 +1,9 @@
 //! The trade-off on a small matrix, through the library and through the program.
 
-#[path = "common/matrices.rs"]
-mod matrices;
-
+use crate::matrices::{profile, write};
 use acquire::material::{Model, Precision};
 use acquire::progress::Progress;
 use acquire::tradeoff::{TradeoffOptions, csv, html, tradeoff};
-use matrices::{profile, write};
 use std::process::Command;
 
 fn response(i: usize, d: [f64; 2], c: usize) -> f32 {

@@ -1,11 +1,9 @@
 //! `acquire import`: a camera's folder sorted into shots, or refused by the first photograph that does not fit.
 
-mod common;
-
+use crate::common::acquire;
 use acquire::capture::{Capture, ResponseCurve, Rig};
 use acquire::patterns::Plan;
 use acquire::radiance::Curve;
-use common::acquire;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

@@ -1,9 +1,8 @@
 //! `acquire run`: a simulated capture to results and a report, as a person runs it.
 
-mod common;
-
+use crate::common;
+use crate::common::{acquire, capture};
 use acquire::simulate::SimulateOptions;
-use common::{acquire, capture};
 
 #[test]
 fn a_capture_becomes_results_with_a_report_that_needs_no_network() {

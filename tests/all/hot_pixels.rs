@@ -1,13 +1,12 @@
 //! Photosites that saturate in the dark: always, or in the long exposures only.
 
-mod common;
-
+use crate::common;
+use crate::common::compare;
 use acquire::capture::{Capture, Samples};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{ExposureTime, FileFormat, PhotographWriter, SimulateOptions, SlabMaterial};
 use acquire::{RadianceWarning, Warning};
-use common::compare;
 use std::path::Path;
 
 /// Code value of saturation, and dark current of a very hot photosite: it saturates a second, not a quarter of it.

@@ -86,7 +86,11 @@ fn all(reader: &MatrixReader) -> RowBlock {
         }
     }
     let mut blocks = Vec::new();
-    reader.for_each_block(|block| Ok(blocks.extend(block.response))).unwrap();
+    let keep = |block: acquire::transport::RowBlock| {
+        blocks.extend(block.response);
+        Ok(())
+    };
+    reader.for_each_block(keep).unwrap();
     assert_eq!(blocks, whole.response);
     whole
 }
@@ -256,7 +260,8 @@ fn what_does_not_fit_is_named_with_what_was_expected() {
     };
     let plain = |bench: &Bench| drop(bench.plain("response", &SHAPE, Some(&NAMES), vec![1.0; 270]));
     let pitch = || json!({ "pitch_mm": 0.5 });
-    let cases: &[(Value, &dyn Fn(&Bench), &str)] = &[
+    type Case<'a> = (Value, &'a dyn Fn(&Bench), &'a str);
+    let cases: &[Case<'_>] = &[
         (json!({}), &plain, "attribute pitch_mm: expected the side of a sample"),
         (json!({"pitch_mm": "0.5"}), &plain, "attribute pitch_mm: expected a number of mm, found \"0.5\""),
         (json!({"pitch_mm": -0.5}), &plain, "attribute pitch_mm: expected 1e-9 to 1e9 mm"),

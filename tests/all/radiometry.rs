@@ -1,7 +1,7 @@
 //! What code values, exposure times and the lamp are really like, found from simulated photographs of known truth.
 
-mod common;
-
+use crate::common;
+use crate::common::compare;
 use acquire::capture::{ExposureFrom, ResponseCurve, Rig};
 use acquire::pipeline::{BuildOptions, BuildReport, build_matrix};
 use acquire::progress::Progress;
@@ -9,7 +9,6 @@ use acquire::radiance::Curve;
 use acquire::simulate::{CameraCurve, FileFormat, RigCurve, SimulateOptions, SlabMaterial};
 use acquire::transport::MatrixReader;
 use acquire::{ConsistencyWarning, Error, RadianceWarning, Warning};
-use common::compare;
 use std::path::Path;
 
 /// Marble that is the same everywhere: codes, times and the lamp do not depend on where light goes, and one dot's light is all that is solved for.

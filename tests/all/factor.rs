@@ -1,9 +1,7 @@
 //! From a matrix on disk to a material: recovery of known factors and the choices made from noise. `extremes.rs` has the extremes.
 
-mod common;
-#[path = "common/matrices.rs"]
-mod matrices;
-
+use crate::common;
+use crate::matrices::{fixed, noise, profile, run, tucker, write};
 use acquire::evaluate::evaluate;
 use acquire::factor::{Backend, FactorOptions, Factored, Goal, factor};
 use acquire::material::{self, Evaluator, Model, OffsetFactors, Precision, Source};
@@ -11,7 +9,6 @@ use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate;
 use acquire::transport::{MatrixReader, MatrixWriter, Row};
-use matrices::{fixed, noise, profile, run, tucker, write};
 
 #[test]
 fn a_homogeneous_gray_slab_is_one_term_and_a_straight_line() {

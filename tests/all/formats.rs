@@ -1,13 +1,12 @@
 //! The same photographs in other formats give the same matrix.
 
-mod common;
-
+use crate::common;
+use crate::common::{Comparison, compare};
 use acquire::capture::{Capture, Manifest, Noise, Rig, Samples};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{SimulateOptions, SlabMaterial};
 use acquire::{RadianceWarning, Warning};
-use common::{Comparison, compare};
 use std::path::Path;
 
 const BLACK: f64 = 512.0;

@@ -1,10 +1,9 @@
 //! `check` says before what `build-matrix` says after: the same finding, put down to the same culprit, with the same exit status.
 
-mod common;
-
+use crate::common;
+use crate::common::{acquire, copy_folder};
 use acquire::capture::{Manifest, Pattern};
 use acquire::simulate::SimulateOptions;
-use common::{acquire, copy_folder};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 

@@ -1,15 +1,12 @@
 //! Factorization at the extremes of shape and value. Every bound says where it comes from; singular values and the best
 //! polynomials come from `tests/tables/extremes.py`, in 160 and 100 digits.
 
-#[path = "common/matrices.rs"]
-mod matrices;
-
+use crate::matrices::{fixed, noise, profile, run, tucker, write};
 use acquire::factor::{Backend, FactorOptions, Factored, Goal, factor};
 use acquire::material::Model;
 use acquire::progress::Progress;
 use acquire::transport::MatrixReader;
 use acquire::{Error, FactorWarning};
-use matrices::{fixed, noise, profile, run, tucker, write};
 use serde_json::Value;
 use std::sync::Arc;
 
@@ -72,7 +69,7 @@ impl Table {
     }
 
     fn all() -> Vec<Self> {
-        let tables: Value = serde_json::from_str(include_str!("tables/singular.json")).unwrap();
+        let tables: Value = serde_json::from_str(include_str!("../tables/singular.json")).unwrap();
         assert_eq!((tables["rows"].as_u64(), tables["columns"].as_u64()), (Some(8), Some(9)));
         let cases = tables["cases"].as_array().unwrap().iter();
         cases
@@ -186,7 +183,7 @@ struct Best {
 type Samples = Vec<([u64; 2], Vec<f64>)>;
 
 fn polynomials() -> (Samples, Vec<Best>) {
-    let table: Value = serde_json::from_str(include_str!("tables/polynomials.json")).unwrap();
+    let table: Value = serde_json::from_str(include_str!("../tables/polynomials.json")).unwrap();
     let offset = |v: &Value| [v["offset"][0].as_u64().unwrap(), v["offset"][1].as_u64().unwrap()];
     let samples = table["samples"].as_array().unwrap().iter().map(|v| (offset(v), numbers(&v["rgb"]))).collect();
     let best = |fit: &Value| Best {

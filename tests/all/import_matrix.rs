@@ -1,9 +1,7 @@
 //! `acquire import-matrix`: arrays of other programs to a store, or one message that says why not.
 
-mod common;
-
+use crate::common::acquire;
 use acquire::transport::MatrixReader;
-use common::acquire;
 use npyz::WriterBuilder;
 use std::path::{Path, PathBuf};
 
