@@ -248,7 +248,7 @@ fn lost(scene: &Scene<'_>, shot: usize, windows: &[Bracket], references: usize) 
     let looks = || {
         let (own, expected) =
             (scene.photographs.merge_whole(shot).ok()?, scene.photographs.merge_whole(*beside?).ok()?);
-        looks(scene.photographs, shot, &own, &expected, "").ok()?.filter(|l| !l.is_empty())
+        looks(scene.photographs, (shot, None), &own, &expected, "").ok()?.filter(|l| !l.is_empty())
     };
     let words = looks().map_or_else(String::new, |looks| format!("; {looks}"));
     scene.photographs.failed(shot)(format!(

@@ -1,10 +1,12 @@
 //! What the reference dots on the opaque frame tell of each lattice shot: the lamp's level and colour, a dot that is covered, how sharp they are.
 
+use super::BuildOptions;
 use super::scene::{STILL, Scene};
-use crate::capture::Rect;
+use crate::capture::{Pattern, Rect};
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
-use crate::registration::{measure_drift, median, scaled_deviation};
+use crate::registration::{PointSpread, measure_drift, median, scaled_deviation};
+use crate::{ConsistencyWarning, Result, Warning};
 
 /// The light of the reference dots, over some shots.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -215,13 +217,48 @@ pub(super) fn reference_light(scene: &Scene<'_>, seen: &[Bracket]) -> Option<See
         scene.reference_mm().into_iter().zip(seen).map(|(p, b)| (p, scene.picture(b, b.rect(), STILL))).collect();
     let drift = measure_drift(&pictures, scene.registration, scene.dot_radius_px())?;
     let moved = drift.slab_mm;
-    let reach = scene.dot_radius_px() + 2.0;
+    let reach = reach_px(scene);
     let at = |p: Point| scene.registration.view.camera_from_slab([p[0] + moved[0], p[1] + moved[1]]);
     let placed: Vec<(Point, &Radiance)> = pictures.iter().map(|(p, picture)| (at(*p), picture)).collect();
     let mut spreads: Vec<f64> = placed.iter().filter_map(|&(at, picture)| spread_around(picture, at, reach)).collect();
     let spread_px2 = (2 * spreads.len() > pictures.len()).then(|| median(&mut spreads));
     let light = placed.iter().flat_map(|&(at, picture)| light_around(scene, picture, at, reach)).collect();
     Some(SeenDots { light, spread_px2, scale: drift.scale.map(|s| s[0]) })
+}
+
+/// Reference dots have this share of the width at the least that the board's blur and their own size give them (untouched ones 0.98 at blurs up to 2 px).
+const BOARD_WIDTH: f64 = 0.75;
+
+/// Whether the board is blurred more than the reference dots, whose mean square width is `width_px2`: the blur that is taken out of the rows is the
+/// board's.
+///
+/// # Errors
+/// [`crate::Error::Contradiction`].
+pub(super) fn board_blur(scene: &Scene<'_>, width_px2: f64, options: &BuildOptions) -> Result<Option<Warning>> {
+    let Some(PointSpread { psf_px, .. }) = scene.registration.point_spread else { return Ok(None) };
+    // Of a square of that side; as if they were a projector pixel smaller than stated, which may be wrong.
+    let pixels = scene.capture.manifest.grid.dot_projector_px as f64;
+    let side_px = scene.dot_radius_px() / 0.75 * (1.0 - 1.0 / pixels);
+    let sharp_px2 = side_px * side_px / 6.0;
+    if width_px2 > BOARD_WIDTH * (sharp_px2 + gaussian_width(psf_px, reach_px(scene))) {
+        return Ok(None);
+    }
+    let shot = scene.photographs.one(|p| matches!(p, Pattern::Board))?;
+    let shot = scene.photographs.name(shot).to_owned();
+    let dots_psf_px = (0.5 * (width_px2 - sharp_px2).max(0.0)).sqrt();
+    options.refuse(ConsistencyWarning::BoardBlur { shot, psf_px, dots_psf_px }).map(Some)
+}
+
+/// Half the side of the square in which a reference dot's light is measured, px.
+pub(super) fn reach_px(scene: &Scene<'_>) -> f64 {
+    scene.dot_radius_px() + 2.0
+}
+
+/// Mean square distance from its middle of a Gaussian's light within `reach`, px².
+fn gaussian_width(sd_px: f64, reach: f64) -> f64 {
+    let u = 0.5 * (reach / sd_px.max(1e-6)).powi(2);
+    // e^−u / (1 − e^−u), which is 0 for sharp pictures.
+    2.0 * sd_px * sd_px * (1.0 - u / u.exp_m1())
 }
 
 /// Mean square distance of the light within `reach` of a dot's middle from it, px²; `None` where some of it was not measured.
@@ -334,5 +371,24 @@ mod tests {
         // Too few shots, and none.
         assert!(Level::of(&levels.map(|l| light(l, 5e-5))[..3], true).is_none());
         assert!(Level::of(&[], true).is_none());
+    }
+
+    #[test]
+    fn the_width_of_a_gaussian_within_a_reach_is_that_of_its_pixels() {
+        for (sd, reach) in [(2.0, 3.4), (0.8, 3.0), (1.5, 20.0), (5.0, 2.0)] {
+            // A hundredth of a px is fine enough for a per cent.
+            let cells = |r: f64| (-1000..1000).map(move |k| (k as f64 + 0.5) * r / 1000.0);
+            let (mut sum, mut square) = (0.0, 0.0);
+            for (x, y) in cells(reach).flat_map(|x| cells(reach).map(move |y| (x, y))) {
+                let r2: f64 = x * x + y * y;
+                if r2 <= reach * reach {
+                    let light = (-0.5 * r2 / (sd * sd)).exp();
+                    (sum, square) = (sum + light, square + light * r2);
+                }
+            }
+            let found = gaussian_width(sd, reach);
+            assert!((found / (square / sum) - 1.0).abs() < 0.01, "{sd} {reach}: {found}");
+        }
+        assert!(gaussian_width(0.0, 3.0).abs() < 1e-9);
     }
 }

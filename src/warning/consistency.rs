@@ -78,6 +78,24 @@ pub enum ConsistencyWarning {
         /// Standard deviation per axis.
         sd_projector_px: f64,
     },
+    /// Dots of the sample are the farther off the farther along the grid they are.
+    DotsStep {
+        /// From one lit point to the next along x of the grid, seen less stated, projector px.
+        along_x: [f64; 2],
+        /// The same along y.
+        along_y: [f64; 2],
+        /// Standard deviation of each of them.
+        sd_projector_px: f64,
+    },
+    /// The board is blurred more than the reference dots, so that its blur is not theirs.
+    BoardBlur {
+        /// The board's shot.
+        shot: String,
+        /// Its blur as a standard deviation, camera px.
+        psf_px: f64,
+        /// That of the reference dots, at the most.
+        dots_psf_px: f64,
+    },
     /// The lattice's photographs have even light that the black shot does not have, or the other way round.
     AmbientChanged {
         /// How much more they have, DN/s.
@@ -344,6 +362,14 @@ impl fmt::Display for ConsistencyWarning {
                 f,
                 "all dots are {x:+.2}, {y:+.2} projector px (± {sd_projector_px:.2}) from where [grid], [reference_dots] and Gray code put them together; the one that disagrees is {field}"
             ),
+            Self::DotsStep { along_x: [ax, ay], along_y: [bx, by], sd_projector_px } => write!(
+                f,
+                "from one lit point to the next the dots are {ax:+.2}, {ay:+.2} projector px along x and {bx:+.2}, {by:+.2} along y (± {sd_projector_px:.3}) off what grid.step_projector_px says"
+            ),
+            Self::BoardBlur { shot, psf_px, dots_psf_px } => write!(
+                f,
+                "shot \"{shot}\" is blurred by {psf_px:.2} px, the reference dots by {dots_psf_px:.2} px at the most: the board was out of focus, and its blur must not be taken out of the rows"
+            ),
             Self::AmbientChanged { dn_per_sec, share } => write!(
                 f,
                 "the lattice's photographs have {dn_per_sec:.1} DN/s of even light {} sample-black ({:.1} % of a dot's light in its window): ambient light changed after it, or the lens was covered",
@@ -516,6 +542,8 @@ super::record::catalogue!(ConsistencyWarning {
         "dots-offset", Warning, Dots, Accepted, vec![field(name)],
         bound("offset_projector_px", REFUSED_PROJECTOR_PX, "projector px");
     Self::DotsOffset { field: name, .. } => "dots-offset", Warning, Dots, Told, vec![field(name)], None;
+    Self::DotsStep { .. } => "dots-step", Warning, Dots, Accepted, vec![field("grid.step_projector_px")], None;
+    Self::BoardBlur { shot: name, .. } => "board-blur", Warning, Focus, Accepted, vec![shot(name)], None;
     Self::AmbientChanged { share, .. } if share.abs() > EVEN_REFUSED => "ambient-changed", Warning, Light, Accepted,
         vec![part("ambient light")], bound("share", EVEN_REFUSED, "");
     Self::AmbientChanged { .. } => "ambient-changed", Warning, Light, Told, vec![part("ambient light")], None;

@@ -47,6 +47,8 @@ const WRITTEN: &[&str] = &[
     r#"{"warning":"other-pattern","shot":"s","looks":"the pattern of shot t","shots":1,"of":9}"#,
     r#"{"warning":"dots-offset","field":"reference_dots","offset_projector_px":[1.0,0.0],"sd_projector_px":0.125}"#,
     r#"{"warning":"dots-offset","field":"reference_dots","offset_projector_px":[0.25,0.0],"sd_projector_px":0.125}"#,
+    r#"{"warning":"dots-step","along_x":[-0.5,0.0],"along_y":[0.0,0.25],"sd_projector_px":0.125}"#,
+    r#"{"warning":"board-blur","shot":"board","psf_px":2.0,"dots_psf_px":1.0}"#,
     r#"{"warning":"response-curve","given":"linear","slope":0.5,"encoding":"sRGB"}"#,
     r#"{"warning":"ambient-changed","dn_per_sec":8.5,"share":0.25}"#,
     r#"{"warning":"ambient-changed","dn_per_sec":8.5,"share":0.001}"#,
