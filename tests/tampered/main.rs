@@ -13,6 +13,7 @@ mod edit;
 mod grade;
 mod optics;
 mod picture;
+mod power;
 mod program;
 mod runs;
 mod sensor;
