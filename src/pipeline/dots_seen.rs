@@ -274,7 +274,10 @@ fn plane(seen: &[OffDot], points: [usize; 2], value: impl Fn(&OffDot) -> f64) ->
         let along = |a: usize| if points[a] > 1 { s.dot[a] as f64 / (points[a] - 1) as f64 - 0.5 } else { 0.0 };
         [1.0, along(0), along(1)]
     };
-    let mut kept: Vec<OffDot> = seen.to_vec();
+    // From the median on: a plane through all would give way to those that are far off.
+    let middle = median(&mut seen.iter().map(&value).collect::<Vec<_>>());
+    let near = 4.0 * scaled_deviation(seen.iter().map(&value), middle);
+    let mut kept: Vec<OffDot> = seen.iter().filter(|s| (value(s) - middle).abs() <= near).copied().collect();
     let mut found = None;
     for _ in 0..ROUNDS {
         if kept.len() < LEAST_DOTS.max(seen.len() / 2) {

@@ -30,6 +30,11 @@ fn asked(variable: &str, name: &str) -> bool {
     std::env::var(variable).map_or(true, |parts| parts.split(',').any(|part| name.contains(part)))
 }
 
+/// Whether anything is asked for: then all is done that is, and not a part that is quick.
+fn is_asked() -> bool {
+    ["MISTAKE", "CAPTURE", "WRITE", "ALL"].iter().any(|variable| std::env::var_os(variable).is_some())
+}
+
 fn page(name: &str) -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
 }
@@ -57,8 +62,7 @@ fn every_mistake_ends_no_worse_than_stated() {
     let folder = tempfile::tempdir().unwrap();
     let chosen: Vec<&Mistake> = mistakes.iter().filter(|m| asked("MISTAKE", &m.id)).collect();
     let untouched = runs::untouched(&captures, folder.path(), |id| asked("CAPTURE", id));
-    let is_asked = ["MISTAKE", "CAPTURE", "WRITE", "ALL"].iter().any(|v| std::env::var_os(v).is_some());
-    let each = if is_asked { Each::InAll } else { Each::InOne };
+    let each = if is_asked() { Each::InAll } else { Each::InOne };
     let runs = runs::all(&chosen, &untouched, each, folder.path(), &runs::notes(&captures));
     let table = table::markdown(&chosen, &untouched, &runs);
     println!("{table}");
