@@ -121,9 +121,12 @@ def resume():
             secs = sorted(undisturbed)[1]
             print(f"{name}: undisturbed {secs:.2f} s;", end="", flush=True)
             for share in (1 / 3, 1 / 2, 5 / 6):
-                shutil.rmtree(os.path.join(base, output))
+                shutil.rmtree(os.path.join(base, output), ignore_errors=True)
                 child = subprocess.Popen([ACQUIRE, *command, "--quiet"], cwd=base, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
                 time.sleep(share * secs)
+                if child.poll() is not None:
+                    print(f" ended before {share:.0%};", end="")
+                    continue
                 child.send_signal(signal.SIGKILL)
                 child.wait()
                 start = time.time()
