@@ -1,6 +1,7 @@
 # make demo: set-up, release build, and the whole way on a simulated capture.
 # make test: set-up, then the tests; CI=true adds the slow ones, formatting, lints and documentation.
 # SLOW=1 adds the slow tests only.
+# make python: the Python module's tests, in virtual environments under target/python; part of make test when CI=true.
 # make mutants: small faults that no test notices (docs/testing.md); some hours, for a night. MUTANTS=src/evaluate: only there; STEP=4: every fourth.
 
 CARGO ?= cargo
@@ -8,7 +9,7 @@ DEMO  ?= results/demo
 TARGET = $(or $(CARGO_TARGET_DIR),target)
 ACQUIRE = $(TARGET)/release/acquire
 
-.PHONY: demo test check build mutants setup
+.PHONY: demo test check build python mutants setup
 
 demo: build
 	rm -rf $(DEMO)
@@ -19,7 +20,13 @@ demo: build
 # One profile for program and tests, so that OpenCV's bindings are built once.
 test: setup
 	$(CARGO) test --release --locked --workspace $(if $(filter true,$(CI))$(SLOW),-- --include-ignored)
-	$(if $(filter true,$(CI)),$(MAKE) check)
+	$(if $(filter true,$(CI)),$(MAKE) check python)
+
+# Without OpenCV, a workspace of its own.
+python: build
+	@scripts/setup.sh python
+	scripts/test_python.sh
+	$(if $(filter true,$(CI)),cd python && $(CARGO) fmt --check)
 
 check: setup
 	$(CARGO) fmt --check

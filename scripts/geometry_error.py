@@ -1,4 +1,4 @@
-"""How far camera and projector are from where a matrix says that they are, for figures.py: as `registration_rms` of tests/geometry.rs."""
+"""How far camera and projector are from where a matrix says that they are, for figures.py: as `registration_rms` of tests/all/geometry.rs."""
 
 import math
 

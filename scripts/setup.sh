@@ -1,12 +1,19 @@
 #!/usr/bin/env bash
 # Installs what the build needs besides Rust, gcc and make: OpenCV 4 and libclang (the opencv crate
 # generates its bindings while it builds). Does nothing when everything is there.
+# `setup.sh python`: what the Python module's tests need besides cargo and a compiler, which is Python with venv.
 set -euo pipefail
 
 # The same names on Debian 12 and later and on Ubuntu 22.04 and later.
 packages=(libopencv-dev clang g++ pkg-config)
+[ "${1:-}" = python ] && packages=(python3 python3-venv)
+what=${1:-}
 
 missing() {
+    if [ "$what" = python ]; then
+        "${PYTHON:-python3}" -c 'import ensurepip, venv, sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || echo "Python 3.10 or later with venv"
+        return
+    fi
     command -v g++ >/dev/null || echo "g++"
     command -v pkg-config >/dev/null || { echo "pkg-config"; return; }
     pkg-config --exists opencv4 || echo "OpenCV 4 (opencv4.pc)"
@@ -30,6 +37,7 @@ lacking=$(missing)
 echo "setup: missing: $(echo "$lacking" | paste -sd, | sed 's/,/, /g')" >&2
 
 if ! command -v apt-get >/dev/null; then
+    [ "$what" = python ] && { echo "setup: no apt-get on this system. Install Python 3.10 or later with venv, then try again." >&2; exit 1; }
     cat >&2 <<'TEXT'
 setup: no apt-get on this system. Install these with its package manager, then try again:
   OpenCV 4 with development files   (Fedora: opencv-devel, Arch: opencv, Homebrew: opencv)

@@ -175,6 +175,30 @@ pub enum Error {
         /// Why.
         reason: String,
     },
+    /// A Zarr group that is whole, but not a matrix as `docs/matrix-format.md` describes it.
+    #[error("{}: {part}: expected {expected}, found {found}", path.display())]
+    MatrixFormat {
+        /// The store.
+        path: PathBuf,
+        /// The array or the attribute.
+        part: String,
+        /// What it should have been.
+        expected: String,
+        /// What it was.
+        found: String,
+    },
+    /// An array that a matrix should be made from holds what makes none.
+    #[error("{}: {array}: expected {expected}, found {found}", path.display())]
+    Arrays {
+        /// The file, or the output that the arrays are for.
+        path: PathBuf,
+        /// The array, or "archive", "file".
+        array: String,
+        /// What it should have been.
+        expected: String,
+        /// What it was.
+        found: String,
+    },
     /// A material file cannot be read.
     #[error("{}: incomplete or damaged material: {reason}", path.display())]
     BrokenMaterial {
@@ -219,6 +243,18 @@ pub enum Error {
     #[error("{}: expected an empty or a new folder, found files in it", path.display())]
     NotEmpty {
         /// The folder.
+        path: PathBuf,
+    },
+    /// There is a file already, and replacing was not asked for.
+    #[error("{}: expected a new name, found a file", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// What would be replaced is an output of this program that somebody has changed.
+    #[error("{}: not replaced, as it was changed after this program had written it", path.display())]
+    Changed {
+        /// The file.
         path: PathBuf,
     },
     /// What would be replaced was not made by this program.
@@ -317,6 +353,15 @@ impl Error {
     /// Whether this is our own fault rather than the input's.
     pub fn is_internal(&self) -> bool {
         matches!(self, Self::Internal { .. })
+    }
+
+    /// Whether the system ended the work, which is to be done again as it was: a full disk, a file that cannot be read.
+    pub(crate) fn is_of_system(&self) -> bool {
+        match self {
+            Self::Io { .. } => true,
+            Self::Explained { error, .. } => error.is_of_system(),
+            _ => false,
+        }
     }
 }
 

@@ -4,6 +4,8 @@
 
 mod cholesky;
 mod error;
+mod files;
+mod npy;
 mod output;
 mod warning;
 mod words;
@@ -60,6 +62,6 @@ pub mod cli;
 
 pub use error::{Error, Result};
 pub use warning::{
-    Bound, CaptureWarning, CheckWarning, ConsistencyWarning, Culprit, Done, DriftJump, FactorWarning, FindingRecord,
-    RadianceWarning, RegistrationWarning, ResponseWarning, Severity, SimulateWarning, Topic, Warning,
+    ArraysWarning, Bound, CaptureWarning, CheckWarning, ConsistencyWarning, Culprit, Done, DriftJump, FactorWarning,
+    FindingRecord, RadianceWarning, RegistrationWarning, ResponseWarning, Severity, SimulateWarning, Topic, Warning,
 };

@@ -46,7 +46,7 @@ pub(super) fn read(
     name: &str,
     warnings: &mut Vec<CaptureWarning>,
 ) -> std::io::Result<(ExifExposure, Option<CameraSettings>)> {
-    let mut file = std::io::BufReader::with_capacity(1 << 12, std::fs::File::open(path)?);
+    let mut file = std::io::BufReader::with_capacity(1 << 12, crate::files::open(path)?);
     let parsed = exif::Reader::new().continue_on_error(true).read_from_container(&mut file).or_else(|e| {
         e.distill_partial_result(|errors| {
             let reason = errors.first().map(ToString::to_string).unwrap_or_default();

@@ -189,7 +189,7 @@ impl Manifest {
     /// [`Error::DotOutsideSlab`] for a dot outside the grid. Files of photographs are not looked at.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join("capture.toml");
-        let text = match std::fs::read_to_string(&path) {
+        let text = match crate::files::read_to_string(&path) {
             Ok(text) => text,
             Err(e) if e.kind() == std::io::ErrorKind::NotFound && dir.is_dir() => {
                 return Err(Error::NoManifest { path: dir.to_path_buf() });

@@ -2,12 +2,15 @@
 
 mod encoding;
 mod exif;
+mod exr_file;
 mod folder;
 mod jpeg;
+mod jpeg_scan;
 mod manifest;
 mod photograph;
 #[cfg(feature = "raw")]
 mod raw;
+mod recorded;
 mod reduction;
 mod rig;
 mod rows;
@@ -18,13 +21,15 @@ mod together;
 
 pub(crate) use encoding::stated_encoding;
 pub use exif::ExposureFrom;
+pub(crate) use exr_file::decode_exr_bytes;
 pub use folder::Capture;
 pub use jpeg::compression_variance;
+pub(crate) use jpeg_scan::{check_jpeg, check_jpeg_end};
 pub use manifest::{
     Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Surface, Window,
 };
 pub use photograph::Photograph;
-pub(crate) use photograph::{check_exr_size, check_jpeg_end};
+pub(crate) use recorded::{hash, read_checksums, write_checksums};
 pub use reduction::{PhotographRows, Photosite, Reduction};
 pub use rig::{Board, Camera, FrameMarks, Noise, Projector, ResponseCurve, Rig, WhiteReference};
 pub use samples::{Pixels, Rect, Samples, Sampling};

@@ -226,7 +226,7 @@ impl Rig {
     /// # Errors
     /// [`Error::Io`], [`Error::Field`].
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+        let text = crate::files::read_to_string(path).map_err(Error::io("read", path))?;
         let rig: Self = super::parse_toml(path, &text)?;
         rig.check(path)?;
         Ok(rig)
@@ -249,7 +249,7 @@ impl Rig {
     pub fn copy(path: &Path, to: &Path) -> Result<()> {
         let one = |from: &Path, name: &str| {
             let copy = to.join(name);
-            std::fs::read(from).map_err(Error::io("read", from))?;
+            crate::files::read(from).map_err(Error::io("read", from))?;
             std::fs::copy(from, &copy).map(|_| ()).map_err(Error::io("write", &copy))
         };
         if let ResponseCurve::File(name) = &Self::read(path)?.camera.response_curve {

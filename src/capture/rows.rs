@@ -1,7 +1,8 @@
 //! A photograph's code values row by row, so that it is in memory as a whole only where its format leaves no choice.
 
+use super::exr_file::decode_exr;
 use super::photograph::raw;
-use super::photograph::{Format, UNKNOWN_ENDING, decode_exr, decode_jpeg};
+use super::photograph::{Format, MOST_BYTES, UNKNOWN_ENDING, decode_jpeg};
 use super::samples::{Samples, Sampling};
 use super::tiff_bands::TiffBands;
 use std::fs::File;
@@ -36,21 +37,19 @@ impl RowReader {
     /// # Errors
     /// Those of the file system (outer); in words, what is wrong with the file.
     pub(super) fn open(path: &Path) -> std::io::Result<Result<Self, String>> {
-        let mut file = BufReader::with_capacity(1 << 18, File::open(path)?);
+        let mut file = BufReader::with_capacity(1 << 18, crate::files::open(path)?);
         Ok(match Format::of(path) {
             None => Err(UNKNOWN_ENDING.into()),
             Some(Format::Tiff) => Self::tiff(file),
-            Some(Format::Exr) => decode_exr(file).map(|(w, h, samples)| Self::whole([w, h], samples, Sampling::WHOLE)),
+            Some(Format::Exr) => decode_exr(file, usize::MAX)
+                .map(|(w, h, pixels)| Self::whole([w, h], Samples::F32(pixels), Sampling::WHOLE)),
             Some(Format::Raw) => {
                 let mut bytes = Vec::new();
                 file.read_to_end(&mut bytes)?;
                 raw::decode(&bytes).map(|(w, h, samples, sampling)| Self::whole([w, h], samples, sampling))
             }
             Some(Format::Common) => {
-                let mut first = [0; 8];
-                let is_png = file.read_exact(&mut first).is_ok() && first == *b"\x89PNG\r\n\x1a\n";
-                file.rewind()?;
-                if is_png {
+                if png_decoder(&mut file)?.is_some() {
                     return Ok(Self::png(file));
                 }
                 let mut bytes = Vec::new();
@@ -66,13 +65,13 @@ impl RowReader {
     }
 
     fn png(file: BufReader<File>) -> Result<Self, String> {
-        let mut decoder = png::Decoder::new(file);
+        let mut decoder = png_decoder(file).map_err(|e| e.to_string())?.ok_or("no PNG")?;
         decoder.set_transformations(png::Transformations::EXPAND);
         let mut reader = decoder.read_info().map_err(|e| e.to_string())?;
         let (width, height) = reader.info().size();
         let size_px = [width as usize, height as usize];
         if reader.info().interlaced {
-            let len = reader.output_buffer_size().filter(|&len| len <= super::photograph::MOST_BYTES);
+            let len = reader.output_buffer_size().filter(|&len| len <= MOST_BYTES);
             let mut bytes = vec![0; len.ok_or("more pixels than are read")?];
             reader.next_frame(&mut bytes).map_err(|e| e.to_string())?;
             let mut samples = Samples::U8(vec![]);
@@ -141,6 +140,15 @@ impl RowReader {
 
     fn next_band(&mut self) -> Result<(), String> {
         self.taken = 0;
+        self.decode_band()?;
+        let line = 3 * self.size_px[0];
+        match self.band.len() > 0 && self.band.len().is_multiple_of(line) {
+            true => Ok(()),
+            false => Err(format!("expected lines of {} px, found {} numbers", self.size_px[0], self.band.len())),
+        }
+    }
+
+    fn decode_band(&mut self) -> Result<(), String> {
         match &mut self.source {
             Source::Png(reader, row) => {
                 let there = reader.read_row(row).map_err(|e| e.to_string())?;
@@ -162,6 +170,17 @@ impl RowReader {
             _ => Ok(()),
         }
     }
+}
+
+/// A decoder of PNG that leaves out colour profiles and texts, which small files may blow up to any size; `None` when the file is no PNG.
+pub(super) fn png_decoder<R: std::io::BufRead + Seek>(mut file: R) -> std::io::Result<Option<png::Decoder<R>>> {
+    let mut first = [0; 8];
+    let is_png = file.read_exact(&mut first).is_ok() && first == *b"\x89PNG\r\n\x1a\n";
+    file.rewind()?;
+    let mut decoder = png::Decoder::new_with_limits(file, png::Limits { bytes: MOST_BYTES });
+    decoder.set_ignore_text_chunk(true);
+    decoder.set_ignore_iccp_chunk(true);
+    Ok(is_png.then_some(decoder))
 }
 
 /// The code values of some rows as the PNG decoder gives them.

@@ -121,6 +121,20 @@ impl Samples {
         }
     }
 
+    /// Three planes, each of whose code values is there three times, as the colours of one picture; `None` when they differ in type or length.
+    pub(super) fn of_planes(planes: &[Self]) -> Option<Self> {
+        fn of<T: Copy>([r, g, b]: [&[T]; 3]) -> Option<Vec<T>> {
+            let all = r.iter().zip(g).zip(b).step_by(3).flat_map(|((&r, &g), &b)| [r, g, b]).collect();
+            (r.len() == g.len() && g.len() == b.len()).then_some(all)
+        }
+        match planes {
+            [Self::U8(r), Self::U8(g), Self::U8(b)] => of([r, g, b]).map(Self::U8),
+            [Self::U16(r), Self::U16(g), Self::U16(b)] => of([r, g, b]).map(Self::U16),
+            [Self::F32(r), Self::F32(g), Self::F32(b)] => of([r, g, b]).map(Self::F32),
+            _ => None,
+        }
+    }
+
     /// A copy of the code values in `part` of the rectangle `whole` that these are; `part` must lie inside.
     pub fn crop(&self, whole: Rect, part: Rect) -> Self {
         fn rows<T: Copy>(v: &[T], whole: Rect, part: Rect) -> Vec<T> {

@@ -32,7 +32,7 @@ impl CameraSettings {
     /// # Errors
     /// Those of reading the file.
     pub fn read(path: &Path) -> std::io::Result<Option<Self>> {
-        let mut file = std::io::BufReader::with_capacity(1 << 12, std::fs::File::open(path)?);
+        let mut file = std::io::BufReader::with_capacity(1 << 12, crate::files::open(path)?);
         let parsed = exif::Reader::new()
             .continue_on_error(true)
             .read_from_container(&mut file)

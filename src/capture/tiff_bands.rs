@@ -13,6 +13,8 @@ pub(super) struct TiffBands {
     decoder: Decoder<BufReader<File>>,
     size_px: [usize; 2],
     channels: usize,
+    /// 1, or one for each channel where they are stored one after the other.
+    planes: usize,
     /// Rows of a strip or tile.
     chunk_rows: usize,
     /// Strips or tiles side by side.
@@ -53,9 +55,7 @@ impl TiffBands {
             other => return Err(format!("pixels of type {other:?} are not read")),
         };
         let planar: Option<u16> = decoder.find_tag_unsigned(Tag::PlanarConfiguration).map_err(words)?;
-        if planar.is_some_and(|p| p != 1) && channels > 1 {
-            return Err("planes of one colour each (PlanarConfiguration 2) are not read".into());
-        }
+        let planes = if planar.is_some_and(|p| p != 1) { channels } else { 1 };
         let (chunk_width, chunk_rows) = decoder.chunk_dimensions();
         if chunk_width == 0 || chunk_rows == 0 {
             return Err("strips or tiles without pixels".into());
@@ -64,8 +64,8 @@ impl TiffBands {
         let (across, chunk_rows) = (width.div_ceil(chunk_width) as usize, chunk_rows as usize);
         let large = decoder.get_chunk_type() == ChunkType::Strip
             && size_px[0] * channels * chunk_rows.min(size_px[1]) > STRIP_BYTES;
-        let plain = if large { Plain::of(&mut decoder).map_err(words)? } else { None };
-        Ok(Self { decoder, size_px, channels, chunk_rows, across, row: 0, plain, bytes: vec![] })
+        let plain = if large && planes == 1 { Plain::of(&mut decoder).map_err(words)? } else { None };
+        Ok(Self { decoder, size_px, channels, planes, chunk_rows, across, row: 0, plain, bytes: vec![] })
     }
 
     /// Columns and rows.
@@ -100,28 +100,41 @@ impl TiffBands {
         let chunk = self.row / self.chunk_rows * self.across;
         let rows = self.chunk_rows.min(self.size_px[1] - self.row);
         self.row += rows;
-        if self.across == 1 {
-            *band = of_tiff(self.decoder.read_chunk(chunk as u32).map_err(|e| e.to_string())?, self.channels)?;
-            return Ok(());
-        }
         let mut tiles = Vec::with_capacity(self.across);
         for k in 0..self.across {
-            let index = (chunk + k) as u32;
-            let width = self.decoder.chunk_data_dimensions(index).0 as usize;
-            let tile = self.decoder.read_chunk(index).map_err(|e| e.to_string())?;
-            tiles.push((width, of_tiff(tile, self.channels)?));
+            let width = self.decoder.chunk_data_dimensions((chunk + k) as u32).0 as usize;
+            let tile = self.chunk(chunk + k)?;
+            if tile.len() != 3 * width * rows {
+                return Err(format!("a strip or tile of {} numbers, expected {}", tile.len(), 3 * width * rows));
+            }
+            tiles.push((width, tile));
+        }
+        if self.across == 1 {
+            *band = tiles.pop().map_or(Samples::U8(vec![]), |(_, strip)| strip);
+            return Ok(());
         }
         band.clear();
         for y in 0..rows {
             for (width, tile) in &tiles {
-                let from = 3 * width * y..3 * width * (y + 1);
-                if tile.len() < from.end {
-                    return Err("a tile of fewer pixels than it should have".into());
-                }
-                band.extend(tile, from);
+                band.extend(tile, 3 * width * y..3 * width * (y + 1));
             }
         }
         Ok(())
+    }
+
+    /// A strip or tile, with all its channels.
+    fn chunk(&mut self, index: usize) -> Result<Samples, String> {
+        let mut plane = |p: usize| {
+            let of_plane = self.across * self.size_px[1].div_ceil(self.chunk_rows);
+            let index = u32::try_from(index + p * of_plane).map_err(|e| e.to_string())?;
+            self.decoder.read_chunk(index).map_err(|e| e.to_string())
+        };
+        if self.planes == 1 {
+            return of_tiff(plane(0)?, self.channels);
+        }
+        // Alpha is not looked at.
+        let colors = (0..self.channels.min(3)).map(|p| of_tiff(plane(p)?, 1)).collect::<Result<Vec<_>, String>>()?;
+        Samples::of_planes(&colors).ok_or_else(|| "planes of different lengths or kinds".into())
     }
 
     fn read_plain(&mut self, band: &mut Samples) -> std::io::Result<()> {

@@ -60,7 +60,7 @@ fn look(photograph: &Photograph, file: &str, expected_px: [usize; 2]) -> Option<
 /// Refuses a PNG, JPEG or TIFF that lacks its end, as a copy that was stopped does. Other formats pass, and damage in the middle too.
 fn cut_short(path: &Path) -> Result<(), String> {
     let say = |e: std::io::Error| e.to_string();
-    let mut file = std::fs::File::open(path).map_err(say)?;
+    let mut file = crate::files::open(path).map_err(say)?;
     let mut start = [0u8; 8];
     file.read_exact(&mut start).map_err(say)?;
     let short = Err("the file ends before the image does".to_owned());
@@ -79,7 +79,7 @@ fn cut_short(path: &Path) -> Result<(), String> {
         file.seek(SeekFrom::End(-2)).and_then(|_| file.read_exact(&mut end[..2])).map_err(say)?;
         // Compressed data never hold the end marker; anything after it makes a whole reading necessary.
         if end[..2] != [0xff, 0xd9] {
-            return crate::capture::check_jpeg_end(&std::fs::read(path).map_err(say)?);
+            return crate::capture::check_jpeg_end(&crate::files::read(path).map_err(say)?);
         }
     }
     Ok(())

@@ -1,6 +1,7 @@
-use super::{Context, options};
-use crate::pipeline::{BuildReport, build_matrix};
-use crate::simulate::TRUTH_MATRIX;
+pub(super) use super::options::Build as Options;
+
+use super::Context;
+use crate::pipeline::{BuildReport, TakenOver, build_matrix};
 use crate::words::count;
 use crate::{Error, Result, Warning};
 use std::path::{Path, PathBuf};
@@ -20,12 +21,16 @@ Examples:
 docs/findings.md lists what may be found, and what to do about it.")]
 pub(super) struct Args {
     /// Folder of capture.toml.
+    #[arg(value_parser = super::things::folder_of("capture.toml"))]
     capture: PathBuf,
     #[command(flatten)]
-    build: options::Build,
-    /// Where the matrix goes; an older one there is replaced.
+    build: Options,
+    /// Where the matrix goes.
     #[arg(long, short, value_name = "X.rd.zarr", default_value = "matrix.rd.zarr")]
     out: PathBuf,
+    /// Replace an earlier matrix there.
+    #[arg(long)]
+    force: bool,
     /// Print one JSON object: what was measured, and the findings; of a capture that is refused, why.
     #[arg(long)]
     json: bool,
@@ -33,17 +38,15 @@ pub(super) struct Args {
 
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let start = std::time::Instant::now();
-    let truth = args.capture.join(TRUTH_MATRIX);
-    if truth.canonicalize().is_ok_and(|truth| args.out.canonicalize().is_ok_and(|out| out == truth)) {
-        let expected = "another path than the simulated capture's truth".into();
-        return Err(Error::Setting { setting: "out", expected, found: args.out.display().to_string() });
-    }
+    let inputs = super::inputs_of(&args.capture, args.build.calibration.as_deref());
+    super::check_matrix_output("out", &args.out, &inputs, args.force)?;
     let built = build_matrix(&args.capture, &args.build.into(), &args.out, &context.progress);
     if args.json {
         super::print(&json(&built, &args.capture, &args.out)?)?;
     }
     let report = built?;
     context.tell(&report.warnings);
+    taken_over(&report).into_iter().for_each(|line| context.done(line));
     context.done(summary(&report));
     let stages: Vec<_> = context.progress.timings().iter().map(|t| format!("{} {:.2} s", t.stage, t.secs)).collect();
     context.done(stages.join(", "));
@@ -66,6 +69,18 @@ fn json(built: &Result<BuildReport>, capture: &Path, out: &Path) -> Result<Strin
         }
     };
     serde_json::to_string_pretty(&object).map_err(Error::internal)
+}
+
+/// What a stopped run had measured.
+pub(super) fn taken_over(report: &BuildReport) -> Option<String> {
+    let TakenOver { shots, of, anew } = report.taken_over;
+    match (shots, anew) {
+        (_, true) => {
+            Some("a stopped run had begun with other photographs, options or version: all was measured anew".into())
+        }
+        (0, false) => None,
+        _ => Some(format!("{shots} of {} were measured by a stopped run, and taken over", count(of, "lattice shot"))),
+    }
 }
 
 /// One line that says what was measured.

@@ -19,6 +19,7 @@ Examples:
 Each topic is good, look (it builds, but needs a look) or bad. Exit status 1 when build-matrix would fail, 0 otherwise.")]
 pub(super) struct Args {
     /// Folder of capture.toml.
+    #[arg(value_parser = super::things::folder_of("capture.toml"))]
     capture: PathBuf,
     #[command(flatten)]
     options: options::Check,

@@ -15,8 +15,10 @@ Examples:
 docs/metrics.md defines every measure.")]
 pub(super) struct Args {
     /// A material (*.safetensors) or a matrix (*.rd.zarr).
+    #[arg(value_parser = super::things::matrix())]
     candidate: PathBuf,
     /// The matrix to compare with.
+    #[arg(value_parser = super::things::matrix())]
     reference: PathBuf,
     /// Print one JSON object instead of a table.
     #[arg(long)]

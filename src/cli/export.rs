@@ -18,6 +18,9 @@ pub(super) struct Args {
     /// The file to write [default: the material's name with the format's extension].
     #[arg(long, short, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Replace an earlier export there.
+    #[arg(long)]
+    force: bool,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
@@ -34,7 +37,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
         Format::Npz => "npz",
     };
     let out = args.out.unwrap_or_else(|| args.material.with_extension(ending));
-    super::check_output(&out, &[&args.material], &[ending])?;
+    super::check_output("out", &out, &[&args.material], &[ending], args.force)?;
     let material = material::load(&args.material)?;
     match args.to {
         Format::Exr => export_exr(&material, &out)?,

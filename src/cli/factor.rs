@@ -20,7 +20,21 @@ Examples:
   acquire factor slab.rd.zarr --memory 2GiB --backend gram")]
 pub(super) struct Args {
     /// The matrix, a folder *.rd.zarr.
+    #[arg(value_parser = super::things::matrix())]
     matrix: PathBuf,
+    #[command(flatten)]
+    options: Options,
+    /// The material to write [default: the matrix's name with .safetensors, in the working directory].
+    #[arg(long, short, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Replace an earlier material there.
+    #[arg(long)]
+    force: bool,
+}
+
+/// All that can be asked of a factorization.
+#[derive(Debug, clap::Args)]
+pub(super) struct Options {
     /// What the material is [default: tucker when --degree is given, else joint; with a target whichever serves it better].
     #[arg(long, value_parser = model())]
     model: Option<Model>,
@@ -67,13 +81,38 @@ pub(super) struct Args {
     /// How far a peak may be from its lit point, in samples [default: a quarter of the window].
     #[arg(long, value_name = "SAMPLES", conflicts_with = "no_peak_shift")]
     max_shift: Option<usize>,
-    /// The material to write [default: the matrix's name with .safetensors, in the working directory].
-    #[arg(long, short, value_name = "FILE")]
-    out: Option<PathBuf>,
+}
+
+impl Options {
+    /// As the library has them; `precision` where none is given.
+    pub(super) fn options(self, precision: Precision) -> Result<(FactorOptions, Storage)> {
+        let precision = self.precision.unwrap_or(precision);
+        check(&self, precision)?;
+        let options = FactorOptions {
+            model: self.model,
+            terms: self.terms,
+            degree: self.degree,
+            goal: match (self.target_psnr, self.max_bytes) {
+                (Some(db), _) => Goal::Psnr(db),
+                (None, Some(bytes)) => Goal::Bytes(bytes),
+                (None, None) => Goal::Noise,
+            },
+            color_regression: self.color_regression,
+            maps: self.maps,
+            profile_power: self.profile_power,
+            backend: self.backend,
+            accuracy: self.accuracy,
+            memory_bytes: self.memory,
+            peak_shift: !self.no_peak_shift,
+            max_shift: self.max_shift,
+            ..FactorOptions::default()
+        };
+        Ok((options, Storage { precision, added_error: self.added_error }))
+    }
 }
 
 /// Refuses options that contradict each other.
-fn check(args: &Args, precision: Precision) -> Result<()> {
+fn check(args: &Options, precision: Precision) -> Result<()> {
     let refuse =
         |setting, expected: &str, found: String| Err(Error::Setting { setting, expected: expected.into(), found });
     if args.added_error.is_some() && precision != Precision::Coded {
@@ -101,54 +140,34 @@ fn in_all(stored: &Stored) -> String {
 }
 
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
+    let (asked, target_psnr) = (args.options.precision, args.options.target_psnr);
     let out = args.out.clone().unwrap_or_else(|| {
         let name = args.matrix.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let end = if args.precision == Some(Precision::Coded) { "acq" } else { "safetensors" };
+        let end = if asked == Some(Precision::Coded) { "acq" } else { "safetensors" };
         PathBuf::from(format!("{}.{end}", name.trim_end_matches(".zarr").trim_end_matches(".rd")))
     });
     let coded = out.extension().is_some_and(|e| e == "acq");
-    let precision = args.precision.unwrap_or(if coded { Precision::Coded } else { Precision::F32 });
-    check(&args, precision)?;
+    let (options, storage) = args.options.options(if coded { Precision::Coded } else { Precision::F32 })?;
     // What the name says is what others will take the file for.
-    let endings = match args.precision {
+    let endings = match asked {
         None => &super::MATERIALS[..],
         Some(Precision::Coded) => &["acq"],
         Some(_) => &["safetensors"],
     };
-    super::check_output(&out, &[&args.matrix], endings)?;
+    super::check_output("out", &out, &[&args.matrix], endings, args.force)?;
     let reader = MatrixReader::open(&args.matrix)?;
-    let options = FactorOptions {
-        model: args.model,
-        terms: args.terms,
-        degree: args.degree,
-        goal: match (args.target_psnr, args.max_bytes) {
-            (Some(db), _) => Goal::Psnr(db),
-            (None, Some(bytes)) => Goal::Bytes(bytes),
-            (None, None) => Goal::Noise,
-        },
-        color_regression: args.color_regression,
-        maps: args.maps,
-        profile_power: args.profile_power,
-        backend: args.backend,
-        accuracy: args.accuracy,
-        memory_bytes: args.memory,
-        peak_shift: !args.no_peak_shift,
-        max_shift: args.max_shift,
-        ..FactorOptions::default()
-    };
-    let storage = Storage { precision, added_error: args.added_error };
     let stored = factor_and_store(&reader, &options, &storage, &context.progress)?;
-    write_whole(&out, &stored.file)?;
+    write_whole(&out, stored.file.clone())?;
     let factored = &stored.factored;
     context.tell(&factored.warnings);
-    let how = match precision {
+    let how = match storage.precision {
         Precision::F32 => String::new(),
         Precision::F16 => format!(", stored as f16 in {} bytes, {}", stored.bytes, in_all(&stored)),
         Precision::Coded => format!(", coded in {} bytes, {}", stored.bytes, in_all(&stored)),
     };
     let matrix_bytes = 4 * (reader.header().rows() * reader.header().row_len()) as u64;
     let bytes = factored.material.bytes_f32();
-    match (args.target_psnr, precision) {
+    match (target_psnr, storage.precision) {
         (Some(db), Precision::Coded) => context.done(format_args!(
             "{}; {ROOM_DB} dB of it are reserved for coding, which leaves {db} dB",
             factored.choice

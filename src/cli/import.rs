@@ -19,7 +19,7 @@ pub(super) struct Args {
     /// Folder of the photographs, as the camera or gphoto2 made it.
     folder: PathBuf,
     /// Folder of plan.toml, as `acquire patterns` made it.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::things::folder_of("plan.toml"))]
     plan: PathBuf,
     /// The capture to make.
     #[arg(long, short, value_name = "DIR")]
@@ -29,6 +29,8 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
+    let inputs = [Some(args.folder.as_path()), Some(&args.plan), args.options.calibration.as_deref()];
+    super::check_folder("out", &args.out, &inputs.into_iter().flatten().collect::<Vec<_>>(), false)?;
     let done = import(&args.folder, &args.plan, &args.out, &args.options.into(), &context.progress)?;
     let out = args.out.display();
     let left = if done.left > 0 { format!(", {} of other kinds left", done.left) } else { String::new() };

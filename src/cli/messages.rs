@@ -1,8 +1,11 @@
 //! What the terminal shows of errors and warnings: options as they are typed, and what to try.
 
+use super::things::{known, rig_near};
 use crate::{
     CaptureWarning, CheckWarning, ConsistencyWarning, Error, RadianceWarning, Severity, SimulateWarning, Warning,
 };
+use std::io::ErrorKind;
+use std::path::Path;
 
 /// An error in one line.
 pub(super) fn text(error: &Error) -> String {
@@ -27,13 +30,16 @@ fn typed(fields: &str) -> String {
 }
 
 /// Decoders and file names may bring line breaks of their own.
-fn one_line(text: &str) -> String {
+pub(super) fn one_line(text: &str) -> String {
     let lines: Vec<_> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     lines.join(" ")
 }
 
 /// What the person at the terminal might do about an error.
 pub(super) fn hint(error: &Error) -> Option<String> {
+    if let Some(hint) = of_the_input(error) {
+        return Some(hint);
+    }
     let hint = match error {
         Error::Io { action: "create" | "write" | "rename", .. } => {
             "choose an output path in a folder that exists and can be written, with --out"
@@ -83,13 +89,19 @@ pub(super) fn hint(error: &Error) -> Option<String> {
             _ => "copy the photograph again from the camera, or write exposure_secs = … for it in capture.toml",
         },
         Error::BrokenMatrix { .. } => {
-            "the store may come from a stopped run; build it again with `acquire build-matrix`"
+            "the store may be an incomplete copy; copy it again, or build it again with `acquire build-matrix`"
+        }
+        Error::MatrixFormat { .. } => "docs/matrix-format.md describes a matrix store, and what may be left out of one",
+        Error::Arrays { .. } => {
+            "`acquire help import-matrix` lists arrays and shapes; docs/matrix-format.md describes them"
         }
         Error::BrokenMaterial { .. } => "the file may have been cut short; make it again with `acquire factor`",
         Error::BrokenImage { .. } => "give an OpenEXR, PNG or JPEG image",
         Error::Mismatch { .. } => "compare outputs of one capture, with one grid and window",
-        Error::NotOurs { .. } => "move it elsewhere, or name another --out (or DIR)",
-        Error::NotEmpty { .. } => "name another --out (or DIR), or replace an earlier output with --force",
+        Error::NotOurs { .. } | Error::Changed { .. } => "move it elsewhere, or name another --out (or DIR)",
+        Error::NotEmpty { .. } | Error::Exists { .. } => {
+            "name another --out (or DIR), or replace an earlier output with --force"
+        }
         Error::Setting { .. } => "see `acquire help` for the range of each option",
         Error::Voxels { .. } => "docs/simulation.md describes voxel files, with an example that writes one",
         Error::Diffusion { .. } => "follow the photons instead: --transport mc",
@@ -97,6 +109,34 @@ pub(super) fn hint(error: &Error) -> Option<String> {
         Error::Internal { .. } => "this is a bug in acquire; please report it with the command line",
     };
     Some(hint.to_owned())
+}
+
+/// What the input is instead of what it should be, and what takes it.
+fn of_the_input(error: &Error) -> Option<String> {
+    match error {
+        Error::Io { source, .. } if matches!(source.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded) => {
+            Some("the disk is full: make room there, or name an --out (or DIR) on another one".into())
+        }
+        Error::Io { action: "read", path, source } => match source.kind() {
+            // The file that makes a folder what it should be.
+            ErrorKind::NotFound if path.ends_with("plan.toml") => known(path.parent()?),
+            _ => known(path),
+        },
+        Error::NoManifest { path } => known(path),
+        Error::BrokenMatrix { path, .. } | Error::MatrixFormat { path, .. } => {
+            known(path).filter(|_| !path.join("zarr.json").is_file())
+        }
+        Error::BrokenMaterial { path, .. } => known(path).filter(|_| path.is_dir()),
+        Error::NoRig { path, looked } => {
+            let near = [Path::new(looked), path].into_iter().find_map(rig_near)?;
+            let near = near.display();
+            Some(format!(
+                "there is a rig.toml in {near}: name that folder, with --calibration (with `acquire patterns` --rig)"
+            ))
+        }
+        Error::WouldNotBuild { reason } => of_the_input(reason),
+        _ => None,
+    }
 }
 
 /// Findings in one line each, worst first. Many of one kind are one line, which says the first and how many more there are.

@@ -2,23 +2,34 @@
 
 mod build_matrix;
 mod check;
+mod clean;
 mod evaluate;
 mod export;
 mod factor;
 mod import;
+mod import_matrix;
+mod keywords;
 mod messages;
 mod options;
 mod patterns;
 mod relight;
 mod run;
 mod simulate;
+mod things;
 mod tradeoff;
 mod values;
 
+pub use keywords::{build_options, factor_options, simulate_options};
+use messages::one_line;
+
+use crate::capture::Manifest;
+use crate::output::{check_apart, check_file};
+use crate::simulate::TRUTH_MATRIX;
+use crate::transport::check_matrix;
 use crate::{Error, Result, Severity, progress::Progress};
 use clap::{Parser, Subcommand};
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Measure translucent materials: photographs of a projector-lit slab to the matrix R_d(x_i, x_o) and a factored material.
@@ -53,6 +64,7 @@ enum Command {
     Simulate(Box<simulate::Args>),
     Patterns(Box<patterns::Args>),
     Import(import::Args),
+    ImportMatrix(import_matrix::Args),
     Check(check::Args),
     BuildMatrix(build_matrix::Args),
     Factor(factor::Args),
@@ -61,6 +73,7 @@ enum Command {
     Tradeoff(tradeoff::Args),
     Export(export::Args),
     Run(run::Args),
+    Clean(clean::Args),
 }
 
 /// What every subcommand gets besides its own arguments.
@@ -82,7 +95,7 @@ impl Context {
         let findings: Vec<crate::Warning> = findings.iter().cloned().map(Into::into).collect();
         for (severity, line) in messages::told(&findings) {
             if severity > Severity::Note || !self.quiet {
-                self.progress.say(format_args!("{}: {line}", severity.name()));
+                self.progress.say(neutral(&format!("{}: {line}", severity.name())));
             }
         }
     }
@@ -95,18 +108,33 @@ pub fn main() -> ExitCode {
         Err(e) => {
             // --help and --version are successes on stdout; anything else is bad input.
             let code = if e.use_stderr() { 1 } else { 0 };
-            let _ = e.print();
+            let plain = e.render().to_string();
+            match neutral(&plain) == plain {
+                true => drop(e.print()),
+                false => message(plain),
+            }
             return ExitCode::from(code);
         }
     };
     // A panic has said where it was; it is ours, and ends like any other fault of ours.
+    let quiet = cli.quiet;
     let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| run(cli)));
+    for path in crate::output::take_removed().iter().filter(|_| !quiet) {
+        message(format_args!("note: removed {}, which a stopped run had left", path.display()));
+    }
+    let kept = crate::output::take_kept();
     match done.unwrap_or_else(|_| Err(Error::internal("the program panicked"))) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             message(format_args!("error: {}", messages::text(&error)));
             if let Some(hint) = messages::hint(&error) {
                 message(format_args!("hint: {hint}"));
+            }
+            for path in kept {
+                message(format_args!(
+                    "kept: what was finished, in {}; the same command goes on from there, `acquire clean` removes it",
+                    path.display()
+                ));
             }
             ExitCode::from(if error.is_internal() { 2 } else { 1 })
         }
@@ -115,7 +143,16 @@ pub fn main() -> ExitCode {
 
 /// A line on stderr; one that nobody reads must not end the work.
 fn message(line: impl std::fmt::Display) {
-    let _ = writeln!(std::io::stderr(), "{line}");
+    let _ = writeln!(std::io::stderr(), "{}", neutral(&line.to_string()));
+}
+
+/// Text in which names of files cannot make a terminal do anything: control characters, and those that turn the direction of writing, are spelled out.
+fn neutral(text: &str) -> String {
+    let obeyed = |c: char| {
+        c.is_control() && c != '\n' && c != '\t'
+            || matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+    };
+    text.chars().map(|c| if obeyed(c) { c.escape_unicode().to_string() } else { c.to_string() }).collect()
 }
 
 /// Data on stdout, which `| head` may have read all that it wants of.
@@ -129,33 +166,90 @@ fn print(text: &str) -> Result<()> {
 /// Endings of material files.
 const MATERIALS: [&str; 2] = ["safetensors", "acq"];
 
-/// Refuses an output file that would fail or harm only after the work: a folder, a device, a file without a folder, one of `inputs`, a name
-/// that ends in none of `endings`, an existing .safetensors or .acq file that this program did not write.
-fn check_output(out: &Path, inputs: &[&Path], endings: &[&str]) -> Result<()> {
-    let refuse = |expected: &str| {
-        Err(Error::Setting { setting: "out", expected: expected.into(), found: out.display().to_string() })
-    };
+/// Refuses an output file that would fail or harm only after the work: a folder, a device, a file without a folder, a place that is not apart from
+/// `inputs`, a name that ends in none of `endings`, an existing file unless `force`, and one that this program has not made. `setting` is the option that
+/// names it.
+///
+/// # Errors
+/// [`Error::Setting`], [`Error::Exists`], [`Error::NotOurs`], [`Error::Io`].
+pub fn check_output(setting: &'static str, out: &Path, inputs: &[&Path], endings: &[&str], force: bool) -> Result<()> {
+    let refuse =
+        |expected: &str| Err(Error::Setting { setting, expected: expected.into(), found: out.display().to_string() });
     if std::fs::metadata(out).is_ok_and(|kind| !kind.is_file()) {
         return refuse("a file");
     }
     let folder = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let Some(name) = out.file_name().filter(|_| folder.is_dir()) else {
+    if out.file_name().is_none() || !folder.is_dir() {
         return refuse("a file in a folder that exists");
-    };
-    let folder = folder.canonicalize().map_err(Error::io("create", out))?;
-    let places = [Some(folder.join(name)), out.canonicalize().ok()];
-    let inputs: Vec<_> = inputs.iter().filter_map(|input| input.canonicalize().ok()).collect();
-    if places.iter().flatten().any(|place| inputs.iter().any(|input| place.starts_with(input))) {
-        return refuse("another file than the input");
     }
-    let ending = out.extension().and_then(|e| e.to_str()).unwrap_or_default();
-    if !endings.contains(&ending) {
+    check_apart(setting, out, inputs)?;
+    if !endings.contains(&ending(out).as_str()) {
         return refuse(&format!("a name that ends in .{}", endings.join(" or .")));
     }
-    if MATERIALS.contains(&ending) && out.exists() && crate::material::load(out).is_err() {
-        return Err(Error::NotOurs { path: out.to_path_buf() });
+    check_file(out, force).map(|_| ())
+}
+
+/// Endings of files that this program or others write: a folder under such a name would be taken for one.
+const FILES: [&str; 22] = [
+    "acq",
+    "arw",
+    "bmp",
+    "cr2",
+    "csv",
+    "dng",
+    "exr",
+    "gif",
+    "html",
+    "jpeg",
+    "jpg",
+    "json",
+    "nef",
+    "npy",
+    "npz",
+    "pdf",
+    "png",
+    "safetensors",
+    "tif",
+    "tiff",
+    "toml",
+    "txt",
+];
+
+/// Refuses a matrix to write that is not apart from `inputs`, whose name ends like that of a file, an existing one unless `force`, and what this program has
+/// not made. `setting` is the option that names it.
+///
+/// # Errors
+/// [`Error::Setting`], [`Error::NotEmpty`], [`Error::NotOurs`], [`Error::Changed`], [`Error::Io`].
+pub fn check_matrix_output<P: AsRef<Path>>(setting: &'static str, out: &Path, inputs: &[P], force: bool) -> Result<()> {
+    check_folder(setting, out, inputs, true)?;
+    check_matrix(out, force).map(|_| ())
+}
+
+/// Refuses an output folder that is not apart from `inputs`, or whose name ends like that of a file, or of a matrix (`.zarr`) that it is not.
+///
+/// # Errors
+/// [`Error::Setting`], [`Error::Io`].
+pub fn check_folder<P: AsRef<Path>>(setting: &'static str, out: &Path, inputs: &[P], is_matrix: bool) -> Result<()> {
+    check_apart(setting, out, inputs)?;
+    let ending = ending(out);
+    if FILES.contains(&ending.as_str()) || (ending == "zarr" && !is_matrix) {
+        let expected = if is_matrix { "a name that ends in .rd.zarr" } else { "the name of a folder" };
+        return Err(Error::Setting { setting, expected: expected.into(), found: out.display().to_string() });
     }
     Ok(())
+}
+
+/// What a build reads, and what an evaluation of it needs: an output may lie beside these in the capture's folder, and may not hold one of them.
+pub fn inputs_of(capture: &Path, calibration: Option<&Path>) -> Vec<PathBuf> {
+    // A manifest that cannot be read is told of when it is needed.
+    let Ok(manifest) = Manifest::read(capture) else { return vec![capture.to_path_buf()] };
+    let kept = ["capture.toml", "calibration", TRUTH_MATRIX].map(|name| capture.join(name));
+    let photographs = manifest.shots.iter().flat_map(|s| &s.photographs).map(|p| capture.join(&p.file));
+    calibration.into_iter().map(Path::to_path_buf).chain(kept).chain(photographs).collect()
+}
+
+fn ending(path: &Path) -> String {
+    path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
 }
 
 fn run(cli: Cli) -> Result<()> {
@@ -175,6 +269,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Simulate(args) => simulate::run(*args, &context),
         Command::Patterns(args) => patterns::run(*args, &context),
         Command::Import(args) => import::run(args, &context),
+        Command::ImportMatrix(args) => import_matrix::run(args, &context),
         Command::Check(args) => check::run(args, &context),
         Command::BuildMatrix(args) => build_matrix::run(args, &context),
         Command::Factor(args) => factor::run(args, &context),
@@ -183,12 +278,28 @@ fn run(cli: Cli) -> Result<()> {
         Command::Tradeoff(args) => tradeoff::run(args, &context),
         Command::Export(args) => export::run(args, &context),
         Command::Run(args) => run::run(args, &context),
+        Command::Clean(args) => clean::run(args, &context),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_folder_whose_name_is_that_of_a_file_or_of_a_matrix_is_refused() {
+        let refused = |name: &str, is_matrix| check_folder::<&Path>("out", Path::new(name), &[], is_matrix).is_err();
+        for name in ["a.exr", "a.SAFETENSORS", "a.rd.zarr", "a.zarr"] {
+            assert!(refused(name, false), "{name}");
+        }
+        assert!(refused("a.npz", true) && !refused("a.rd.zarr", true) && !refused("a", true));
+        assert!(!refused("results", false) && !refused("slab.v2", false) && !refused("..", false));
+    }
+
+    #[test]
+    fn what_a_terminal_would_obey_is_shown_as_text() {
+        assert_eq!(neutral("a\u{1b}[31m\u{7}b\u{9b}\tc\nd \u{202e}é"), "a\\u{1b}[31m\\u{7}b\\u{9b}\tc\nd \\u{202e}é");
+    }
 
     #[test]
     fn outputs_that_are_inputs_folders_or_devices_are_refused() {
@@ -200,14 +311,17 @@ mod tests {
         #[cfg(unix)]
         std::os::unix::fs::symlink(&input, folder.path().join("link")).unwrap();
         let inputs = [input.as_path(), store.as_path()];
-        let refused = |name: &str| check_output(&folder.path().join(name), &inputs, &MATERIALS).is_err();
+        let refused = |name: &str| check_output("out", &folder.path().join(name), &inputs, &MATERIALS, true).is_err();
         for name in ["m.safetensors", "./m.safetensors", "m.rd.zarr", "m.rd.zarr/zarr.json", "m.rd.zarr/new"] {
             assert!(refused(name), "{name}");
         }
         #[cfg(unix)]
         assert!(refused("link"));
         assert!(refused("") && refused("..") && refused("nowhere/x"));
-        assert!(check_output(Path::new("/dev/null"), &[], &[""]).is_err(), "a rename would replace the device");
+        assert!(
+            check_output("out", Path::new("/dev/null"), &[], &[""], true).is_err(),
+            "a rename would replace the device"
+        );
         assert!(!refused("new.safetensors") && !refused("new.acq"));
         assert!(refused("notes.txt") && refused("new"), "other names are of other files");
         std::fs::write(folder.path().join("model.safetensors"), "somebody's weights").unwrap();

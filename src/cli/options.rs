@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// Arguments by the names of a stage's options, and their conversion; options that are not listed cannot be typed.
 macro_rules! typed {
     ($name:ident => $target:path { $($(#[$attribute:meta])* $field:ident: $type:ty,)* }) => {
-        #[derive(Debug, clap::Args)]
+        #[derive(Debug, Clone, clap::Args)]
         pub struct $name {
             $($(#[$attribute])* pub $field: $type,)*
         }
@@ -28,7 +28,7 @@ macro_rules! typed {
 
 typed!(Build => crate::pipeline::BuildOptions {
     /// Folder of rig.toml [default: calibration/ in the capture, else beside it].
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::things::folder_of("rig.toml"))]
     calibration: Option<PathBuf>,
     /// Leave the light of a shot's other dots in the rows, to see what it does.
     #[arg(long)]
@@ -66,7 +66,7 @@ typed!(Import => crate::import::ImportOptions {
     #[arg(long, value_name = "ENDING")]
     take: Option<String>,
     /// Folder of rig.toml, copied into the capture [default: calibration/ of the plan].
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::things::folder_of("rig.toml"))]
     calibration: Option<PathBuf>,
     /// A name for people [default: the plan's].
     #[arg(long)]

@@ -22,10 +22,10 @@ Examples:
 The third makes the patterns of a probe: four dots, one a shot.")]
 pub(super) struct Args {
     /// Folder of rig.toml.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::things::folder_of("rig.toml"))]
     rig: PathBuf,
     /// A quick capture of the same sample on the same rig: a few lattice shots of single dots.
-    #[arg(long, value_name = "CAPTURE")]
+    #[arg(long, value_name = "CAPTURE", value_parser = super::things::folder_of("capture.toml"))]
     probe: Option<PathBuf>,
     #[command(flatten)]
     options: options::Patterns,
@@ -40,6 +40,8 @@ pub(super) struct Args {
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let options = PatternsOptions::from(args.options);
     options.check()?;
+    let inputs: Vec<_> = [Some(args.rig.as_path()), args.probe.as_deref()].into_iter().flatten().collect();
+    super::check_folder("out", &args.out, &inputs, false)?;
     let rig_path = Rig::find(&args.rig, Some(&args.rig))?;
     let probe = match &args.probe {
         Some(dir) => {

@@ -12,6 +12,7 @@ Examples:
   acquire relight slab.safetensors --light point:3,5 --out point.exr    one lit point")]
 pub(super) struct Args {
     /// A material or a matrix.
+    #[arg(value_parser = super::things::matrix())]
     source: PathBuf,
     /// Irradiance over the lit area: an image (EXR linear, PNG or JPEG sRGB), or spot, stripes, gradient, uniform,
     /// point:I,J.
@@ -20,17 +21,16 @@ pub(super) struct Args {
     /// The exitance to write, linear OpenEXR; a tone-mapped PNG goes beside it.
     #[arg(long, short, value_name = "FILE.exr")]
     out: PathBuf,
+    /// Replace an earlier exitance and its PNG there.
+    #[arg(long)]
+    force: bool,
 }
 
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let png = args.out.with_extension("png");
     let inputs = [args.source.as_path(), Path::new(&args.light)];
-    super::check_output(&args.out, &inputs, &["exr"])?;
-    super::check_output(&png, &inputs, &["png"])?;
-    // The picture of an earlier relighting lies beside its exitance.
-    if png.exists() && !args.out.exists() {
-        return Err(Error::NotOurs { path: png });
-    }
+    super::check_output("out", &args.out, &inputs, &["exr"], args.force)?;
+    super::check_output("out", &png, &inputs, &["png"], args.force)?;
     let light = parse_light(&args.light)?;
     let source = Source::open(&args.source)?;
     let quadrature = light.quadrature(&lit_area(&source)?, &source.shape());

@@ -3,8 +3,8 @@ use crate::capture::Manifest;
 use crate::evaluate::evaluate;
 use crate::factor::{FactorOptions, Factored, factor};
 use crate::material::{self, Precision, Responses, Source, export_exr, export_npz};
-use crate::output::NewFolder;
-use crate::pipeline::{BuildReport, build_matrix};
+use crate::output::{NewFolder, key_of};
+use crate::pipeline::{BuildReport, build_matrix_in};
 use crate::report::{self, Comparison, MaterialSummary, ReportInput, RowSurvey};
 use crate::simulate::TRUTH_MATRIX;
 use crate::transport::MatrixReader;
@@ -22,6 +22,7 @@ Writes into RESULTS: matrix.rd.zarr, material.safetensors, material.exr, materia
 When the capture has a truth.rd.zarr beside it (a simulated one), the matrix is measured against it.")]
 pub(super) struct Args {
     /// Folder of capture.toml.
+    #[arg(value_parser = super::things::folder_of("capture.toml"))]
     capture: PathBuf,
     /// The folder to make.
     #[arg(long, short, value_name = "RESULTS")]
@@ -46,26 +47,44 @@ const MEASURES: &str = "measures.json";
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     let factoring = FactorOptions { terms: args.terms, degree: args.degree, ..FactorOptions::default() };
     factoring.check()?;
-    let results = NewFolder::create(&args.out, args.force)?;
+    let inputs = super::inputs_of(&args.capture, args.build.calibration.as_deref());
+    super::check_folder("out", &args.out, &inputs, false)?;
+    let build_options = args.build.clone().into();
+    // What of it is still right the matrix's own work says.
+    let (results, log, _) = NewFolder::go_on::<()>(&args.out, args.force, &key_of(&"run")?)?;
+    log.add(&())?;
+    results.clear()?;
     let folder = results.path();
     let manifest = Manifest::read(&args.capture)?;
     check_truth(&args.capture, &manifest)?;
     let title = manifest.name;
-    let at = |name: &str| folder.join(name);
 
-    let build = build_matrix(&args.capture, &args.build.into(), &at(MATRIX), &context.progress)?;
+    let matrix = folder.join(MATRIX);
+    let build = build_matrix_in(results.scratch(), &args.capture, &build_options, &matrix, &context.progress);
+    if build.as_ref().is_err_and(Error::is_of_system) {
+        results.keep_work();
+    }
+    let build = build?;
     context.tell(&build.warnings);
+    super::build_matrix::taken_over(&build).into_iter().for_each(|line| context.done(line));
     context.done(super::build_matrix::summary(&build));
 
-    let matrix = MatrixReader::open(&at(MATRIX))?;
-    let factored = factor(&matrix, &factoring, &context.progress)?;
-    material::save(&factored.material, Precision::F32, &at(MATERIAL))?;
-    context.done(&factored.choice);
-    export_exr(&factored.material, &at("material.exr"))?;
-    export_npz(&factored.material, &at("material.npz"))?;
-
-    let comparisons = compare(&args.capture, &folder, context)?;
-    write_report(&title, &build, &matrix, &factored, &comparisons, &folder, context)?;
+    let made = from_matrix(&args, &factoring, &title, &build, &folder, context);
+    let comparisons = match made {
+        Ok(comparisons) => comparisons,
+        // The matrix is what took the time; an earlier output that is whole stays instead.
+        Err(error) if !results.replaces() => {
+            // What was being written has no seal of its own.
+            let _ = std::fs::remove_file(folder.join(MEASURES));
+            let _ = std::fs::remove_dir_all(folder.join("report"));
+            if results.finish().is_ok() {
+                let matrix = args.out.join(MATRIX);
+                context.done(format_args!("kept: {}; next: acquire factor {}", matrix.display(), matrix.display()));
+            }
+            return Err(error);
+        }
+        Err(error) => return Err(error),
+    };
     results.finish()?;
     for c in &comparisons {
         context.done(closing_line(c));
@@ -73,6 +92,27 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     context.done(format_args!("results: {}", args.out.display()));
     context.done(format_args!("report:  {}", args.out.join("report/report.html").display()));
     Ok(())
+}
+
+/// Everything that is made of the matrix in `folder`.
+fn from_matrix(
+    args: &Args,
+    factoring: &FactorOptions,
+    title: &str,
+    build: &BuildReport,
+    folder: &Path,
+    context: &Context,
+) -> Result<Vec<Comparison>> {
+    let at = |name: &str| folder.join(name);
+    let matrix = MatrixReader::open(&at(MATRIX))?;
+    let factored = factor(&matrix, factoring, &context.progress)?;
+    material::save(&factored.material, Precision::F32, &at(MATERIAL))?;
+    context.done(&factored.choice);
+    export_exr(&factored.material, &at("material.exr"))?;
+    export_npz(&factored.material, &at("material.npz"))?;
+    let comparisons = compare(&args.capture, folder, context)?;
+    write_report(title, build, &matrix, &factored, &comparisons, folder, context)?;
+    Ok(comparisons)
 }
 
 fn write_report(

@@ -4,7 +4,7 @@ use super::{Context, options};
 use crate::words::count;
 use crate::{
     Result,
-    simulate::{self, Cause, SimulateOptions, SlabMaterial},
+    simulate::{self, Cause, SimulateOptions, SlabMaterial, TakenOver},
 };
 use std::path::PathBuf;
 
@@ -39,6 +39,13 @@ pub(super) struct Args {
     /// The folder to write.
     dir: PathBuf,
     #[command(flatten)]
+    options: Options,
+}
+
+/// All that can be asked of a simulation.
+#[derive(Debug, clap::Args)]
+pub(super) struct Options {
+    #[command(flatten)]
     options: options::Simulate,
     /// A slab of voxels from an NPZ file or a Zarr group (docs/simulation.md), instead of --material.
     #[arg(long, value_name = "FILE.npz|DIR.zarr", conflicts_with = "material", help_heading = "Slab")]
@@ -54,16 +61,35 @@ pub(super) struct Args {
     without: Vec<Cause>,
 }
 
+impl Options {
+    /// As the library has them.
+    pub(super) fn options(self) -> Result<SimulateOptions> {
+        let mut options = SimulateOptions::from(self.options);
+        if let Some(file) = self.voxels {
+            options.material = SlabMaterial::Voxels(file);
+        }
+        options.switch(self.only.as_deref(), &self.with, &self.without)?;
+        Ok(options)
+    }
+}
+
 /// Runs the command.
 pub(super) fn run(args: Args, context: &Context) -> Result<()> {
-    let mut options = SimulateOptions::from(args.options);
-    if let Some(file) = args.voxels {
-        options.material = SlabMaterial::Voxels(file);
-    }
-    options.switch(args.only.as_deref(), &args.with, &args.without)?;
+    super::check_folder("DIR", &args.dir, args.options.voxels.as_deref().as_slice(), false)?;
+    let options = args.options.options()?;
     let start = std::time::Instant::now();
     let summary = simulate::simulate(&options, &args.dir, &context.progress)?;
     context.tell(&summary.warnings);
+    match summary.taken_over {
+        TakenOver { anew: true, .. } => {
+            context.done("a stopped run had begun with other options or as another version: all was made anew");
+        }
+        TakenOver { parts: 0, .. } => {}
+        TakenOver { parts, .. } => {
+            let what = if options.truth_only { "lit point" } else { "shot" };
+            context.done(format_args!("{} made by a stopped run and taken over", count(parts, what)));
+        }
+    }
     let (dir, secs) = (args.dir.display(), start.elapsed().as_secs_f64());
     let noise = summary.photon_noise.map_or(String::new(), |noise| format!(" (photon noise {:.2} %)", 100.0 * noise));
     if options.truth_only {
@@ -97,7 +123,7 @@ mod tests {
     }
 
     fn parsed(arguments: &[&str]) -> SimulateOptions {
-        Simulate::try_parse_from([&["simulate", "dir"], arguments].concat()).unwrap().args.options.into()
+        Simulate::try_parse_from([&["simulate", "dir"], arguments].concat()).unwrap().args.options.options.into()
     }
 
     #[test]

@@ -1,6 +1,6 @@
 use super::Context;
-use crate::output::NewFolder;
-use crate::tradeoff::{self, Tradeoff, TradeoffOptions, tradeoff};
+use crate::output::{Earlier, NewFolder, key_of};
+use crate::tradeoff::{self, Tradeoff, TradeoffOptions, tradeoff_from};
 use crate::transport::MatrixReader;
 use crate::words::count;
 use crate::{Error, Result};
@@ -18,6 +18,7 @@ Writes tradeoff.html (opens offline), tradeoff.csv and tradeoff.json into a fold
 beats in both bytes and psnr_db.")]
 pub(super) struct Args {
     /// The matrix, a folder *.rd.zarr.
+    #[arg(value_parser = super::things::matrix())]
     matrix: PathBuf,
     /// The folder to make [default: the matrix's name with -tradeoff, in the working directory].
     #[arg(long, short, value_name = "DIR")]
@@ -44,9 +45,29 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
         let name = args.matrix.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         PathBuf::from(format!("{}-tradeoff", name.trim_end_matches(".zarr").trim_end_matches(".rd")))
     });
-    let folder = NewFolder::create(&out, args.force)?;
+    super::check_folder("out", &out, &[&args.matrix], false)?;
     let options = TradeoffOptions { quick: args.quick, memory_bytes: args.memory };
-    let found = tradeoff(&reader, &options, &context.progress)?;
+    // Without a checksum nothing tells whether it is the same matrix: a time that no other run has.
+    let matrix = reader.digest().map_or_else(|| format!("{:?}", std::time::SystemTime::now()), str::to_owned);
+    let key = key_of(&("tradeoff", matrix, options.quick, options.memory_bytes))?;
+    let (folder, log, earlier) = NewFolder::go_on(&out, args.force, &key)?;
+    let earlier = match earlier {
+        Earlier::Finished(earlier) => earlier,
+        Earlier::Other => {
+            context.done("a stopped run had begun with another matrix, other options or as another version: all is measured anew");
+            vec![]
+        }
+        Earlier::Nothing => vec![],
+    };
+    if !earlier.is_empty() {
+        context
+            .done(format_args!("{} measured by a stopped run and taken over", count(earlier.len(), "factorization")));
+    }
+    let found = tradeoff_from(earlier, |measured| log.add(measured), &reader, &options, &context.progress);
+    if found.as_ref().is_err_and(Error::is_of_system) {
+        folder.keep_work();
+    }
+    let found = found?;
     let json = serde_json::to_string_pretty(&found).map_err(Error::internal)?;
     let files =
         [(JSON, json.clone()), ("tradeoff.csv", tradeoff::csv(&found)), ("tradeoff.html", tradeoff::html(&found))];

@@ -13,6 +13,7 @@ mod fill;
 mod noise;
 mod nonnegative;
 mod prepared_rows;
+mod products;
 mod regression;
 mod shared_basis;
 mod storing;
@@ -151,6 +152,8 @@ impl Misfit {
 /// large that a coefficient does not fit an f32.
 pub fn factor(reader: &MatrixReader, options: &FactorOptions, progress: &Progress) -> Result<Factored> {
     options.check()?;
+    // Its own threads divide sums among themselves: the last digits would depend on their number. What takes long is in `products`.
+    faer::set_global_parallelism(faer::Par::Seq);
     let one = |model| factor_as(reader, model, options, progress);
     match (options.model, options.degree, options.goal) {
         (Some(model), ..) => one(model),

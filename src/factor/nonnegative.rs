@@ -6,8 +6,8 @@
 //! small beside what a non-negative factorization leaves, and an iteration then costs nothing of the rows' length.
 
 use super::backend::Triplets;
-use faer::linalg::matmul::matmul;
-use faer::{Accum, Mat, MatRef, get_global_parallelism};
+use super::products;
+use faer::{Accum, Mat, MatRef};
 use rand::{Rng, SeedableRng};
 
 /// Iterations at the most.
@@ -92,7 +92,7 @@ fn start(y: &Mat<f64>, v: &Mat<f64>, profile: &[f64], terms: usize) -> (Mat<f64>
 
 fn multiply(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
     let mut out = Mat::zeros(a.nrows(), b.ncols());
-    matmul(out.as_mut(), Accum::Replace, a.as_ref(), b.as_ref(), 1.0, get_global_parallelism());
+    products::multiply(out.as_mut(), Accum::Replace, a.as_ref(), b.as_ref());
     out
 }
 
@@ -118,7 +118,7 @@ fn update(factor: &mut Mat<f64>, products: &Mat<f64>, gram: &Mat<f64>) {
 
 fn multiply_column(factor: MatRef<'_, f64>, gram: &Mat<f64>, j: usize) -> Mat<f64> {
     let mut out = Mat::zeros(factor.nrows(), 1);
-    matmul(out.as_mut(), Accum::Replace, factor, gram.as_ref().subcols(j, 1), 1.0, get_global_parallelism());
+    products::multiply(out.as_mut(), Accum::Replace, factor, gram.as_ref().subcols(j, 1));
     out
 }
 

@@ -9,12 +9,13 @@ mod fit;
 pub use files::{Found, Listing, by_number, by_time, list};
 pub use fit::{fit, same_settings};
 
-use crate::capture::{Capture, PhotographEntry, Rig};
+use crate::capture::{Capture, PhotographEntry, Rig, hash, write_checksums};
 use crate::output::{NewFolder, ScratchFolder};
 use crate::patterns::Plan;
 use crate::progress::Progress;
 use crate::{Error, Result};
 use rayon::prelude::*;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// Settings of [`import`].
@@ -136,7 +137,7 @@ fn entries(plan: &Plan, shot: usize, believed: bool, file: impl Fn(usize) -> Str
 /// Opens the capture that it will be while the photographs still lie where the camera put them: messages name them there.
 fn try_open(plan: &Plan, sources: &[Vec<PathBuf>], rig_path: &Path, believed: bool) -> Result<()> {
     let temporary = std::env::temp_dir();
-    let scratch = ScratchFolder::new(&temporary, ".acquire-import-", &temporary)?;
+    let scratch = ScratchFolder::new(&temporary, &temporary)?;
     let absolute: Vec<Vec<PathBuf>> = sources
         .iter()
         .map(|s| s.iter().map(|p| std::path::absolute(p).map_err(Error::io("read", p))).collect())
@@ -171,11 +172,18 @@ fn write(
     let all: Vec<(usize, usize)> =
         (0..sources.len()).flat_map(|s| (0..sources[s].len()).map(move |n| (s, n))).collect();
     let stage = progress.stage(if link { "link" } else { "copy" }, all.len());
-    all.into_par_iter().try_for_each(|(s, n)| {
+    let checksum = |(s, n): (usize, usize)| {
         let (from, to) = (&sources[s][n], dir.join(name(s, n)));
         let done = if link { std::fs::hard_link(from, &to) } else { std::fs::copy(from, &to).map(|_| ()) };
-        done.map_err(Error::io(if link { "link" } else { "copy" }, from))?;
+        done.map_err(|e| match e.kind() {
+            // The source has nothing to do with it.
+            ErrorKind::StorageFull | ErrorKind::QuotaExceeded => Error::io("write", &to)(e),
+            _ => Error::io(if link { "link" } else { "copy" }, from)(e),
+        })?;
+        // Of the source: a copy that differs is found when it is read.
+        let hash = hash(from).map_err(Error::io("read", from))?;
         stage.advance(1);
-        Ok(())
-    })
+        Ok((name(s, n), hash))
+    };
+    write_checksums(dir, &all.into_par_iter().map(checksum).collect::<Result<_>>()?)
 }

@@ -1,7 +1,7 @@
 //! OpenEXR: every map of a material as a layer that any viewer shows, and single images.
 
 use super::{Canvas, Exitance, Material, legendre};
-use crate::output::write_whole;
+use crate::output::{SEAL, write_whole};
 use crate::{Error, Result};
 use exr::prelude::{
     AnyChannel, AnyChannels, AttributeValue, Encoding, FlatSamples, Image, ImageAttributes, IntegerBounds, Layer,
@@ -95,7 +95,7 @@ fn layer(name: &str, size: [usize; 2], channels: Vec<(&str, Vec<f32>)>) -> FlatL
     Layer::new((size[0], size[1]), attributes, Encoding::FAST_LOSSLESS, AnyChannels::sort(channels))
 }
 
-fn write_layers(path: &Path, layers: Vec<FlatLayer>) -> Result<()> {
+fn write_layers(path: &Path, mut layers: Vec<FlatLayer>) -> Result<()> {
     for layer in &layers {
         for channel in &layer.channel_data.list {
             if let FlatSamples::F32(values) = &channel.sample_data
@@ -110,10 +110,13 @@ fn write_layers(path: &Path, layers: Vec<FlatLayer>) -> Result<()> {
     // Parts may differ in size, but a file has one display window: the smallest that holds them all.
     let size = layers.iter().fold(Vec2(1, 1), |s, l| Vec2(s.0.max(l.size.0), s.1.max(l.size.1)));
     let attributes = ImageAttributes::new(IntegerBounds::from_dimensions(size));
+    if let Some(first) = layers.first_mut() {
+        first.attributes.software_name = Some(Text::from(SEAL));
+    }
     let image = Image::from_layers(attributes, layers);
     let mut bytes = std::io::Cursor::new(Vec::new());
     image.write().to_buffered(&mut bytes).map_err(Error::internal)?;
-    write_whole(path, bytes.get_ref())
+    write_whole(path, bytes.into_inner())
 }
 
 /// Writes an 8-bit PNG under a temporary name, then renames it.
@@ -121,9 +124,14 @@ fn write_layers(path: &Path, layers: Vec<FlatLayer>) -> Result<()> {
 /// # Errors
 /// [`Error::Io`], [`Error::Internal`].
 pub fn write_png(image: &image::RgbImage, path: &Path) -> Result<()> {
-    let mut bytes = std::io::Cursor::new(Vec::new());
-    image.write_to(&mut bytes, image::ImageFormat::Png).map_err(Error::internal)?;
-    write_whole(path, bytes.get_ref())
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, image.width(), image.height());
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.add_text_chunk("Software".into(), SEAL.into()).map_err(Error::internal)?;
+    let mut writer = encoder.write_header().map_err(Error::internal)?;
+    writer.write_image_data(image.as_raw()).map_err(Error::internal)?;
+    writer.finish().map_err(Error::internal)?;
+    write_whole(path, bytes)
 }
 
 #[cfg(test)]

@@ -1,8 +1,10 @@
 //! Lights from names and from files.
 
 use super::{Light, LightImage};
-use crate::capture::{check_exr_size, check_jpeg_end};
+use crate::capture::{check_jpeg, decode_exr_bytes};
 use crate::{Error, Result};
+use acquire_material::linear_from_srgb;
+use image::{DynamicImage, ImageDecoder};
 use std::path::Path;
 
 /// A built-in light by its name, or else an image file (EXR linear; PNG and JPEG decoded from sRGB).
@@ -37,41 +39,50 @@ fn setting(expected: &str, found: &str) -> Error {
 /// # Errors
 /// [`Error::Io`], [`Error::BrokenImage`].
 pub fn read_light_image(path: &Path) -> Result<LightImage> {
-    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    let bytes = crate::files::read(path).map_err(Error::io("read", path))?;
     let broken = |reason: String| Error::BrokenImage { path: path.to_path_buf(), reason };
     let exr_magic = [0x76, 0x2f, 0x31, 0x01];
     let image = if bytes.starts_with(&exr_magic) { read_exr(&bytes) } else { read_encoded(&bytes) };
     let image = image.map_err(broken)?;
-    match image.rgb.iter().flatten().find(|v| !v.is_finite()) {
-        Some(v) => Err(broken(format!("expected finite irradiance, found {v}"))),
+    match image.rgb.iter().flatten().position(|v| !(0.0..=LARGEST).contains(v)) {
+        Some(at) => {
+            let [x, y] = [at / 3 % image.size[0], at / 3 / image.size[0]];
+            let found = image.rgb.as_flattened()[at];
+            Err(broken(format!("expected an irradiance of 0 to {LARGEST:e}, found {found} in column {x}, line {y}")))
+        }
         None => Ok(image),
     }
 }
 
+/// The most pixels of a light: those of a camera of 33 megapixels, which take half a gigabyte while they are read.
+const MOST_PIXELS: usize = 1 << 25;
+/// The largest irradiance: sums of products with any response still fit an f32.
+const LARGEST: f32 = 1e20;
+
 fn read_exr(bytes: &[u8]) -> Result<LightImage, String> {
-    use exr::prelude::*;
-    check_exr_size(bytes)?;
-    let image = read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .rgb_channels(
-            |size, _| LightImage { size: [size.width(), size.height()], rgb: vec![[0.0; 3]; size.area()] },
-            |image: &mut LightImage, at, (r, g, b): (f32, f32, f32)| {
-                image.rgb[at.x() + at.y() * image.size[0]] = [r, g, b];
-            },
-        )
-        .first_valid_layer()
-        .all_attributes()
-        .from_buffered(std::io::Cursor::new(bytes))
-        .map_err(|e| e.to_string())?;
-    Ok(image.layer_data.channel_data.pixels)
+    let (width, height, pixels) = decode_exr_bytes(bytes, MOST_PIXELS)?;
+    Ok(LightImage { size: [width, height], rgb: pixels.as_chunks::<3>().0.to_vec() })
 }
 
 fn read_encoded(bytes: &[u8]) -> Result<LightImage, String> {
-    check_jpeg_end(bytes)?;
-    let image = image::load_from_memory(bytes).map_err(|e| e.to_string())?.into_rgb32f();
-    let size = [image.width() as usize, image.height() as usize];
-    let rgb = image.pixels().map(|p| p.0.map(acquire_material::linear_from_srgb)).collect();
+    check_jpeg(bytes)?;
+    let reader = image::ImageReader::new(std::io::Cursor::new(bytes)).with_guessed_format();
+    let decoder = reader.map_err(|e| e.to_string())?.into_decoder().map_err(|e| e.to_string())?;
+    let size = [decoder.dimensions().0 as usize, decoder.dimensions().1 as usize];
+    if size[0] * size[1] > MOST_PIXELS {
+        return Err(format!(
+            "{} × {} px: more than {MOST_PIXELS} are not read as a light; make it smaller",
+            size[0], size[1]
+        ));
+    }
+    let image = DynamicImage::from_decoder(decoder).map_err(|e| e.to_string())?;
+    let rgb = match image.color().bytes_per_pixel() / image.color().channel_count() {
+        1 => {
+            let linear: Vec<f32> = (0..=255u8).map(|v| linear_from_srgb(f32::from(v) / 255.0)).collect();
+            image.into_rgb8().pixels().map(|p| p.0.map(|v| linear[usize::from(v)])).collect()
+        }
+        _ => image.into_rgb16().pixels().map(|p| p.0.map(|v| linear_from_srgb(f32::from(v) / 65_535.0))).collect(),
+    };
     Ok(LightImage { size, rgb })
 }
 
@@ -117,8 +128,14 @@ mod tests {
         let read = read_light_image(&exr).unwrap();
         assert_eq!(read.size, [3, 2]);
         assert_eq!(read.rgb, (0..6).map(|k| [0, 1, 2].map(|c| (10 * k + c) as f32 + 0.25)).collect::<Vec<_>>());
-        exitance.planes[1][4] = 1e38;
-        crate::material::write_exitance(&exitance, &exr).unwrap();
-        assert_eq!(read_light_image(&exr).unwrap().rgb[4][1], 1e38);
+        for (value, refused) in [(1e20, false), (1.1e20, true), (-0.1, true)] {
+            exitance.planes[1][4] = value;
+            crate::material::write_exitance(&exitance, &exr).unwrap();
+            let read = read_light_image(&exr);
+            assert_eq!(read.is_err(), refused, "{value}");
+            if let Err(error) = read {
+                assert!(error.to_string().contains("column 1, line 1"), "{error}");
+            }
+        }
     }
 }

@@ -48,7 +48,7 @@ pub fn save(material: &Material, precision: Precision, path: &Path) -> Result<()
         Precision::F16 => material.to_half_bytes()?,
         Precision::Coded => coded::encode(material, &coded::EncodeOptions::default())?.bytes,
     };
-    write_whole(path, &bytes)
+    write_whole(path, bytes)
 }
 
 impl From<acquire_material::Error> for Error {

@@ -1,7 +1,7 @@
 //! NPZ: a material as NumPy arrays.
 
 use super::{CHANNELS, Material, exr_layers::monomial_coefficients};
-use crate::output::write_whole;
+use crate::output::{SEAL, write_whole};
 use crate::{Error, Result};
 use npyz::WriterBuilder;
 use std::io::{Cursor, Write};
@@ -15,7 +15,7 @@ use zip::{ZipWriter, write::SimpleFileOptions};
 /// [`Error::Io`], [`Error::Internal`].
 pub fn export_npz(material: &Material, path: &Path) -> Result<()> {
     let bytes = archive(material).map_err(Error::internal)?;
-    write_whole(path, &bytes)
+    write_whole(path, bytes)
 }
 
 fn archive(material: &Material) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
@@ -53,6 +53,7 @@ fn archive(material: &Material) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     add(&mut zip, "noise_level", &[], &[h.noise_level])?;
     let header = serde_json::to_string(h)?;
     add(&mut zip, "header_json", &[header.len() as u64], header.as_bytes())?;
+    zip.set_comment(SEAL)?;
     Ok(zip.finish()?.into_inner())
 }
 

@@ -56,7 +56,7 @@ impl Plan {
     /// [`Error::Io`], [`Error::Field`], [`Error::DotOutsideSlab`] for a dot outside the grid.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(PLAN_FILE);
-        let text = std::fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+        let text = crate::files::read_to_string(&path).map_err(Error::io("read", &path))?;
         let plan: Self = parse_toml(&path, &text)?;
         plan.check(&path)?;
         Ok(plan)

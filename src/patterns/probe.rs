@@ -63,7 +63,7 @@ impl Probe {
     /// Those of [`build_matrix`]; [`Error::Field`] when dots of one shot are so near that they light each other's windows, or no row was measured.
     pub fn read(dir: &Path, options: &BuildOptions, progress: &Progress) -> Result<Self> {
         let temporary = std::env::temp_dir();
-        let scratch = ScratchFolder::new(&temporary, ".acquire-probe-", &temporary)?;
+        let scratch = ScratchFolder::new(&temporary, &temporary)?;
         let store = scratch.path().join("probe.rd.zarr");
         let report = build_matrix(dir, options, &store, progress)?;
         let capture = Capture::open(dir, options.calibration.as_deref())?;

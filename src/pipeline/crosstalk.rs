@@ -43,6 +43,12 @@ impl CrossTalk {
     }
 }
 
+/// The smallest distance of dots, samples, where the light of one can be in another's window.
+pub(super) fn overlap_samples(scene: &Scene<'_>) -> Option<f64> {
+    let window = &scene.capture.manifest.window;
+    scene.smallest_spacing().filter(|spacing| spacing * window.pitch_mm <= reach_mm(window))
+}
+
 /// Leaves in each row the light of its own dot. `None` when no dot's light can reach another's window, or no row holds any.
 pub(super) fn separate(
     scene: &Scene<'_>,
@@ -51,10 +57,7 @@ pub(super) fn separate(
     progress: &Progress,
 ) -> Result<Option<CrossTalk>> {
     let manifest = &scene.capture.manifest;
-    let Some(spacing_samples) = scene.smallest_spacing() else { return Ok(None) };
-    if spacing_samples * manifest.window.pitch_mm > reach_mm(&manifest.window) {
-        return Ok(None);
-    }
+    let Some(spacing_samples) = overlap_samples(scene) else { return Ok(None) };
     let stage = progress.stage("separate", results.len());
     let rows_of = |result: &ShotResult| -> Result<Vec<LitRow>> {
         let row = |lit: &super::lattice::LitPoint| {
@@ -70,7 +73,7 @@ pub(super) fn separate(
             let mut measured = rows_of(result)?;
             let found = model.separate(&mut measured, &manifest.window);
             for (lit, separated) in result.lit.iter_mut().zip(&measured) {
-                rows.put(manifest.grid.row_index(lit.dot), &separated.row)?;
+                rows.replace(manifest.grid.row_index(lit.dot), &separated.row)?;
                 lit.albedo = albedo(&separated.row, &manifest.window);
             }
             stage.advance(1);

@@ -6,6 +6,7 @@ use super::lattice::ShotResult;
 use super::looks::looks;
 use super::scene::Scene;
 use crate::capture::Window;
+use crate::cholesky::solve_small;
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
 use crate::registration::{Drift, Registration, SampleDots, median, scaled_deviation};
@@ -14,7 +15,7 @@ use crate::warning::bounds::REFUSED_PROJECTOR_PX;
 use crate::{ConsistencyWarning, Result, Warning};
 
 /// Where a dot of the sample was seen.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) enum DotSeen {
     /// Its core was found, this far (mm) from where pattern, registration and drift put it.
     At { off_mm: Point },
@@ -44,6 +45,13 @@ const NEAR_STEP: f64 = 0.25;
 /// A sample that is seen obliquely shows its dots beside their places, as their light leaves it from below: from no deeper than this many
 /// radii of the half of a row's light (ketchup of docs/simulation.md: 3).
 const DEEPEST: f64 = 4.0;
+
+/// About a ramp that is told dots scatter by this share of it at the most: about a step between two media they do by a quarter.
+const RAMP_SCATTER: f64 = 0.15;
+/// With fewer dots no ramp is told.
+const LEAST_DOTS: usize = 8;
+/// Rounds in which dots that the others contradict are left out.
+const ROUNDS: usize = 4;
 
 impl DotSearch {
     pub(super) fn new(scene: &Scene<'_>) -> Result<Self> {
@@ -114,13 +122,29 @@ fn is_dark(picture: &Radiance) -> bool {
 pub(super) fn judge(scene: &Scene<'_>, results: &[ShotResult], options: &BuildOptions) -> Result<Vec<Warning>> {
     let mut warnings = Vec::new();
     let Some(common) = Common::of(scene, results) else { return Ok(warnings) };
+    if let Some(ramp) = common.ramp(scene) {
+        return Ok(vec![options.refuse(ramp)?]);
+    }
     warnings.extend(other_patterns(scene, results, &common, options)?);
     warnings.extend(common.offset(scene, results, options)?);
     Ok(warnings)
 }
 
+/// A dot that was seen.
+#[derive(Debug, Clone, Copy)]
+struct OffDot {
+    dot: [usize; 2],
+    /// How far it is seen per depth that its light comes from: towards the camera's foot.
+    tangent: Point,
+    off_mm: Point,
+}
+
 /// What all dots of a capture are off by alike.
 struct Common {
+    seen: Vec<OffDot>,
+    /// Depth that explains the most of it, and the largest that is believed, mm.
+    depth_mm: f64,
+    half_light_mm: f64,
     /// Median, mm.
     offset_mm: Point,
     /// The part of it that light from no depth explains, mm.
@@ -135,8 +159,7 @@ impl Common {
     /// `None` for fewer than three dots.
     fn of(scene: &Scene<'_>, results: &[ShotResult]) -> Option<Self> {
         let eye_mm = scene.registration.view.eye_mm();
-        // Where dots are seen, and the tangent of the line of sight per depth: towards the camera's foot.
-        let mut seen: Vec<(Point, Point)> = Vec::new();
+        let mut seen: Vec<OffDot> = Vec::new();
         let mut depths: Vec<f64> = Vec::new();
         let mut all = 0;
         for (result, shot) in results.iter().zip(scene.lattice()) {
@@ -146,7 +169,7 @@ impl Common {
                 if let DotSeen::At { off_mm } = at {
                     let p = scene.nominal_mm(dot);
                     let tangent = eye_mm.map_or([0.0; 2], |eye| [0, 1].map(|a| (eye[a] - p[a]) / -eye[2]));
-                    seen.push((tangent, *off_mm));
+                    seen.push(OffDot { dot, tangent, off_mm: *off_mm });
                 }
             }
         }
@@ -156,23 +179,54 @@ impl Common {
         let found = seen.len() as f64 / all as f64;
         // Where some shots show another pattern, however many, the others tell where dots are.
         let far_mm = STEP_SHARE * step_mm(scene);
-        let near: Vec<(Point, Point)> = seen.iter().filter(|(_, off)| off[0].hypot(off[1]) < far_mm).copied().collect();
+        let near: Vec<OffDot> = seen.iter().filter(|s| s.off_mm[0].hypot(s.off_mm[1]) < far_mm).copied().collect();
         let seen = if near.len() >= 3.max(seen.len() / 20) { near } else { seen };
-        let middle = |of: &dyn Fn(&(Point, Point)) -> f64| median(&mut seen.iter().map(of).collect::<Vec<_>>());
-        let offset_mm = [0, 1].map(|a| middle(&|s| s.1[a]));
-        let tangent = [0, 1].map(|a| middle(&|s| s.0[a]));
+        let middle = |of: &dyn Fn(&OffDot) -> f64| median(&mut seen.iter().map(of).collect::<Vec<_>>());
+        let offset_mm = [0, 1].map(|a| middle(&|s| s.off_mm[a]));
+        let tangent = [0, 1].map(|a| middle(&|s| s.tangent[a]));
         let square = tangent[0].powi(2) + tangent[1].powi(2);
         let depth = (offset_mm[0] * tangent[0] + offset_mm[1] * tangent[1]) / square.max(1e-12);
-        let depth = depth.clamp(0.0, DEEPEST * median(&mut depths));
-        let unexplained_mm = [0, 1].map(|a| offset_mm[a] - depth * tangent[a]);
-        let spread = [0, 1].map(|a| scaled_deviation(seen.iter().map(|s| s.1[a]), offset_mm[a]));
+        let half_light_mm = median(&mut depths);
+        let depth_mm = depth.clamp(0.0, DEEPEST * half_light_mm);
+        let unexplained_mm = [0, 1].map(|a| offset_mm[a] - depth_mm * tangent[a]);
+        let spread = [0, 1].map(|a| scaled_deviation(seen.iter().map(|s| s.off_mm[a]), offset_mm[a]));
         let sd_mm = scene.registration.position_sd_mm.hypot(spread[0].max(spread[1]) / (seen.len() as f64).sqrt());
-        Some(Self { offset_mm, unexplained_mm, sd_mm, found })
+        Some(Self { seen, depth_mm, half_light_mm, offset_mm, unexplained_mm, sd_mm, found })
     }
 
     /// What a dot is off by beyond what all are.
     fn left(&self, off_mm: Point) -> Point {
         [0, 1].map(|a| off_mm[a] - self.offset_mm[a])
+    }
+
+    /// Dots that are the farther off the farther along the grid they are: its step is not that of the patterns, or it is turned against the Gray code.
+    fn ramp(&self, scene: &Scene<'_>) -> Option<ConsistencyWarning> {
+        let grid = &scene.capture.manifest.grid;
+        let steps = grid.points.map(|n| n.saturating_sub(1) as f64);
+        let middle = grid.dot_projector_px([grid.points[0] / 2, grid.points[1] / 2]);
+        let all = |a: usize| self.seen.iter().map(move |s| s.tangent[a]);
+        let [most, least] = [f64::max, f64::min].map(|f| [0, 1].map(|a| all(a).reduce(f).unwrap_or(0.0)));
+        // mm from one end of the grid to the other, along x and along y, of both coordinates; scatter about it.
+        let fits = [0, 1].map(|a| plane(&self.seen, grid.points, |s| s.off_mm[a]));
+        let [Some(x), Some(y)] = fits else { return None };
+        let scatter_mm = x.scatter.max(y.scatter);
+        let far_mm = [0, 1].map(|k| [x.slope[k], y.slope[k]]);
+        let length = |v: Point| v[0].hypot(v[1]);
+        // Of two media light comes from different depths, and of all from one that is seen more or less aslant.
+        let aslant = [0, 1].map(|a| most[a].abs().max(least[a].abs()));
+        let explained_mm =
+            self.half_light_mm * length(aslant) + self.depth_mm * length([0, 1].map(|a| most[a] - least[a]));
+        let is_off = |far_mm: Point| {
+            let px = length(projector_px(scene, middle, far_mm));
+            px > REFUSED_PROJECTOR_PX && length(far_mm) > explained_mm.max(scatter_mm / RAMP_SCATTER)
+        };
+        if self.found < 0.5 || !far_mm.into_iter().any(is_off) {
+            return None;
+        }
+        let per_step = |k: usize| projector_px(scene, middle, far_mm[k]).map(|v| v / steps[k].max(1.0));
+        let sd_mm = scatter_mm * (12.0 / self.seen.len() as f64).sqrt() / steps[0].max(steps[1]).max(1.0);
+        let sd_projector_px = length(projector_px(scene, middle, [sd_mm, 0.0]));
+        Some(ConsistencyWarning::DotsStep { along_x: per_step(0), along_y: per_step(1), sd_projector_px })
     }
 
     /// Grid, reference dots and Gray code that do not agree.
@@ -203,6 +257,48 @@ impl Common {
             false => options.refuse(finding).map(Some),
         }
     }
+}
+
+/// A plane through values over the grid.
+struct Plane {
+    /// From one end of the grid to the other along x and along y.
+    slope: [f64; 2],
+    /// Standard deviation of values about it.
+    scatter: f64,
+}
+
+/// The plane that most dots agree about; `None` for too few, or all in one line of a grid that has more.
+fn plane(seen: &[OffDot], points: [usize; 2], value: impl Fn(&OffDot) -> f64) -> Option<Plane> {
+    let place = |s: &OffDot| {
+        // Of an axis with one point nothing is known.
+        let along = |a: usize| if points[a] > 1 { s.dot[a] as f64 / (points[a] - 1) as f64 - 0.5 } else { 0.0 };
+        [1.0, along(0), along(1)]
+    };
+    // From the median on: a plane through all would give way to those that are far off.
+    let middle = median(&mut seen.iter().map(&value).collect::<Vec<_>>());
+    let near = 4.0 * scaled_deviation(seen.iter().map(&value), middle);
+    let mut kept: Vec<OffDot> = seen.iter().filter(|s| (value(s) - middle).abs() <= near).copied().collect();
+    let mut found = None;
+    for _ in 0..ROUNDS {
+        if kept.len() < LEAST_DOTS.max(seen.len() / 2) {
+            return None;
+        }
+        let (mut a, mut b) = ([[0.0; 3]; 3], [0.0; 3]);
+        for s in &kept {
+            let p = place(s);
+            for i in 0..3 {
+                (0..3).for_each(|j| a[i][j] += p[i] * p[j]);
+                b[i] += p[i] * value(s);
+            }
+        }
+        (1..3).filter(|&k| points[k - 1] == 1).for_each(|k| a[k][k] = 1.0);
+        let (x, _) = solve_small(a, b)?;
+        let off = |s: &OffDot| value(s) - place(s).iter().zip(x).map(|(p, x)| p * x).sum::<f64>();
+        let scatter = scaled_deviation(seen.iter().map(off), 0.0);
+        kept = seen.iter().filter(|s| off(s).abs() <= 4.0 * scatter).copied().collect();
+        found = Some(Plane { slope: [x[1], x[2]], scatter });
+    }
+    found
 }
 
 /// A displacement on the slab, mm, in projector px at a projector pixel.
@@ -251,7 +347,7 @@ fn other_patterns(
             let beside = if first > 0 { lattice[first - 1] } else { lattice[(first + 1).min(lattice.len() - 1)] };
             let expected = scene.photographs.merge_whole(beside)?;
             let same = "its dots are elsewhere";
-            looks(scene.photographs, lattice[first], &own, &expected, same)?.unwrap_or_else(|| same.into())
+            looks(scene.photographs, (lattice[first], None), &own, &expected, same)?.unwrap_or_else(|| same.into())
         }
     };
     let finding = ConsistencyWarning::OtherPattern {
@@ -291,8 +387,43 @@ fn shown(scene: &Scene<'_>, results: &[ShotResult], common: &Common, lattice: &[
 
 /// The smaller distance of neighbouring lit points, mm.
 fn step_mm(scene: &Scene<'_>) -> f64 {
-    let grid = &scene.capture.manifest.grid;
-    let first = scene.nominal_mm([0, 0]);
-    let ends = [[1, 0], [0, 1]].map(|d| scene.registration.slab_from_projector.map(grid.dot_projector_px(d)));
-    ends.map(|e| (e[0] - first[0]).hypot(e[1] - first[1])).into_iter().fold(f64::INFINITY, f64::min)
+    scene.steps_mm().map(|[x, y]| x.hypot(y)).into_iter().fold(f64::INFINITY, f64::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn dots(off: impl Fn(f64, f64) -> f64) -> Vec<OffDot> {
+        let places = (0..7).flat_map(|i| (0..5).map(move |j| [i, j]));
+        let noise = |[i, j]: [usize; 2]| 0.01 * (((7 * i + 3 * j) % 11) as f64 - 5.0) / 5.0;
+        places
+            .map(|dot| {
+                let off = off(dot[0] as f64 / 6.0 - 0.5, dot[1] as f64 / 4.0 - 0.5) + noise(dot);
+                OffDot { dot, tangent: [0.0; 2], off_mm: [off, 0.0] }
+            })
+            .collect()
+    }
+
+    fn fit(seen: &[OffDot]) -> Option<Plane> {
+        plane(seen, [7, 5], |s| s.off_mm[0])
+    }
+
+    #[test]
+    fn a_ramp_is_measured_whatever_a_quarter_of_the_dots_does_and_a_step_scatters_about_its_plane() {
+        let mut seen = dots(|x, y| 0.4 * x - 0.2 * y + 0.1);
+        seen.iter_mut().step_by(4).for_each(|s| s.off_mm[0] += 3.0);
+        let found = fit(&seen).unwrap();
+        // A hundredth of scatter at 26 dots.
+        assert!((found.slope[0] - 0.4).abs() < 0.01 && (found.slope[1] + 0.2).abs() < 0.01, "{:?}", found.slope);
+        assert!(found.scatter < 0.02, "{}", found.scatter);
+        let step = fit(&dots(|x, _| if x > 0.1 { 0.3 } else { 0.0 })).unwrap();
+        assert!(step.scatter > RAMP_SCATTER * step.slope[0], "{} {:?}", step.scatter, step.slope);
+        assert!(fit(&seen[..7]).is_none(), "too few");
+        let line: Vec<OffDot> = dots(|x, _| x).into_iter().filter(|s| s.dot[1] == 2).collect();
+        let along = plane(&line, [7, 1], |s| s.off_mm[0]);
+        assert!(along.is_none(), "seven dots");
+        let twice = [line.clone(), line].concat();
+        assert!((plane(&twice, [7, 1], |s| s.off_mm[0]).unwrap().slope[0] - 1.0).abs() < 0.02);
+    }
 }

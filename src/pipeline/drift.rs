@@ -1,7 +1,7 @@
 //! How far the pattern of a lattice shot has moved: from dots on the frame, or without any from the dots on the sample.
 
 use super::looks::looks;
-use super::scene::{STILL, Scene, overlap, part, square};
+use super::scene::{STILL, Scene, overlap, square};
 use crate::capture::{Pattern, Rect};
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
@@ -24,7 +24,7 @@ const TOLD_APART: f64 = 0.9;
 pub(super) struct Movements {
     pub(super) source: DriftSource,
     /// Where the sample is by its rim.
-    pub(super) rim: Option<RimFit>,
+    rim: Option<RimFit>,
     /// The sample's rim in pieces, and where each was found before the lattice shots.
     rims: Vec<RimSegment>,
     before: Vec<Option<RimPlace>>,
@@ -47,14 +47,14 @@ impl Movements {
     /// Prepares the measurement of every shot's movements.
     pub(super) fn prepare(scene: &Scene<'_>) -> Result<Self> {
         let size_mm = scene.capture.manifest.slab.size_mm;
-        let mut rims = rim_segments(&scene.registration.view, size_mm, scene.capture.rig.camera.size_px);
+        let (view, size_px) = (&scene.registration.view, scene.capture.rig.camera.size_px);
+        let mut rims = rim_segments(view, size_mm, size_px);
         let mut before: Vec<_> =
-            rims.iter().map(|r| locate_rim(&part(&scene.references.ambient, r.rect), r, None)).collect();
+            rims.iter().map(|r| locate_rim(&scene.references.ambient.part(r.rect), r, None)).collect();
+        let rim = fit_rim(view, size_mm, size_px, &scene.references.ambient, (&rims, &before));
         // What is not seen without dots would only be looked for in vain.
         rims = rims.into_iter().zip(&before).filter_map(|(r, b)| b.map(|_| r)).collect();
         before.retain(Option::is_some);
-        let (view, size_px) = (&scene.registration.view, scene.capture.rig.camera.size_px);
-        let rim = fit_rim(view, size_mm, size_px, &scene.references.ambient);
         Ok(Self { source: drift_source(scene)?, rim, rims, before })
     }
 
@@ -248,7 +248,7 @@ fn lost(scene: &Scene<'_>, shot: usize, windows: &[Bracket], references: usize) 
     let looks = || {
         let (own, expected) =
             (scene.photographs.merge_whole(shot).ok()?, scene.photographs.merge_whole(*beside?).ok()?);
-        looks(scene.photographs, shot, &own, &expected, "").ok()?.filter(|l| !l.is_empty())
+        looks(scene.photographs, (shot, None), &own, &expected, "").ok()?.filter(|l| !l.is_empty())
     };
     let words = looks().map_or_else(String::new, |looks| format!("; {looks}"));
     scene.photographs.failed(shot)(format!(

@@ -1,14 +1,15 @@
 //! What the shots together say: the header, the warnings, the provenance, the overview.
 
 use super::lattice::{LightCorrections, ShotResult};
-use super::reference_dots::{LEAST_SCALE, WIDER, change_within};
+use super::reference_dots::{LEAST_SCALE, WIDER, change_within, ends};
 use super::register::Registered;
+use super::resume::TakenOver;
 use super::scene::Scene;
 use super::{Before, BuildReport, BuildSecs, CrossTalk, Overview};
 use crate::capture::{Manifest, Pattern};
 use crate::geometry::Point;
 use crate::radiance::HotPixel;
-use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps, median};
+use crate::registration::{CameraMotion, Jump, PointSpread, find_jumps};
 use crate::transport::{MatrixHeader, ShotRecord};
 use crate::warning::bounds::{LARGEST_ALBEDO, SPREAD_VARIES_PX, STRAY_TOLD, STRONG_BLUR_PX};
 use crate::{
@@ -119,6 +120,7 @@ pub(super) fn summarize(
         window: header.window,
         overview: overview(scene, &header)?,
         secs,
+        taken_over: TakenOver::default(),
     };
     Ok((header, report))
 }
@@ -335,7 +337,7 @@ fn scale(results: &[ShotResult]) -> Option<(usize, [f64; 2], usize)> {
     let found: Vec<(usize, [f64; 2])> =
         results.iter().enumerate().filter_map(|(k, r)| Some((k, r.drift?.scale?))).collect();
     let all: Vec<f64> = found.iter().map(|f| f.1[0]).collect();
-    let usual = median(&mut all[..(all.len() / 3).max(1).min(all.len())].to_vec());
+    let [usual, _] = ends(&all);
     let within = change_within(&all);
     let off = |f: &&(usize, [f64; 2])| (f.1[0] - usual).abs() > LEAST_SCALE.max(CHANGE_SIGMA * within.hypot(f.1[1]));
     let off: Vec<&(usize, [f64; 2])> = found.iter().filter(off).collect();

@@ -9,10 +9,11 @@
 
 use super::BuildOptions;
 use super::lattice_light::LatticeLight;
-use super::reference_dots::{DotsShow, Level, SeenDots, reference_light};
+use super::reference_dots::{DotsShow, Level, SeenDots, board_blur, reference_light};
 use super::scene::Scene;
 use crate::cholesky::solve;
 use crate::radiance::{Bracket, Sensor, evenly, stack_scales};
+use crate::registration::median;
 use crate::{ConsistencyWarning, RadianceWarning, Result, Warning};
 use rayon::prelude::*;
 
@@ -24,6 +25,8 @@ pub(super) struct Flicker {
     level: Option<Level>,
     /// The mean of it over what the references say.
     light: Option<LatticeLight>,
+    /// Mean square width of the reference dots, px².
+    width_px2: Option<f64>,
     /// Whether levels are over what the references say.
     anchored: bool,
     /// Relative variance that remains in the white reference.
@@ -57,7 +60,7 @@ impl Flicker {
     pub(super) fn measure(scene: &Scene<'_>, sd: Option<f64>) -> Result<Self> {
         // Unknown, the white reference deviates as any photograph does.
         let white_variance = sd.map_or(0.0, |sd| scene.references.white_variance.unwrap_or(sd * sd));
-        let mut flicker = Self { sd, level: None, light: None, anchored: false, white_variance };
+        let mut flicker = Self { sd, level: None, light: None, width_px2: None, anchored: false, white_variance };
         if scene.reference_mm().is_empty() {
             return Ok(flicker);
         }
@@ -72,12 +75,14 @@ impl Flicker {
             .collect::<Result<_>>()?;
         let seen: Vec<SeenDots> = seen.into_iter().flatten().collect();
         let is_steady = SeenDots::are_steady(&seen);
+        let mut widths: Vec<f64> = seen.iter().filter_map(|s| s.spread_px2).collect();
+        flicker.width_px2 = (!widths.is_empty()).then(|| median(&mut widths));
         flicker.level = Level::of(&seen.into_iter().map(|s| s.light).collect::<Vec<_>>(), is_steady);
         flicker.light = flicker.level.as_ref().and_then(|level| LatticeLight::of(scene, level));
         if let (Some(level), Some(light)) = (&mut flicker.level, &mut flicker.light)
             && level.drift.is_some_and(|drift| light.fits_later(drift))
         {
-            level.anchor(light.mean(), light.sd);
+            level.anchor(light.mean(), light.sd / light.mean());
             *light = light.anchored();
             flicker.anchored = true;
         }
@@ -138,7 +143,7 @@ impl Flicker {
         Some(ConsistencyWarning::LampDrifts { level, shots, to_references: self.anchored })
     }
 
-    /// What the references say of the lattice's light as a whole; `times_are_off`: exposure times are, and explain a little.
+    /// What board and references say of the reference dots as a whole; `times_are_off`: exposure times are, and explain a little.
     ///
     /// # Errors
     /// [`crate::Error::Contradiction`].
@@ -148,9 +153,11 @@ impl Flicker {
         times_are_off: bool,
         options: &BuildOptions,
     ) -> Result<Option<Warning>> {
+        let blur = self.width_px2.map(|width| board_blur(scene, width, options)).transpose()?.flatten();
         match &self.light {
-            Some(light) => light.judge(scene, times_are_off, options),
-            None => Ok(None),
+            // The light of dots is judged by that blur.
+            Some(light) if blur.is_none() => light.judge(scene, times_are_off, options),
+            _ => Ok(blur),
         }
     }
 

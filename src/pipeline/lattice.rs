@@ -4,6 +4,7 @@ use super::dots_seen::{DotSearch, DotSeen};
 use super::drift::Movements;
 use super::flicker::{Flicker, Steadied};
 use super::reference_dots::DotsShow;
+use super::resume::{Resumed, TakenOver};
 use super::scene::{STILL, Scene, grown, on_slab, overlap};
 use super::sink::RowSink;
 use crate::capture::{Sampling, Window};
@@ -15,8 +16,11 @@ use crate::response::{CellWeights, LitDot, RowFindings, WindowGrid, extract_row,
 use crate::transport::Row;
 use crate::{Error, Result};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// One lattice shot, measured.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct ShotResult {
     pub(super) lit: Vec<LitPoint>,
     pub(super) drift: Option<Drift>,
@@ -32,6 +36,7 @@ pub(super) struct ShotResult {
 }
 
 /// One dot of a shot, measured.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct LitPoint {
     pub(super) dot: [usize; 2],
     pub(super) center_mm: Point,
@@ -74,10 +79,10 @@ pub(super) fn check_dots(scene: &Scene<'_>) -> Result<()> {
     Ok(())
 }
 
-/// All lattice shots, in parallel; their rows go to `rows`.
+/// All lattice shots, in parallel, but for those that a stopped run has measured; their rows go to `rows`.
 ///
 /// # Errors
-/// Those of decoding; [`Error::Registration`], [`Error::DotSaturated`] by shot.
+/// Those of decoding and of `rows`; [`Error::Registration`], [`Error::DotSaturated`] by shot.
 pub(super) fn extract(
     scene: &Scene<'_>,
     light: &LightCorrections,
@@ -85,23 +90,41 @@ pub(super) fn extract(
     search: &DotSearch,
     rows: &impl RowSink,
     progress: &Progress,
-) -> Result<Vec<ShotResult>> {
+) -> Result<(Vec<ShotResult>, TakenOver)> {
     let shots = scene.lattice();
     let photographs = shots.iter().map(|&s| scene.photographs.brackets[s].len()).sum();
     let stage = progress.stage("extract", photographs);
+    let resumed = Resumed::of(scene, light, rows)?;
+    let taken = AtomicUsize::new(0);
+    let measure = |shot: usize| -> Result<ShotResult> {
+        if let Some(measured) = resumed.take(scene, shot, rows)? {
+            taken.fetch_add(1, Ordering::Relaxed);
+            return Ok(measured);
+        }
+        let mut hasher = blake3::Hasher::new();
+        let put = |index: usize, row: &Row| {
+            hasher.update(&row.bytes());
+            rows.put(index, row)
+        };
+        let result = extract_shot(scene, light, shot, movements, Camera::Measured, search, put)?;
+        resumed.add(scene, shot, hasher.finalize(), &result)?;
+        Ok(result)
+    };
     let mut results: Vec<ShotResult> = shots
         .par_iter()
         .with_max_len(1)
         .map(|&shot| {
-            let result = extract_shot(scene, light, shot, movements, Camera::Measured, search, rows)?;
+            stage.begin();
+            let result = measure(shot)?;
             stage.advance(scene.photographs.brackets[shot].len());
             Ok(result)
         })
         .collect::<Result<_>>()?;
+    let put = |index: usize, row: &Row| rows.replace(index, row);
     for k in unlikely_movements(&results) {
-        results[k] = extract_shot(scene, light, shots[k], movements, Camera::Still, search, rows)?;
+        results[k] = extract_shot(scene, light, shots[k], movements, Camera::Still, search, put)?;
     }
-    Ok(results)
+    Ok((results, TakenOver { shots: taken.into_inner(), of: shots.len(), anew: resumed.anew }))
 }
 
 /// What is believed of the camera.
@@ -152,7 +175,7 @@ fn extract_shot(
     movements: &Movements,
     believed: Camera,
     search: &DotSearch,
-    rows: &impl RowSink,
+    mut put: impl FnMut(usize, &Row) -> Result<()>,
 ) -> Result<ShotResult> {
     let manifest = &scene.capture.manifest;
     let size_px = scene.capture.rig.camera.size_px;
@@ -216,7 +239,7 @@ fn extract_shot(
             &mut weights,
         );
         scene.check_peak(shot, dot, center, &picture)?;
-        rows.put(manifest.grid.row_index(dot), &row)?;
+        put(manifest.grid.row_index(dot), &row)?;
         let albedo = albedo(&row, &manifest.window);
         let half_light_mm = search.half_light_mm(&row);
         result.lit.push(LitPoint { dot, center_mm: center, flux: lit.flux.value, findings, albedo, half_light_mm });

@@ -5,13 +5,14 @@
 //! of that light or more (it makes the frame look brighter than it is).
 
 use super::BuildOptions;
-use super::reference_dots::Level;
-use super::scene::{Scene, part, square};
+use super::reference_dots::{Level, reach_px};
+use super::scene::{Scene, square};
 use crate::geometry::Point;
 use crate::radiance::Radiance;
 use crate::registration::{Registration, median, scaled_deviation};
 use crate::warning::bounds::{REFUSED_COLOUR, REFUSED_LIGHT};
 use crate::{ConsistencyWarning, Result, Warning};
+use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
 /// Black shots count where their light is so many times its standard deviation.
 const SEEN_SIGMA: f64 = 5.0;
@@ -40,7 +41,7 @@ pub(super) fn frame_shares(
     let size_px = [sample_black.rect.width, sample_black.rect.height];
     let share = |&at: &Point| {
         let rect = square(at, reach_px, size_px)?;
-        let [frame, white] = [sample_black, reference_black].map(|p| level(&part(p, rect)));
+        let [frame, white] = [sample_black, reference_black].map(|p| level(&p.part(rect)));
         let (frame, white) = (frame?, white?);
         Some([0, 1, 2].map(|c| frame[c] / white[c]))
     };
@@ -64,6 +65,19 @@ fn level(picture: &Radiance) -> Option<[f64; 3]> {
     Some([found[0]?, found[1]?, found[2]?])
 }
 
+/// Share of the light of a square dot of half side `half` within a square of half side `reach` about it, when both are seen through a Gaussian blur of
+/// standard deviation `sd` (all px). That the dot may be turned is left out.
+fn within(half: f64, reach: f64, sd: f64) -> f64 {
+    let sd = sd.max(1e-3 * half);
+    // Integral of the normal distribution function.
+    let area = |z: f64| {
+        let (pdf, cdf) = ((-0.5 * z * z).exp() / (2.0 * PI).sqrt(), 0.5 * libm::erfc(-z * FRAC_1_SQRT_2));
+        z * cdf + pdf
+    };
+    let below = |edge: f64| sd / (2.0 * half) * (area((edge + half) / sd) - area((edge - half) / sd));
+    (below(reach) - below(-reach)).powi(2)
+}
+
 /// Light of the reference dots over what it should be.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct LatticeLight {
@@ -82,6 +96,7 @@ impl LatticeLight {
         let grid = &scene.capture.manifest.grid;
         let size_px2 = (grid.dot_projector_px * grid.dot_projector_px) as f64;
         let places = scene.capture.manifest.reference_dots.iter().flat_map(|r| &r.projector_px);
+        let psf_px = scene.registration.point_spread.map_or(0.0, |p| p.psf_px);
         // Measured and expected light of each dot.
         let mut dots: Vec<[[f64; 3]; 2]> = Vec::new();
         for ((&place, share), measured) in
@@ -91,7 +106,8 @@ impl LatticeLight {
             let at = scene.registration.view.camera_from_slab(scene.registration.slab_from_projector.map(place));
             let area_px = size_px2 * camera_area(scene.registration, place);
             let Some(flux) = scene.references.irradiance.flux(at, area_px) else { continue };
-            let expected = [0, 1, 2].map(|c| flux.value[c] * reflectance[c] * share[c]);
+            let within = within(0.5 * area_px.sqrt(), reach_px(scene), psf_px);
+            let expected = [0, 1, 2].map(|c| flux.value[c] * reflectance[c] * share[c] * within);
             if share.iter().all(|s| (s - 1.0).abs() > LEAST_CONTRAST) {
                 dots.push([[*r, *g, *b], expected]);
             }
@@ -185,6 +201,19 @@ fn camera_area(registration: &Registration, place: Point) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_light_of_a_blurred_dot_within_a_square_is_the_sum_of_its_parts() {
+        for (half, reach, sd) in [(1.0, 3.5, 2.0), (2.0, 4.0, 0.8), (0.7, 3.0, 3.0), (1.5, 2.0, 1.0)] {
+            // Points of the dot, each a Gaussian of which the square holds some.
+            let cdf = |t: f64| 0.5 * libm::erfc(-t / sd * FRAC_1_SQRT_2);
+            let points = (0..2000).map(|k| half * ((k as f64 + 0.5) / 1000.0 - 1.0));
+            let one = points.map(|u| cdf(reach - u) - cdf(-reach - u)).sum::<f64>() / 2000.0;
+            assert!((within(half, reach, sd) - one * one).abs() < 1e-6, "{half} {reach} {sd}");
+        }
+        assert_eq!(within(1.0, 3.0, 0.0), 1.0);
+    }
+
     use crate::capture::Rect;
 
     /// 40×30 px whose channels have this light, a little uneven.

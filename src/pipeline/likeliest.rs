@@ -128,13 +128,16 @@ fn eight_bits(capture: &Capture) -> Option<CheckWarning> {
     let saturation_dn = capture.rig.noise.as_ref()?.saturation_dn;
     let step = (capture.brackets.len() / LOOKS).max(1);
     let mut looks = capture.brackets.iter().step_by(step).filter_map(|bracket| bracket.last());
-    let eight = |p: &&Photograph| {
-        let seen = decode_spread(std::slice::from_ref(*p), capture.rig.camera.size_px, LOOK_PX);
-        seen.is_ok_and(|seen| seen.exposures().iter().all(|e| matches!(e.samples, Samples::U8(_))))
-    };
-    let all = saturation_dn > f64::from(u8::MAX) && looks.clone().all(|p| eight(&p));
+    let eight = |p: &Photograph| matches!(samples(capture, p), Some(Samples::U8(_)));
+    let all = saturation_dn > f64::from(u8::MAX) && looks.clone().all(eight);
     let file = capture.name_of(&looks.next()?.path);
     all.then_some(CheckWarning::EightBits { file, saturation_dn })
+}
+
+/// Some code values of a photograph; `None` where it cannot be read.
+fn samples(capture: &Capture, photograph: &Photograph) -> Option<Samples> {
+    let seen = decode_spread(std::slice::from_ref(photograph), capture.rig.camera.size_px, LOOK_PX).ok()?;
+    seen.exposures().first().map(|e| e.samples.clone())
 }
 
 /// What the code values of a 16-bit photograph have in common; of one that is all black or saturated nothing is known.
@@ -145,10 +148,9 @@ struct Look {
 
 impl Look {
     fn at(capture: &Capture, photograph: &Photograph) -> Option<Self> {
-        let seen = decode_spread(std::slice::from_ref(photograph), capture.rig.camera.size_px, LOOK_PX).ok()?;
-        match &seen.exposures().first()?.samples {
+        match samples(capture, photograph)? {
             Samples::U16(values) if values.iter().any(|v| !matches!(*v, 0 | u16::MAX)) => {
-                Some(Self { zeros: low_zeros(values), largest: values.iter().copied().max().unwrap_or(0) })
+                Some(Self { zeros: low_zeros(&values), largest: values.iter().copied().max().unwrap_or(0) })
             }
             _ => None,
         }

@@ -11,7 +11,7 @@ const MOVED_PX: isize = 6;
 /// What a movement has to agree better than the others: it has two numbers to fit with.
 const MOVED_GAIN: f64 = 0.01;
 
-/// What `own`, of a photograph or of all of shot number `shot`, looks like: one of the shots beside it, `expected` turned, mirrored or moved, or
+/// What `own`, of the photograph at a `place` of the bracket of shot number `shot` or of all of them, looks like: one of the shots beside it, `expected` turned, mirrored or moved, or
 /// in the words `same` the same. `None` for nothing of that.
 ///
 /// Logarithms of light are compared, from the noise of `own` to its brightest.
@@ -20,7 +20,7 @@ const MOVED_GAIN: f64 = 0.01;
 /// Those of decoding.
 pub(super) fn looks(
     photographs: &Photographs<'_>,
-    shot: usize,
+    (shot, place): (usize, Option<usize>),
     own: &Radiance,
     expected: &Radiance,
     same: &str,
@@ -32,11 +32,13 @@ pub(super) fn looks(
     let mut candidates: Vec<(f64, String)> = Vec::new();
     for near in [shot.checked_sub(1), Some(shot + 1)].into_iter().flatten() {
         if near < photographs.brackets.len() {
-            candidates.push(seen.as_shot(photographs, near, &levels)?);
+            // What is expected has not that exposure either.
+            let alone = photographs.brackets[near].len() == 1;
+            candidates.push(seen.as_shot(photographs, near, |k| alone || Some(k) != place, &levels)?);
         }
     }
+    let as_expected = seen.correlation(|x, y| rest.at(x, y));
     let mut push = |r: f64, words: &str| candidates.push((r, words.to_owned()));
-    push(seen.correlation(|x, y| rest.at(x, y)), same);
     push(seen.correlation(|x, y| rest.at(w - 1 - x, h - 1 - y)), "it is turned by 180°");
     push(seen.correlation(|x, y| rest.at(w - 1 - x, y)), "it is mirrored left to right");
     push(seen.correlation(|x, y| rest.at(x, h - 1 - y)), "it is mirrored top to bottom");
@@ -46,6 +48,10 @@ pub(super) fn looks(
     if let Some((r, (dx, dy))) = best {
         candidates.push((r - MOVED_GAIN, format!("it has moved by about {dx}, {dy} px")));
     }
+    // What looks like what it should is something else only where that explains half of what is between.
+    let better = |r: f64| 1.0 - r < 0.5 * (1.0 - as_expected);
+    candidates.retain(|c| better(c.0));
+    candidates.push((as_expected, same.to_owned()));
     Ok(likeliest(candidates))
 }
 
@@ -56,7 +62,7 @@ pub(super) fn looks(
 pub(super) fn shown_shot(photographs: &Photographs<'_>, own: &Radiance, shots: &[usize]) -> Result<Option<String>> {
     let Some(levels) = Levels::of(own) else { return Ok(None) };
     let seen = Picture::new(own, &levels);
-    let candidates = shots.iter().map(|&shot| seen.as_shot(photographs, shot, &levels));
+    let candidates = shots.iter().map(|&shot| seen.as_shot(photographs, shot, |_| true, &levels));
     Ok(likeliest(candidates.collect::<Result<_>>()?))
 }
 
@@ -105,8 +111,14 @@ impl Picture {
     }
 
     /// How well this agrees with what a shot shows, and the words for that.
-    fn as_shot(&self, photographs: &Photographs<'_>, shot: usize, levels: &Levels) -> Result<(f64, String)> {
-        let picture = Self::new(&photographs.merge_some(shot, |_| true)?, levels);
+    fn as_shot(
+        &self,
+        photographs: &Photographs<'_>,
+        shot: usize,
+        of: impl Fn(usize) -> bool,
+        levels: &Levels,
+    ) -> Result<(f64, String)> {
+        let picture = Self::new(&photographs.merge_some(shot, of)?, levels);
         let r = self.correlation(|x, y| picture.at(x, y));
         Ok((r, format!("it shows shot \"{}\"", photographs.name(shot))))
     }

@@ -17,16 +17,18 @@ mod noise;
 mod photographs;
 mod radiometry;
 mod reciprocity;
+mod recorded;
 mod reference_dots;
 mod references;
 mod register;
 mod resolution;
+mod resume;
 mod scene;
 mod sink;
 mod strangers;
 mod stray;
 
-use crate::capture::{Capture, ExposureFrom, Noise, Reduction};
+use crate::capture::{Capture, ExposureFrom, Noise, Reduction, read_checksums};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Radiance, Sensor};
@@ -40,6 +42,7 @@ use flicker::Flicker;
 use lattice::LightCorrections;
 use photographs::Photographs;
 pub use resolution::{Resolution, Working};
+pub use resume::TakenOver;
 use scene::Scene;
 use sink::{HeldRows, RowSink};
 use std::path::{Path, PathBuf};
@@ -107,6 +110,8 @@ pub struct BuildReport {
     pub overview: Overview,
     /// What it took.
     pub secs: BuildSecs,
+    /// What a stopped run had measured of it.
+    pub taken_over: TakenOver,
 }
 
 /// Seconds that a build took, reading the capture and writing the matrix left out.
@@ -141,20 +146,49 @@ pub struct Overview {
 
 /// Builds the matrix of the capture in `dir` and writes it to `out` (see [`MatrixWriter`]).
 ///
-/// Streams: besides the ambient and white pictures one shot per thread is in memory.
+/// Streams: besides the ambient and white pictures one shot per thread is in memory. Shots that an earlier run for the same `out` has measured, which was
+/// killed or ended by [`crate::Error::Io`], are not measured again where their photographs and all that they are measured against are the same; the result
+/// is that of an undisturbed run.
 ///
 /// # Errors
 /// Those of [`Capture::open`], of decoding and registration; [`crate::Error::DotOutsideSlab`], [`crate::Error::DotSaturated`]; [`crate::Error::Io`] for `out`.
 /// Nothing appears at `out` then.
 pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &Progress) -> Result<BuildReport> {
+    build_matrix_to(dir, options, |header| MatrixWriter::go_on(out, header), progress)
+}
+
+/// [`build_matrix`] for a part of an output: what was measured stays in its scratch folder `outer` until all of it is there.
+///
+/// # Errors
+/// Those of [`build_matrix`].
+pub(crate) fn build_matrix_in(
+    outer: &Path,
+    dir: &Path,
+    options: &BuildOptions,
+    out: &Path,
+    progress: &Progress,
+) -> Result<BuildReport> {
+    build_matrix_to(dir, options, |header| MatrixWriter::go_on_in(outer, out, header), progress)
+}
+
+fn build_matrix_to(
+    dir: &Path,
+    options: &BuildOptions,
+    writer: impl FnOnce(MatrixHeader) -> Result<MatrixWriter>,
+    progress: &Progress,
+) -> Result<BuildReport> {
     let capture = {
         let stage = progress.stage("read", 1);
         let capture = Capture::open_with(dir, options.calibration.as_deref(), options.exposure_from)?;
         stage.advance(1);
         capture
     };
-    let mut rows = MatrixWriter::create(out, unmeasured(&capture.manifest))?;
-    let (mut header, mut report) = measure(&capture, options, &rows, progress)?;
+    let mut rows = writer(unmeasured(&capture.manifest))?;
+    let measured = measure(&capture, options, &rows, progress);
+    if measured.as_ref().is_err_and(Error::is_of_system) {
+        rows.keep_work();
+    }
+    let (mut header, mut report) = measured?;
     let stage = progress.stage("write", 1);
     // Here, so that neither a check nor a capture that cannot be built replaces an earlier curve.
     let not_saved = radiometry::save_curve(&capture, &report.sensor).map(Warning::from);
@@ -219,11 +253,15 @@ fn measure_at(
     let photographs = Photographs::new(full, capture, &radiometry, working.factor);
     // What the photographs say of the noise was said of the stated times.
     let noise = if radiometry.corrected { noise.again(&full.timed(&radiometry.brackets))? } else { noise };
+    let checksums = read_checksums(&full.dir)?;
     let stages = Before { noise: &noise, working, defects: &defects, radiometry: &radiometry, start };
     let built = build_rows(&photographs, &stages, options, rows, progress);
     let built = built.map_err(|error| likeliest::in_gray_code(&photographs, error));
-    let ((mut header, mut report), findings) = strangers::with_findings(&photographs, options, built)
+    let (built, changed) = recorded::with_changed(&photographs, &checksums, options, built)
+        .map_or_else(|e| (Err(e), None), |(b, c)| (Ok(b), c));
+    let ((mut header, mut report), mut findings) = strangers::with_findings(&photographs, options, built)
         .map_err(|error| likeliest::in_noise(&noise.warnings, error))?;
+    findings.extend(changed);
     tell(&mut header, &mut report, findings);
     Ok((header, report))
 }
@@ -266,7 +304,8 @@ fn build_rows(
     let movements = Movements::prepare(&scene)?;
     let slab = movements.slab(&scene);
     let prepared = Instant::now();
-    let mut shots = lattice::extract(&scene, &light, &movements, &dots_seen::DotSearch::new(&scene)?, rows, progress)?;
+    let search = dots_seen::DotSearch::new(&scene)?;
+    let (mut shots, taken_over) = lattice::extract(&scene, &light, &movements, &search, rows, progress)?;
     let mut seen = dots_seen::judge(&scene, &shots, options)?;
     seen.extend(lattice_light);
     seen.extend(slab.into_iter().map(Warning::from));
@@ -276,12 +315,15 @@ fn build_rows(
         true => None,
         false => crosstalk::separate(&scene, &mut shots, rows, progress)?,
     };
-    if seen.is_empty() {
+    // Rows that hold the light of other dots say nothing of each other's places.
+    let mixed = options.keep_crosstalk && crosstalk::overlap_samples(&scene).is_some();
+    if seen.is_empty() && !mixed {
         seen = reciprocity::judge(&scene, &shots, rows, options)?;
     }
     let stages = Stages { before, registered: &registered, light: &light };
     let secs = BuildSecs { once: (prepared - before.start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
     let (mut header, mut report) = findings::summarize(&scene, &stages, &shots, crosstalk, secs)?;
+    report.taken_over = taken_over;
     tell(&mut header, &mut report, seen);
     Ok((header, report))
 }

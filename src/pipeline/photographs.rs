@@ -30,6 +30,14 @@ pub(super) struct Photographs<'a> {
     piles: Mutex<BTreeMap<[usize; 2], f64>>,
 }
 
+/// What the photographs of one shot have said: their BLAKE3, and what was found of them by their places in its bracket.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(super) struct Said {
+    hashes: Vec<String>,
+    strangers: Vec<(usize, Disagreement)>,
+    piles: Vec<(usize, f64)>,
+}
+
 /// Pixels of a shot in which its photographs are compared.
 const COMPARED_PX: usize = 1 << 16;
 
@@ -202,6 +210,35 @@ impl<'a> Photographs<'a> {
         Ok(())
     }
 
+    /// What the photographs of a shot have said so far, by their places in its bracket.
+    pub(super) fn said(&self, shot: usize) -> Result<Said> {
+        let of = |shot: usize| [shot, 0]..=[shot, usize::MAX];
+        let strangers = self.strangers.lock().map_err(Error::internal)?;
+        let piles = self.piles.lock().map_err(Error::internal)?;
+        Ok(Said {
+            hashes: self.hashes_of(shot)?,
+            strangers: strangers.range(of(shot)).map(|(key, d)| (key[1], d.clone())).collect(),
+            piles: piles.range(of(shot)).map(|(key, code)| (key[1], *code)).collect(),
+        })
+    }
+
+    /// Takes what a stopped run has heard of a shot's photographs; says whether they are the same photographs.
+    pub(super) fn repeat(&self, shot: usize, said: &Said) -> Result<bool> {
+        self.remember(shot)?;
+        if self.hashes_of(shot)? != said.hashes {
+            return Ok(false);
+        }
+        let strangers = said.strangers.iter().map(|(k, d)| ([shot, *k], d.clone()));
+        self.strangers.lock().map_err(Error::internal)?.extend(strangers);
+        self.piles.lock().map_err(Error::internal)?.extend(said.piles.iter().map(|(k, code)| ([shot, *k], *code)));
+        Ok(true)
+    }
+
+    fn hashes_of(&self, shot: usize) -> Result<Vec<String>> {
+        let hashes = self.hashes.lock().map_err(Error::internal)?;
+        Ok(self.brackets[shot].iter().filter_map(|p| hashes.get(&p.path)).map(|h| h.to_hex().to_string()).collect())
+    }
+
     /// The first shot of a pattern that a checked capture has.
     pub(super) fn one(&self, of: fn(&Pattern) -> bool) -> Result<usize> {
         self.capture.shots(of).first().copied().ok_or_else(|| Error::internal("a checked capture lacks a shot"))
@@ -216,6 +253,11 @@ impl<'a> Photographs<'a> {
         let path = self.brackets[shot].last().map_or_else(|| self.capture.manifest_path(), |p| p.path.clone());
         let shot = self.name(shot).to_owned();
         move |reason| Error::Registration { path: path.clone(), shot: shot.clone(), reason }
+    }
+
+    /// The hashes of all files that were read.
+    pub(super) fn hashes(&self) -> Result<BTreeMap<PathBuf, blake3::Hash>> {
+        Ok(self.hashes.lock().map_err(Error::internal)?.clone())
     }
 
     /// One hash of all files that were read, in the order of their names.

@@ -192,7 +192,7 @@ fn file_noise(capture: &Capture) -> Result<FileNoise> {
     let Some(first) = capture.brackets.iter().flatten().next() else { return Ok(FileNoise::default()) };
     // A JPEG's tables are in its head.
     let mut head = Vec::new();
-    let file = std::fs::File::open(&first.path).map_err(Error::io("read", &first.path))?;
+    let file = crate::files::open(&first.path).map_err(Error::io("read", &first.path))?;
     file.take(HEAD_BYTES).read_to_end(&mut head).map_err(Error::io("read", &first.path))?;
     let compression = compression_variance(&head, CODE_NOISE).unwrap_or_default();
     let mut row = Samples::U8(vec![]);

@@ -46,7 +46,7 @@ pub(super) fn judge(
     rows: &impl RowSink,
     options: &BuildOptions,
 ) -> Result<Vec<Warning>> {
-    let pairs = Pairs::of(scene, results);
+    let pairs = Compared::of(scene, results);
     let seen = pairs.look(scene, rows)?;
     let mut warnings: Vec<Warning> = pairs.lag(&seen).map(|f| options.refuse(f)).transpose()?.into_iter().collect();
     warnings.extend(pairs.levels(&seen).map(|off| {
@@ -65,7 +65,7 @@ struct OffShot {
     /// ln of its light over what other shots say, and the standard deviation of that.
     ln_level: f64,
     sd: f64,
-    /// In so many of so many places, where it is not the whole shot.
+    /// In so many of so many places, where it is not the whole shot; those of a row are alike.
     places: Option<[usize; 2]>,
     /// How many shots are off.
     shots: usize,
@@ -79,7 +79,7 @@ struct Lit {
 }
 
 /// The rows that are compared with each other.
-struct Pairs {
+struct Compared {
     lit: Vec<Option<Lit>>,
     /// Rows whose places each row is asked for.
     asked: Vec<Vec<usize>>,
@@ -99,7 +99,7 @@ struct Seen {
     there: Vec<(usize, [Light; 2])>,
 }
 
-impl Pairs {
+impl Compared {
     fn of(scene: &Scene<'_>, results: &[ShotResult]) -> Self {
         let manifest = &scene.capture.manifest;
         let [nx, ny] = manifest.grid.points;
@@ -167,19 +167,18 @@ impl Pairs {
         (0..self.lit.len()).into_par_iter().map(look).collect()
     }
 
-    /// For each shot, ln of its rows' light over that of the rows of other shots between the same places. What all pairs of a displacement have in
+    /// For each row, ln of its light over that of the rows of other shots between the same places. What all pairs of a displacement have in
     /// common is no shot's, and taken out: light from depth is seen beside its place.
     fn ratios(&self, seen: &[Seen]) -> Vec<Vec<f64>> {
         let mut pairs: Vec<(usize, [isize; 2], f64)> = Vec::new();
         let mut alike: BTreeMap<[isize; 2], Vec<f64>> = BTreeMap::new();
-        for (k, own) in self.lit.iter().enumerate() {
-            let Some(own) = own else { continue };
-            for (j, there) in &seen[k].there {
+        for (k, own) in seen.iter().enumerate() {
+            for (j, there) in &own.there {
                 let Some(back) = of(&seen[*j], k) else { continue };
                 let ([light, variance], [back, back_variance]) = (there[1], back[1]);
                 if light.min(back) > SEEN_SIGMA * (variance + back_variance).sqrt() {
                     let (step, ratio) = (self.step(k, *j), (light / back).ln());
-                    pairs.push((own.shot, step, ratio));
+                    pairs.push((k, step, ratio));
                     alike.entry(step).or_default().push(ratio);
                 }
             }
@@ -187,11 +186,11 @@ impl Pairs {
         alike.retain(|_, all| all.len() >= LEAST_VALUES);
         let alike: BTreeMap<[isize; 2], f64> =
             alike.into_iter().map(|(step, mut all)| (step, median(&mut all))).collect();
-        let mut shots: Vec<Vec<f64>> = vec![vec![]; self.shots];
-        for (shot, step, ratio) in pairs {
-            shots[shot].extend(alike.get(&step).map(|common| ratio - common));
+        let mut rows: Vec<Vec<f64>> = vec![vec![]; seen.len()];
+        for (row, step, ratio) in pairs {
+            rows[row].extend(alike.get(&step).map(|common| ratio - common));
         }
-        shots
+        rows
     }
 
     /// From one row to another, steps of the grid.
@@ -200,36 +199,47 @@ impl Pairs {
         [place(to)[0] - place(from)[0], place(to)[1] - place(from)[1]]
     }
 
-    /// Shots whose rows have another light than the rows of other shots say, everywhere or in some places.
+    /// Shots whose rows have another light than the rows of other shots say: all of them, some, or in some places.
     fn levels(&self, seen: &[Seen]) -> Option<OffShot> {
-        let ratios = self.ratios(seen);
-        let level = |ratios: &Vec<f64>| {
-            let middle = median(&mut ratios.clone());
-            (ratios.len() >= 3).then(|| [middle, sd_of_median(ratios, middle)])
-        };
-        let levels: Vec<Option<[f64; 2]>> = ratios.iter().map(level).collect();
-        let usual = scaled_deviation(levels.iter().flatten().map(|l| l[0]), 0.0);
-        let off = |l: &[f64; 2]| l[0].abs() > LEAST_LEVEL.max(SIGMA * usual).max(SIGMA * l[1]);
-        let whole: Vec<(usize, [f64; 2])> =
-            levels.iter().enumerate().filter_map(|(k, l)| Some((k, (*l).filter(|l| off(l))?))).collect();
+        let rows = self.ratios(seen);
+        let mut shots: Vec<Vec<f64>> = vec![vec![]; self.shots];
+        let mut places = vec![0; self.shots];
+        for (lit, ratios) in self.lit.iter().zip(&rows) {
+            if let Some(lit) = lit {
+                shots[lit.shot].extend(ratios);
+                places[lit.shot] += ratios.len();
+            }
+        }
         let find =
             |(shot, [ln_level, sd]): (usize, [f64; 2]), places, shots| OffShot { shot, ln_level, sd, places, shots };
-        if let Some(&worst) = whole.iter().max_by(|a, b| a.1[0].abs().total_cmp(&b.1[0].abs())) {
+        let worst =
+            |off: &[(usize, [f64; 2])]| off.iter().copied().max_by(|a, b| a.1[0].abs().total_cmp(&b.1[0].abs()));
+        let whole = off_levels(&shots);
+        if let Some(worst) = worst(&whole) {
             return Some(find(worst, None, whole.len()));
         }
-        let limit = LEAST_PLACE.max(SIGMA * scaled_deviation(ratios.iter().flatten().copied(), 0.0));
+        // A shadow on some dots of a shot.
+        let single = off_levels(&rows);
+        if let Some((row, level)) = worst(&single) {
+            let of = |row: usize| self.lit[row].map(|lit| lit.shot);
+            let shot = of(row)?;
+            let off = single.iter().filter(|(row, _)| of(*row) == Some(shot)).map(|(row, _)| rows[*row].len()).sum();
+            let mut shots: Vec<usize> = single.iter().filter_map(|(row, _)| of(*row)).collect();
+            shots.sort_unstable();
+            shots.dedup();
+            return Some(find((shot, level), Some([off, places[shot]]), shots.len()));
+        }
+        let limit = LEAST_PLACE.max(SIGMA * scaled_deviation(shots.iter().flatten().copied(), 0.0));
         let away = |ratios: &Vec<f64>| ratios.iter().copied().filter(|r| r.abs() > limit).collect::<Vec<f64>>();
-        let some: Vec<(usize, Vec<f64>)> = ratios
+        let some: Vec<(usize, Vec<f64>)> = shots
             .iter()
             .map(away)
             .enumerate()
-            .filter(|(k, away)| {
-                away.len() >= LEAST_PLACES && away.len() as f64 > PLACES_SHARE * ratios[*k].len() as f64
-            })
+            .filter(|(k, away)| away.len() >= LEAST_PLACES && away.len() as f64 > PLACES_SHARE * places[*k] as f64)
             .collect();
         let (shot, away) = some.iter().max_by_key(|(_, away)| away.len())?;
         let middle = median(&mut away.clone());
-        let places = [away.len(), ratios[*shot].len()];
+        let places = [away.len(), places[*shot]];
         Some(find((*shot, [middle, sd_of_median(away, middle)]), Some(places), some.len()))
     }
 
@@ -250,6 +260,18 @@ impl Pairs {
     }
 }
 
+/// Of groups of ratios those whose median, ln, is off beyond what it is known to and what groups differ by; with its standard deviation.
+fn off_levels(groups: &[Vec<f64>]) -> Vec<(usize, [f64; 2])> {
+    let level = |ratios: &Vec<f64>| {
+        let middle = median(&mut ratios.clone());
+        (ratios.len() >= 3).then(|| [middle, sd_of_median(ratios, middle)])
+    };
+    let levels: Vec<Option<[f64; 2]>> = groups.iter().map(level).collect();
+    let usual = scaled_deviation(levels.iter().flatten().map(|l| l[0]), 0.0);
+    let off = |l: &[f64; 2]| l[0].abs() > LEAST_LEVEL.max(SIGMA * usual).max(SIGMA * l[1]);
+    levels.iter().enumerate().filter_map(|(k, l)| Some((k, (*l).filter(off)?))).collect()
+}
+
 /// Standard deviation of the median of some values.
 fn sd_of_median(values: &[f64], median: f64) -> f64 {
     1.25 * scaled_deviation(values.iter().copied(), median) / (values.len() as f64).sqrt()
@@ -268,14 +290,10 @@ fn of(seen: &Seen, k: usize) -> Option<[Light; 2]> {
     seen.there.iter().find(|(j, _)| *j == k).map(|(_, light)| *light)
 }
 
-/// Steps of the grid, in eight directions, to the nearest point that is beyond a dot's edge and to the farthest in the window.
+/// Steps of the grid, in eight directions, to the nearest point that is beyond a dot's edge, to the farthest in the window, and half way.
 fn steps(scene: &Scene<'_>) -> Vec<[isize; 2]> {
     let window = &scene.capture.manifest.window;
-    let first = scene.nominal_mm([0, 0]);
-    let step_mm = [[1, 0], [0, 1]].map(|d| {
-        let p = scene.registration.slab_from_projector.map(scene.capture.manifest.grid.dot_projector_px(d));
-        [p[0] - first[0], p[1] - first[1]]
-    });
+    let step_mm = scene.steps_mm();
     let least_mm = LEAST_RADII * scene.dot_radius_px() / scene.px_per_mm;
     let mut steps = Vec::new();
     for [dx, dy] in [[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]] {
@@ -299,7 +317,7 @@ fn inside(window: &Window, center_mm: Point, at_mm: Point) -> bool {
     (0..2).all(|a| (at_mm[a] - center_mm[a]).abs() <= 0.5 * window.samples[a] as f64 * window.pitch_mm)
 }
 
-/// Light of a row in a place: the mean of the channels, linear between cells. `None` outside and beside cells that were not measured.
+/// Light of a row in a place: the sum of the channels, linear between cells. `None` outside and beside cells that were not measured.
 fn light_at(row: &Row, window: &Window, center_mm: Point, at_mm: Point) -> Option<Light> {
     let [nx, ny] = window.samples;
     let u: Point = std::array::from_fn(|a| {
@@ -331,19 +349,19 @@ fn light_at(row: &Row, window: &Window, center_mm: Point, at_mm: Point) -> Optio
 mod tests {
     use super::*;
 
-    /// Seven by five points, one a shot, each asked for the five nearest on either side; light falls off as exp(−distance), drift as given.
-    fn pairs() -> Pairs {
+    /// Seven by five points, one a shot, each asked for those within 3.5 mm.
+    fn pairs() -> Compared {
         let [nx, ny] = [7, 5];
         let at = |k: usize| [(k % nx) as f64, 1.2 * (k / nx) as f64];
         let lit = (0..nx * ny).map(|k| Some(Lit { shot: k, at_mm: at(k) })).collect();
         let far = |a: usize, b: usize| (at(a)[0] - at(b)[0]).hypot(at(a)[1] - at(b)[1]);
         let asked = (0..nx * ny).map(|k| (0..nx * ny).filter(|&j| j != k && far(k, j) < 3.5).collect()).collect();
         let lag = (1..nx * ny).map(|k| [k, k - 1]).filter(|[a, b]| far(*a, *b) < 3.5).collect();
-        Pairs { lit, asked, lag, shots: nx * ny, columns: nx, offset_mm: [0.0; 2] }
+        Compared { lit, asked, lag, shots: nx * ny, columns: nx, offset_mm: [0.0; 2] }
     }
 
-    /// What rows say, each times its level; `place` changes what row k has in the place of row j.
-    fn seen(pairs: &Pairs, place: impl Fn(usize, usize) -> f64) -> Vec<Seen> {
+    /// What rows say: exp(−distance), times what `place` says of row k in the place of row j.
+    fn seen(pairs: &Compared, place: impl Fn(usize, usize) -> f64) -> Vec<Seen> {
         let at = |k: usize| pairs.lit[k].unwrap().at_mm;
         let light = |k: usize, j: usize| {
             let d = [at(j)[0] - at(k)[0], at(j)[1] - at(k)[1]];
@@ -382,6 +400,22 @@ mod tests {
         let places = pairs.asked[17].iter().filter(|&&j| shadow(17, j) < 1.0).count();
         assert_eq!((found.shot, found.places, found.shots), (17, Some([places, pairs.asked[17].len()]), 1));
         assert!((found.ln_level.exp() / 0.4 - 1.0).abs() < 0.03, "{found:?}");
+    }
+
+    #[test]
+    fn a_shadow_on_one_dot_of_a_shot_that_has_more_is_that_of_the_shot() {
+        let mut pairs = pairs();
+        // Seven shots, of a column each.
+        pairs.lit.iter_mut().enumerate().for_each(|(k, lit)| lit.as_mut().unwrap().shot = k % 7);
+        pairs.shots = 7;
+        let lit = pairs.lit.clone();
+        let apart = |a: usize, b: usize| lit[a].unwrap().shot != lit[b].unwrap().shot;
+        pairs.asked.iter_mut().enumerate().for_each(|(k, asked)| asked.retain(|&j| apart(k, j)));
+        assert_eq!(pairs.levels(&seen(&pairs, |_, _| 1.0)), None);
+        let found = pairs.levels(&seen(&pairs, |k, _| if k == 17 { 0.5 } else { 1.0 })).unwrap();
+        let all = (0..35).filter(|k| k % 7 == 3).map(|k| pairs.asked[k].len()).sum();
+        assert_eq!((found.shot, found.places, found.shots), (3, Some([pairs.asked[17].len(), all]), 1));
+        assert!((found.ln_level.exp() / 0.5 - 1.0).abs() < 0.03, "{found:?}");
     }
 
     #[test]

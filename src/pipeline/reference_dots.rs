@@ -1,10 +1,12 @@
 //! What the reference dots on the opaque frame tell of each lattice shot: the lamp's level and colour, a dot that is covered, how sharp they are.
 
+use super::BuildOptions;
 use super::scene::{STILL, Scene};
-use crate::capture::Rect;
+use crate::capture::{Pattern, Rect};
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
-use crate::registration::{measure_drift, median, scaled_deviation};
+use crate::registration::{PointSpread, measure_drift, median, scaled_deviation};
+use crate::{ConsistencyWarning, Result, Warning};
 
 /// The light of the reference dots, over some shots.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -23,7 +25,7 @@ pub(super) struct Level {
 pub(super) type DotLight = Vec<Option<[f64; 2]>>;
 
 /// What the reference dots of a shot show besides the lamp's level.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct DotsShow {
     /// How many of them have another light than the others say.
     pub strange: usize,
@@ -70,10 +72,9 @@ impl Level {
             return None;
         }
         // A lamp that warms up or steps: the references were taken beside the first shots.
-        let third = found.len() / 3;
-        let level_of = |shots: &[(f64, f64)]| median(&mut shots.iter().map(|f| f.0).collect::<Vec<_>>());
-        let (first, last) = (level_of(&found[..third.max(1)]), level_of(&found[found.len() - third.max(1)..]));
-        let (rough, steady) = (change_within(&found.iter().map(|f| f.0).collect::<Vec<_>>()), 1.0 + first);
+        let levels: Vec<f64> = found.iter().map(|f| f.0).collect();
+        let [first, last] = ends(&levels);
+        let (rough, steady) = (change_within(&levels), 1.0 + first);
         if is_steady && (last - first).abs() > LEAST_LAMP.max(LAMP_SIGMA * rough) && steady > 0.0 {
             level.mean.iter_mut().flatten().for_each(|m| *m *= steady);
             // All that shots differ by is the lamp's.
@@ -99,10 +100,11 @@ impl Level {
         &self.mean
     }
 
-    /// From now on levels are over a light that is `level` times the mean, known to a relative standard deviation of `sd`.
-    pub(super) fn anchor(&mut self, level: f64, sd: f64) {
-        self.mean.iter_mut().flatten().for_each(|m| *m *= level);
-        self.mean_variance += sd * sd;
+    /// From now on levels are over the light that the references say, of which the mean is `level` times, known to a relative standard
+    /// deviation of `relative_sd`.
+    pub(super) fn anchor(&mut self, level: f64, relative_sd: f64) {
+        self.mean.iter_mut().flatten().for_each(|m| *m /= level);
+        self.mean_variance += relative_sd * relative_sd;
     }
 
     /// A shot's light over the mean less one, and its variance; dots that the others contradict do not count.
@@ -186,12 +188,8 @@ impl SeenDots {
     pub(super) fn are_steady(shots: &[Self]) -> bool {
         let steady = |of: &dyn Fn(&Self) -> Option<f64>, least: f64| {
             let all: Vec<f64> = shots.iter().filter_map(of).collect();
-            let third = (all.len() / 3).max(1);
-            if all.len() < 4 {
-                return true;
-            }
-            let [first, last] = [&all[..third], &all[all.len() - third..]].map(|part| median(&mut part.to_vec()));
-            (last / first - 1.0).abs() < least.max(LAMP_SIGMA * change_within(&all) / first)
+            let [first, last] = ends(&all);
+            all.len() < 4 || (last / first - 1.0).abs() < least.max(LAMP_SIGMA * change_within(&all) / first)
         };
         steady(&|s| s.spread_px2, WIDER) && steady(&|s| s.scale, LEAST_SCALE)
     }
@@ -201,6 +199,12 @@ impl SeenDots {
 pub(super) const WIDER: f64 = 0.2;
 /// Dots that are farther apart by this share are seen through another zoom: far beyond what centroids of dots some ten pixels apart say.
 pub(super) const LEAST_SCALE: f64 = 0.003;
+
+/// Medians of the first and of the last third of a sweep; 0 for none.
+pub(super) fn ends(values: &[f64]) -> [f64; 2] {
+    let third = (values.len() / 3).max(1).min(values.len());
+    [&values[..third], &values[values.len() - third..]].map(|part| median(&mut part.to_vec()))
+}
 
 /// How far values differ from the one before, as a standard deviation of each: what a slow change does not make.
 pub(super) fn change_within(values: &[f64]) -> f64 {
@@ -213,13 +217,48 @@ pub(super) fn reference_light(scene: &Scene<'_>, seen: &[Bracket]) -> Option<See
         scene.reference_mm().into_iter().zip(seen).map(|(p, b)| (p, scene.picture(b, b.rect(), STILL))).collect();
     let drift = measure_drift(&pictures, scene.registration, scene.dot_radius_px())?;
     let moved = drift.slab_mm;
-    let reach = scene.dot_radius_px() + 2.0;
+    let reach = reach_px(scene);
     let at = |p: Point| scene.registration.view.camera_from_slab([p[0] + moved[0], p[1] + moved[1]]);
     let placed: Vec<(Point, &Radiance)> = pictures.iter().map(|(p, picture)| (at(*p), picture)).collect();
     let mut spreads: Vec<f64> = placed.iter().filter_map(|&(at, picture)| spread_around(picture, at, reach)).collect();
     let spread_px2 = (2 * spreads.len() > pictures.len()).then(|| median(&mut spreads));
     let light = placed.iter().flat_map(|&(at, picture)| light_around(scene, picture, at, reach)).collect();
     Some(SeenDots { light, spread_px2, scale: drift.scale.map(|s| s[0]) })
+}
+
+/// Reference dots have this share of the width at the least that the board's blur and their own size give them (untouched ones 0.98 at blurs up to 2 px).
+const BOARD_WIDTH: f64 = 0.75;
+
+/// Whether the board is blurred more than the reference dots, whose mean square width is `width_px2`: the blur that is taken out of the rows is the
+/// board's.
+///
+/// # Errors
+/// [`crate::Error::Contradiction`].
+pub(super) fn board_blur(scene: &Scene<'_>, width_px2: f64, options: &BuildOptions) -> Result<Option<Warning>> {
+    let Some(PointSpread { psf_px, .. }) = scene.registration.point_spread else { return Ok(None) };
+    // Of a square of that side; as if they were a projector pixel smaller than stated, which may be wrong.
+    let pixels = scene.capture.manifest.grid.dot_projector_px as f64;
+    let side_px = scene.dot_radius_px() / 0.75 * (1.0 - 1.0 / pixels);
+    let sharp_px2 = side_px * side_px / 6.0;
+    if width_px2 > BOARD_WIDTH * (sharp_px2 + gaussian_width(psf_px, reach_px(scene))) {
+        return Ok(None);
+    }
+    let shot = scene.photographs.one(|p| matches!(p, Pattern::Board))?;
+    let shot = scene.photographs.name(shot).to_owned();
+    let dots_psf_px = (0.5 * (width_px2 - sharp_px2).max(0.0)).sqrt();
+    options.refuse(ConsistencyWarning::BoardBlur { shot, psf_px, dots_psf_px }).map(Some)
+}
+
+/// Half the side of the square in which a reference dot's light is measured, px.
+pub(super) fn reach_px(scene: &Scene<'_>) -> f64 {
+    scene.dot_radius_px() + 2.0
+}
+
+/// Mean square distance from its middle of a Gaussian's light within `reach`, px².
+fn gaussian_width(sd_px: f64, reach: f64) -> f64 {
+    let u = 0.5 * (reach / sd_px.max(1e-6)).powi(2);
+    // e^−u / (1 − e^−u), which is 0 for sharp pictures.
+    2.0 * sd_px * sd_px * (1.0 - u / u.exp_m1())
 }
 
 /// Mean square distance of the light within `reach` of a dot's middle from it, px²; `None` where some of it was not measured.
@@ -302,6 +341,17 @@ mod tests {
     }
 
     #[test]
+    fn an_anchored_level_is_over_the_light_of_the_references() {
+        let mut level = Level::of(&[0.0, 0.01, -0.01, 0.0].map(|l| light(l, 5e-5)), true).unwrap();
+        let before = level.mean_variance;
+        // The dots of these shots have four fifths of the light that the references say: a quarter more is as these have it.
+        level.anchor(0.8, 0.01);
+        assert!(level.measured(&light(0.25, 5e-5)).unwrap().0.abs() < 1e-9);
+        assert!((level.measured(&light(0.0, 5e-5)).unwrap().0 + 0.2).abs() < 1e-9);
+        assert!((level.mean_variance - before - 1e-4).abs() < 1e-12);
+    }
+
+    #[test]
     fn the_level_of_shots_varies_by_what_their_measurement_does_not_explain() {
         let levels = [0.03, -0.01, 0.02, -0.04, 0.01, -0.01];
         let level = Level::of(&levels.map(|l| light(l, 5e-5)), true).unwrap();
@@ -321,5 +371,24 @@ mod tests {
         // Too few shots, and none.
         assert!(Level::of(&levels.map(|l| light(l, 5e-5))[..3], true).is_none());
         assert!(Level::of(&[], true).is_none());
+    }
+
+    #[test]
+    fn the_width_of_a_gaussian_within_a_reach_is_that_of_its_pixels() {
+        for (sd, reach) in [(2.0, 3.4), (0.8, 3.0), (1.5, 20.0), (5.0, 2.0)] {
+            // A hundredth of a px is fine enough for a per cent.
+            let cells = |r: f64| (-1000..1000).map(move |k| (k as f64 + 0.5) * r / 1000.0);
+            let (mut sum, mut square) = (0.0, 0.0);
+            for (x, y) in cells(reach).flat_map(|x| cells(reach).map(move |y| (x, y))) {
+                let r2: f64 = x * x + y * y;
+                if r2 <= reach * reach {
+                    let light = (-0.5 * r2 / (sd * sd)).exp();
+                    (sum, square) = (sum + light, square + light * r2);
+                }
+            }
+            let found = gaussian_width(sd, reach);
+            assert!((found / (square / sum) - 1.0).abs() < 0.01, "{sd} {reach}: {found}");
+        }
+        assert!(gaussian_width(0.0, 3.0).abs() < 1e-9);
     }
 }

@@ -10,7 +10,7 @@ use crate::capture::Pattern;
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{HotPixel, Radiance, find_hot_pixels, mend};
-use crate::registration::median;
+use crate::registration::{Registration, median};
 use crate::response::Irradiance;
 use crate::warning::bounds::{BRIGHTEST_BLACK, REFUSED_LEVEL, UNEVEN_SHARE};
 use crate::{ConsistencyWarning, Error, Result, Warning};
@@ -99,10 +99,7 @@ pub(super) fn references(
     let hot = find_hot_pixels(&ambient);
     mend(&mut white, &hot);
     let cell_px = registered.registration.px_per_mm() * photographs.capture.manifest.window.pitch_mm;
-    let dots = photographs.capture.manifest.reference_dots.iter().flat_map(|r| &r.projector_px);
-    let map =
-        |&p: &Point| registered.registration.view.camera_from_slab(registered.registration.slab_from_projector.map(p));
-    let frame_share = frame_shares(&dots.map(map).collect::<Vec<_>>(), cell_px.max(2.0), &ambient, &black);
+    let frame_share = frame_shares(&reference_px(photographs, registered), cell_px.max(2.0), &ambient, &black);
     let irradiance = Irradiance::new(white, &photographs.capture.rig, cell_px.round().clamp(2.0, 50.0) as usize);
     if let Some(sd) = flicker_sd {
         // One shot's lamp, the same error in all pixels of a cell: that many times what averaging them would leave.
@@ -111,6 +108,13 @@ pub(super) fn references(
         values.for_each(|(variance, value)| *variance += share as f32 * value * value);
     }
     Ok(References { ambient, hot, irradiance, white_variance, frame_share, warnings })
+}
+
+/// Camera px of the reference dots, without drift.
+fn reference_px(photographs: &Photographs<'_>, registered: &Registered) -> Vec<Point> {
+    let Registration { view, slab_from_projector, .. } = &registered.registration;
+    let dots = photographs.capture.manifest.reference_dots.iter().flat_map(|r| &r.projector_px);
+    dots.map(|&p| view.camera_from_slab(slab_from_projector.map(p))).collect()
 }
 
 /// The lamp's mean level over the Gray code, of that of the white reference.
@@ -186,11 +190,10 @@ fn exchanged(
         return refused(sample_shot, "it is lit: projector or room were not dark", of_white(ambient));
     }
     // A dot of the pattern on the frame, where black has none.
-    let dots = photographs.capture.manifest.reference_dots.iter().flat_map(|r| &r.projector_px);
     let seen = sample_black.luminance();
-    let mut at_dots: Vec<f64> = dots
-        .filter_map(|&p| {
-            let [x, y] = view.camera_from_slab(registered.registration.slab_from_projector.map(p));
+    let mut at_dots: Vec<f64> = reference_px(photographs, registered)
+        .into_iter()
+        .filter_map(|[x, y]| {
             let inside =
                 x >= 0.0 && y >= 0.0 && x < white.rect.width as f64 - 0.5 && y < white.rect.height as f64 - 0.5;
             let k = inside.then(|| y.round() as usize * white.rect.width + x.round() as usize)?;

@@ -51,6 +51,15 @@ impl<'a> Scene<'a> {
         self.capture.shots(|p| matches!(p, Pattern::Lattice { .. }))
     }
 
+    /// From a lit point to the next along each axis of the grid, mm, at its first point.
+    pub(super) fn steps_mm(&self) -> [Point; 2] {
+        let first = self.nominal_mm([0, 0]);
+        [[1, 0], [0, 1]].map(|next| {
+            let p = self.nominal_mm(next);
+            [p[0] - first[0], p[1] - first[1]]
+        })
+    }
+
     /// Where the pattern puts a dot, mm, without drift.
     pub(super) fn nominal_mm(&self, dot: [usize; 2]) -> Point {
         let grid = &self.capture.manifest.grid;
@@ -162,7 +171,7 @@ pub(super) fn square(at: Point, radius: f64, size_px: [usize; 2]) -> Option<Rect
 ///
 /// Between pixels noise is averaged; its variance is kept as it was, which is too much by a third at the most.
 pub(super) fn moved_part(picture: &Radiance, rect: Rect, moved_px: Point) -> Radiance {
-    let mut out = part(picture, rect);
+    let mut out = picture.part(rect);
     let whole = picture.rect;
     let weights = moved_px.map(|m| {
         let f = -m - (-m).floor();
@@ -189,17 +198,6 @@ pub(super) fn moved_part(picture: &Radiance, rect: Rect, moved_px: Point) -> Rad
         }
     }
     out
-}
-
-/// The pixels of `rect`, which must lie in the picture.
-pub(super) fn part(picture: &Radiance, rect: Rect) -> Radiance {
-    let rows = (rect.y..rect.y + rect.height).map(|y| {
-        let from = picture.at(rect.x, y);
-        from..from + 3 * rect.width
-    });
-    let cut = |all: &[f32]| rows.clone().flat_map(|r| all[r].iter().copied()).collect();
-    let used = rows.clone().flat_map(|r| picture.used[r].iter().copied()).collect();
-    Radiance { rect, value: cut(&picture.value), variance: cut(&picture.variance), used }
 }
 
 /// A rectangle with a rim of `by` pixels, cut to the photograph.

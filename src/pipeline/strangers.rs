@@ -14,8 +14,7 @@ const LEAST_CLIPPED: usize = 3;
 const SINGLE_SHARE: f64 = 0.2;
 
 /// What more than half of the lattice shots have is a mistake in the rig's figures rather than in photographs.
-const ALL_DO: &str =
-    " (as most shots have one: camera.response, noise.saturation_dn or the exposure times are not those of the files)";
+const ALL_DO: &str = " (as most shots have one: camera.response, noise.saturation_dn or the exposure times are not those of the files, or the camera sharpens or smooths them)";
 
 /// What came of the stages, with what is to be told of such photographs. Where they failed, it is because of them.
 ///
@@ -98,7 +97,7 @@ fn seen_in(photographs: &Photographs<'_>, shot: usize, place: usize) -> Result<S
     let others = photographs.merge_some(shot, |k| k != place)?;
     let same = "it has another brightness, response curve or sharpness";
     let unlike = "it looks like neither the shots beside it nor itself turned or moved";
-    Ok(looks(photographs, shot, &own, &others, same)?.unwrap_or_else(|| unlike.into()))
+    Ok(looks(photographs, (shot, Some(place)), &own, &others, same)?.unwrap_or_else(|| unlike.into()))
 }
 
 /// Another number of bits than the others have.

@@ -5,7 +5,7 @@ use super::{Exposure, Sensor};
 use crate::capture::Samples;
 
 /// A photograph of a stack that does not show what the others show.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Disagreement {
     /// Which of the exposures.
     pub photograph: usize,

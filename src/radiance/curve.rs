@@ -62,7 +62,7 @@ impl Curve {
     /// # Errors
     /// [`Error::Io`], [`Error::Field`].
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+        let text = crate::files::read_to_string(path).map_err(Error::io("read", path))?;
         let file: File = crate::capture::parse_toml(path, &text)?;
         if file.format != crate::capture::FORMAT {
             return Err(Error::field(path, "format", crate::capture::FORMAT.to_string(), file.format));

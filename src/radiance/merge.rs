@@ -142,6 +142,17 @@ impl Radiance {
         3 * ((y - self.rect.y) * self.rect.width + (x - self.rect.x))
     }
 
+    /// The pixels of `rect`, which must lie in the picture.
+    pub fn part(&self, rect: Rect) -> Self {
+        let rows = (rect.y..rect.y + rect.height).map(|y| {
+            let from = self.at(rect.x, y);
+            from..from + 3 * rect.width
+        });
+        let cut = |all: &[f32]| rows.clone().flat_map(|r| all[r].iter().copied()).collect();
+        let used = rows.clone().flat_map(|r| self.used[r].iter().copied()).collect();
+        Self { rect, value: cut(&self.value), variance: cut(&self.variance), used }
+    }
+
     /// Subtracts `other` (ambient light, say), which must cover this rectangle; variances add, validity is that of both.
     pub fn subtract(&mut self, other: &Self) {
         let n = 3 * self.rect.width;

@@ -58,7 +58,7 @@ pub struct RimPlace {
 }
 
 /// The movement of the picture.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CameraMotion {
     /// How far what is fixed has moved, camera px.
     pub camera_px: Point,

@@ -6,7 +6,7 @@ use crate::geometry::Point;
 use crate::radiance::Radiance;
 
 /// The displacement of one shot's dots.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Drift {
     /// On the slab, mm.
     pub slab_mm: Point,

@@ -1,7 +1,7 @@
 //! Where the sample is by its rim and how large, as the board sees it: a printed board that is not of its stated size, a photograph of it that
 //! is turned, another sample than stated.
 
-use super::camera_motion::{RimSegment, locate_rim, rim_segments};
+use super::camera_motion::{RimPlace, RimSegment, locate_rim, rim_segments};
 use super::drift::{median, scaled_deviation};
 use crate::cholesky::solve_small;
 use crate::geometry::{CameraView, Homography, Point};
@@ -29,21 +29,28 @@ pub struct RimFit {
 }
 
 /// Fits a similarity that takes the rim of a slab of `size_mm` to where it is seen in `picture` (the whole photograph, the sample without
-/// dots); `None` where less than half of the rim is seen.
+/// dots), whose segments were found at `located`; `None` where less than half of the rim is seen.
 ///
 /// Not detected: a sample of another shape, one that is larger or smaller by more than an eighth, or off by more than that of its size.
-pub fn fit_rim(view: &CameraView, size_mm: Point, size_px: [usize; 2], picture: &Radiance) -> Option<RimFit> {
+pub fn fit_rim(
+    view: &CameraView,
+    size_mm: Point,
+    size_px: [usize; 2],
+    picture: &Radiance,
+    (segments, located): (&[RimSegment], &[Option<RimPlace>]),
+) -> Option<RimFit> {
+    let middle_px = view.camera_from_slab(size_mm.map(|s| 0.5 * s));
     let half_px = 0.5 * size_mm[0].min(size_mm[1]) * view.px_per_mm(size_mm.map(|s| 0.5 * s));
     let steps = (LARGEST * half_px / STEP_PX).ceil() as isize;
     let scale = |k: isize| 1.0 + k as f64 * STEP_PX / half_px;
     let fit = |tried: f64, offset_px: Point| {
         let seen = Seen::at(&placed(view, size_mm, tried, offset_px), size_mm, size_px, picture);
-        let (kept, fit) = seen.similarity(view.camera_from_slab(size_mm.map(|s| 0.5 * s)))?;
+        let (kept, fit) = seen.similarity(middle_px)?;
         let offset_px = [0, 1].map(|a| offset_px[a] + fit.offset_px[a]);
         Some((kept, RimFit { scale: tried * fit.scale, offset_px, ..fit }))
     };
     // Where it should be: nothing else is looked for.
-    if let Some((kept, found)) = fit(1.0, [0.0; 2])
+    if let Some((kept, found)) = Seen::of(segments, located).similarity(middle_px)
         && 3 * kept > 2 * 4 * PER_SIDE
     {
         return Some(found);
@@ -73,8 +80,13 @@ struct Seen {
 impl Seen {
     fn at(view: &CameraView, size_mm: Point, size_px: [usize; 2], picture: &Radiance) -> Self {
         let segments = rim_segments(view, size_mm, size_px);
-        let place = |s: &RimSegment| Some((*s, locate_rim(&part(picture, s)?, s, None)?.offset_px));
-        Self { all: segments.len(), segments: segments.iter().filter_map(place).collect() }
+        let located: Vec<_> = segments.iter().map(|s| locate_rim(&picture.part(s.rect), s, None)).collect();
+        Self::of(&segments, &located)
+    }
+
+    fn of(segments: &[RimSegment], located: &[Option<RimPlace>]) -> Self {
+        let seen = segments.iter().zip(located).filter_map(|(s, place)| Some((*s, (*place)?.offset_px)));
+        Self { all: segments.len(), segments: seen.collect() }
     }
 
     /// Movement and growth about `middle` that explain where they are seen, and how many agree.
@@ -129,16 +141,6 @@ fn placed(view: &CameraView, size_mm: Point, factor: f64, offset_px: Point) -> C
     CameraView { ideal_from_slab: Homography { matrix: view.ideal_from_slab.matrix.map(row) }, ..*view }
 }
 
-/// The pixels of a segment.
-fn part(picture: &Radiance, segment: &RimSegment) -> Option<Radiance> {
-    let (r, whole) = (segment.rect, picture.rect);
-    let inside = r.x + r.width <= whole.width && r.y + r.height <= whole.height;
-    let rows = (r.y..r.y + r.height).map(|y| 3 * (y * whole.width + r.x)..3 * (y * whole.width + r.x + r.width));
-    let cut = |all: &[f32]| rows.clone().flat_map(|k| all[k].iter().copied()).collect();
-    let used = || rows.clone().flat_map(|k| picture.used[k].iter().copied()).collect();
-    inside.then(|| Radiance { rect: r, value: cut(&picture.value), variance: cut(&picture.variance), used: used() })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -170,12 +172,18 @@ mod tests {
         Radiance { rect, value, variance: vec![1e-3; 3 * rect.area()], used: vec![1; 3 * rect.area()] }
     }
 
+    fn fit(picture: &Radiance) -> Option<RimFit> {
+        let segments = rim_segments(&view(), [28.0, 19.0], SIZE_PX);
+        let located: Vec<_> = segments.iter().map(|s| locate_rim(&picture.part(s.rect), s, None)).collect();
+        fit_rim(&view(), [28.0, 19.0], SIZE_PX, picture, (&segments, &located))
+    }
+
     #[test]
     fn a_sample_is_measured_by_its_rim_where_it_is_a_tenth_larger_or_smaller_and_beside_its_place() {
         let cases =
             [(1.0, 0.0), (1.0, 0.2), (1.05, -0.1), (0.95, 0.1), (1.1, 0.0), (0.9, 0.0), (1.0, 1.9), (1.0, -2.3)];
         for (factor, shift) in cases {
-            let found = fit_rim(&view(), [28.0, 19.0], SIZE_PX, &picture(factor, shift)).unwrap();
+            let found = fit(&picture(factor, shift)).unwrap();
             // Edges of 25 points a pixel are right to a tenth of one, of some 70 px to the middle.
             assert!((found.scale - factor).abs() < 0.003, "{factor} {shift}: {found:?}");
             // Some 6 px a mm.
@@ -185,6 +193,6 @@ mod tests {
         }
         let mut even = picture(1.0, 0.0);
         even.value.fill(4.0);
-        assert_eq!(fit_rim(&view(), [28.0, 19.0], SIZE_PX, &even), None);
+        assert_eq!(fit(&even), None);
     }
 }

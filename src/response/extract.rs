@@ -83,7 +83,7 @@ pub fn window_rect(grid: &WindowGrid, size_px: [usize; 2]) -> Option<Rect> {
 }
 
 /// What [`extract_row`] found besides the row.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct RowFindings {
     /// Samples outside the slab or the photograph.
     pub clipped: usize,

@@ -20,9 +20,12 @@ pub(super) struct Bench {
     pub record: SlabRecord,
     /// Findings about the slab.
     pub warnings: Vec<SimulateWarning>,
-    /// Row, photon noise and light of every dot so far.
-    noise: Mutex<Vec<(usize, f64, f64)>>,
+    /// Of every dot so far.
+    noise: Mutex<Vec<DotNoise>>,
 }
+
+/// Row, photon noise and light of a dot.
+pub(super) type DotNoise = (usize, f64, f64);
 
 impl Bench {
     /// Sets the bench up.
@@ -65,6 +68,19 @@ impl Bench {
         }
         let (variance, valid) = (vec![0.0; response.len()], vec![true; response.len()]);
         Row { response, variance, valid }
+    }
+
+    /// What is remembered of some rows.
+    pub(super) fn noise_of(&self, rows: &[usize]) -> Vec<DotNoise> {
+        let noise = self.noise.lock().map(|noise| noise.clone()).unwrap_or_default();
+        noise.into_iter().filter(|(row, ..)| rows.contains(row)).collect()
+    }
+
+    /// Noise of dots that another run has made.
+    pub(super) fn remember(&self, dots: Vec<DotNoise>) {
+        if let Ok(mut noise) = self.noise.lock() {
+            noise.extend(dots);
+        }
     }
 
     /// The photon noise of the truth: the standard error of all rows over the rows, both Euclidean; `None` without noise.

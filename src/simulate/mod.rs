@@ -23,6 +23,7 @@ mod bench;
 mod camera;
 mod causes;
 mod light;
+mod made;
 mod options;
 mod scene;
 mod shot_list;
@@ -37,16 +38,21 @@ pub use slab::{Beyond, Optics, SlabMaterial, SlabRecord, Volume};
 
 use crate::{
     Error, Result, SimulateWarning,
+    capture::{hash, write_checksums},
     geometry::{CameraView, Homography, Lens, Point},
-    output::NewFolder,
+    output::{Earlier, NewFolder, key_of},
     progress::Progress,
     transport::{MatrixHeader, MatrixWriter, ShotRecord},
 };
 use bench::Bench;
+use made::Made;
+pub use made::TakenOver;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shot_list::ShotList;
+use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use studio::Studio;
 
@@ -70,6 +76,9 @@ pub struct Summary {
     pub photon_noise: Option<f64>,
     /// Findings about the slab and how its light was solved for.
     pub warnings: Vec<SimulateWarning>,
+    /// What a stopped run had made of it.
+    #[serde(skip)]
+    pub taken_over: TakenOver,
 }
 
 /// `truth.toml`: what a lab cannot know.
@@ -119,48 +128,90 @@ pub struct ShotTruth {
 }
 
 /// Writes a simulated capture to `dir`, or with `options.truth_only` its truth alone. The same options give the same bytes, whatever the
-/// number of threads.
+/// number of threads. What an earlier run for the same `dir` has made with the same options, which was killed or ended by [`Error::Io`], is not made
+/// again.
 ///
 /// # Errors
 /// [`Error::Setting`] for options out of range or a `dir` that is not empty (unless `options.force`); [`Error::Io`].
 pub fn simulate(options: &SimulateOptions, dir: &Path, progress: &Progress) -> Result<Summary> {
     options.check()?;
-    let new = NewFolder::create(dir, options.force)?;
-    let work = new.path();
-    let options = &scene::fitted(options)?;
-    let bench = Bench::new(options, progress)?;
-    let options = &SimulateOptions { voxels_blake3: bench.record.voxels_blake3.clone(), ..options.clone() };
-    let summary = match options.truth_only {
-        true => write_truth_only(options, bench, &work, progress)?,
-        false => write_capture(options, Studio::new(options, bench)?, &work, progress)?,
+    NewFolder::check(dir, options.force)?;
+    let fitted = scene::fitted(options)?;
+    let bench = Bench::new(&fitted, progress)?;
+    let options = &SimulateOptions { voxels_blake3: bench.record.voxels_blake3.clone(), ..fitted };
+    let key = key_of(&SimulateOptions { force: false, ..options.clone() })?;
+    let (new, log, earlier) = NewFolder::go_on::<()>(dir, options.force, &key)?;
+    if !matches!(earlier, Earlier::Finished(_)) {
+        log.add(&())?;
+    }
+    let work = Work { path: &new.path(), scratch: new.scratch(), key: &key };
+    let done = match options.truth_only {
+        true => write_truth_only(options, bench, &work, progress),
+        false => Studio::new(options, bench).and_then(|studio| write_capture(options, studio, &work, progress)),
     };
-
+    if done.as_ref().is_err_and(Error::is_of_system) {
+        new.keep_work();
+    }
+    let mut summary = done?;
+    summary.taken_over.anew = earlier == Earlier::Other;
     new.finish()?;
     Ok(summary)
 }
 
+/// Where the work is done until all is there.
+struct Work<'a> {
+    path: &'a Path,
+    /// The folder around it.
+    scratch: &'a Path,
+    key: &'a str,
+}
+
+impl Work<'_> {
+    fn matrix(&self, header: MatrixHeader) -> Result<MatrixWriter> {
+        MatrixWriter::go_on_in(self.scratch, &self.path.join(TRUTH_MATRIX), header)
+    }
+}
+
 fn create_folder(path: &Path) -> Result<()> {
-    std::fs::create_dir(path).map_err(Error::io("create", path))
+    std::fs::create_dir_all(path).map_err(Error::io("create", path))
 }
 
 /// Photographs, manifest and rig, and the truth beside them.
-fn write_capture(options: &SimulateOptions, studio: Studio, work: &Path, progress: &Progress) -> Result<Summary> {
+fn write_capture(options: &SimulateOptions, studio: Studio, at: &Work<'_>, progress: &Progress) -> Result<Summary> {
+    let work = at.path;
     let plan = ShotList::new(options, &studio.bench.scene, |pattern| studio.bracket(options, pattern).len());
     create_folder(&work.join("photos"))?;
     create_folder(&work.join("calibration"))?;
     plan.manifest.write(work)?;
     let noise = (!options.rig_without_noise).then(|| studio.sensor.noise());
     studio.bench.scene.rig(noise).write(&work.join("calibration"))?;
-    let matrix = MatrixWriter::create(&work.join(TRUTH_MATRIX), header(options, &studio.bench, &plan)?)?;
+    let matrix = at.matrix(header(options, &studio.bench, &plan)?)?;
+    let made = Made::of(&matrix, at.key)?;
 
     let bytes = AtomicU64::new(0);
+    let checksums = Mutex::new(BTreeMap::new());
     let stage = progress.stage("photograph", plan.manifest.shots.len());
     (0..plan.manifest.shots.len()).into_par_iter().try_for_each(|shot| -> Result<()> {
-        let written = studio.shoot(options, &plan, shot, work, &matrix)?;
-        bytes.fetch_add(written, Ordering::Relaxed);
+        stage.begin();
+        let entry = &plan.manifest.shots[shot];
+        let rows: Vec<usize> = shot_list::dots(entry).iter().map(|&dot| plan.manifest.grid.row_index(dot)).collect();
+        let hashes = || -> Result<Vec<(String, blake3::Hash)>> {
+            let of = |file: &String| hash(&work.join(file)).map_err(Error::io("read", work.join(file)));
+            entry.photographs.iter().map(|p| Ok((p.file.clone(), of(&p.file)?))).collect()
+        };
+        if !made.take(&matrix, &studio.bench, shot, &rows, hashes)? {
+            studio.shoot(options, &plan, shot, work, &matrix)?;
+            made.add(&matrix, &studio.bench, shot, &rows, hashes()?)?;
+        }
+        for (file, hash) in hashes()? {
+            let path = work.join(&file);
+            bytes.fetch_add(path.metadata().map_err(Error::io("read", &path))?.len(), Ordering::Relaxed);
+            checksums.lock().map_err(Error::internal)?.insert(file, hash);
+        }
         stage.advance(1);
         Ok(())
     })?;
+    write_checksums(work, &checksums.into_inner().map_err(Error::internal)?)?;
     matrix.finish()?;
     let truth = Truth {
         electrons_per_sec_per_radiance: Some(studio.electrons_per_sec),
@@ -170,13 +221,15 @@ fn write_capture(options: &SimulateOptions, studio: Studio, work: &Path, progres
     };
     truth.write(work)?;
     let photographs = plan.manifest.shots.iter().map(|s| s.photographs.len()).sum();
-    Ok(Summary { photographs, photograph_bytes: bytes.into_inner(), ..summary(studio.bench, &plan) })
+    let taken_over = made.taken_over();
+    Ok(Summary { photographs, photograph_bytes: bytes.into_inner(), taken_over, ..summary(studio.bench, &plan) })
 }
 
 /// The true matrix, and what else a lab cannot know; nothing that would be taken for a capture.
-fn write_truth_only(options: &SimulateOptions, bench: Bench, work: &Path, progress: &Progress) -> Result<Summary> {
+fn write_truth_only(options: &SimulateOptions, bench: Bench, at: &Work<'_>, progress: &Progress) -> Result<Summary> {
     let plan = ShotList::new(options, &bench.scene, |_| 0);
-    let matrix = MatrixWriter::create(&work.join(TRUTH_MATRIX), header(options, &bench, &plan)?)?;
+    let matrix = at.matrix(header(options, &bench, &plan)?)?;
+    let made = Made::of(&matrix, at.key)?;
     let lit: Vec<([usize; 2], Point)> = plan.manifest.shots[plan.first_lattice..]
         .iter()
         .zip(&plan.lattices)
@@ -184,14 +237,19 @@ fn write_truth_only(options: &SimulateOptions, bench: Bench, work: &Path, progre
         .collect();
     let stage = progress.stage("solve", lit.len());
     lit.into_par_iter().try_for_each(|(dot, drift_mm)| -> Result<()> {
-        let glow = bench.glow(dot, drift_mm)?;
-        matrix.put(plan.manifest.grid.row_index(dot), &bench.row(options, dot, drift_mm, &glow))?;
+        stage.begin();
+        let row = plan.manifest.grid.row_index(dot);
+        if !made.take(&matrix, &bench, row, &[row], || Ok(vec![]))? {
+            let glow = bench.glow(dot, drift_mm)?;
+            matrix.put(row, &bench.row(options, dot, drift_mm, &glow))?;
+            made.add(&matrix, &bench, row, &[row], vec![])?;
+        }
         stage.advance(1);
         Ok(())
     })?;
     matrix.finish()?;
-    truth(options, &bench, &plan).write(work)?;
-    Ok(summary(bench, &plan))
+    truth(options, &bench, &plan).write(at.path)?;
+    Ok(Summary { taken_over: made.taken_over(), ..summary(bench, &plan) })
 }
 
 /// Without photographs.
@@ -203,6 +261,7 @@ fn summary(bench: Bench, plan: &ShotList) -> Summary {
         photograph_bytes: 0,
         photon_noise: bench.photon_noise(),
         warnings: bench.warnings,
+        taken_over: TakenOver::default(),
     }
 }
 

@@ -11,7 +11,7 @@ use crate::output::ScratchFolder;
 use crate::progress::Progress;
 use crate::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row};
 use crate::{Error, Result};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -40,7 +40,7 @@ pub struct TradeoffOptions {
 }
 
 /// One factorization, stored one way.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TradePoint {
     /// The model.
     pub model: Model,
@@ -101,7 +101,29 @@ pub struct Tradeoff {
 /// # Errors
 /// Those of the reader, of [`factor`], of [`coded::encode`] and of writing temporary files.
 pub fn tradeoff(reader: &MatrixReader, options: &TradeoffOptions, progress: &Progress) -> Result<Tradeoff> {
-    let folder = ScratchFolder::new(&std::env::temp_dir(), "acquire-tradeoff-", reader.path())?;
+    tradeoff_from(vec![], |_| Ok(()), reader, options, progress)
+}
+
+/// One factorization of the table, by its number: what a run that is stopped leaves for the next.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct MeasuredSetting {
+    number: usize,
+    points: Vec<TradePoint>,
+    regression_conditions: Vec<[f64; 2]>,
+}
+
+/// [`tradeoff`] but for what a stopped run has measured; `done` is told of every factorization.
+///
+/// # Errors
+/// Those of [`tradeoff`] and of `done`.
+pub(crate) fn tradeoff_from(
+    earlier: Vec<MeasuredSetting>,
+    done: impl Fn(&MeasuredSetting) -> Result<()>,
+    reader: &MatrixReader,
+    options: &TradeoffOptions,
+    progress: &Progress,
+) -> Result<Tradeoff> {
+    let folder = ScratchFolder::new(&std::env::temp_dir(), reader.path())?;
     let part = match options.quick {
         true => Some(middle(reader, &folder.path().join("part.rd.zarr"))?),
         false => None,
@@ -125,17 +147,19 @@ pub fn tradeoff(reader: &MatrixReader, options: &TradeoffOptions, progress: &Pro
     let settings = settings(header, options.quick);
     let stage = progress.stage("tradeoff", settings.len());
     let silent = Progress::silent();
-    for setting in settings {
-        let mut run = Run { matrix, folder: folder.path(), setting, options, silent: &silent };
-        let (factored, secs, peak_bytes) = run.factor()?;
-        run.setting.backend = Some(factored.backend);
-        if run.setting.model == Model::Tucker
-            && (run.setting.terms, run.setting.degree) == (PUBLISHED.0, Some(PUBLISHED.1))
-        {
-            out.regression_conditions = regression_conditions(matrix, &factored.material, legendre::MOST_DEGREE)?;
-        }
-        for stored in run.store(&factored.material)? {
-            out.measured.push(run.measure(stored, secs, peak_bytes)?);
+    for (number, setting) in settings.into_iter().enumerate() {
+        let measured = match earlier.iter().find(|m| m.number == number) {
+            Some(measured) => measured.clone(),
+            None => {
+                let run = Run { matrix, folder: folder.path(), setting, options, silent: &silent };
+                let measured = run.run(number)?;
+                done(&measured)?;
+                measured
+            }
+        };
+        out.measured.extend(measured.points);
+        if !measured.regression_conditions.is_empty() {
+            out.regression_conditions = measured.regression_conditions;
         }
         stage.advance(1);
     }
@@ -198,6 +222,19 @@ struct Stored {
 }
 
 impl Run<'_> {
+    fn run(mut self, number: usize) -> Result<MeasuredSetting> {
+        let (factored, secs, peak_bytes) = self.factor()?;
+        self.setting.backend = Some(factored.backend);
+        let published = (self.setting.terms, self.setting.degree) == (PUBLISHED.0, Some(PUBLISHED.1));
+        let regression_conditions = match self.setting.model == Model::Tucker && published {
+            true => regression_conditions(self.matrix, &factored.material, legendre::MOST_DEGREE)?,
+            false => Vec::new(),
+        };
+        let stored = self.store(&factored.material)?;
+        let points = stored.into_iter().map(|s| self.measure(s, secs, peak_bytes)).collect::<Result<_>>()?;
+        Ok(MeasuredSetting { number, points, regression_conditions })
+    }
+
     fn factor(&self) -> Result<(Factored, f64, Option<u64>)> {
         let Setting { model, terms, degree, backend, .. } = self.setting;
         let options = FactorOptions {
@@ -234,7 +271,7 @@ impl Run<'_> {
             let quality = coded::Quality::AddedError(error);
             let coded = coded::encode(material, &coded::EncodeOptions { quality, ..coded::EncodeOptions::default() })?;
             let file = path(format!("coded-{k}.acq"));
-            crate::output::write_whole(&file, &coded.bytes)?;
+            crate::output::write_whole(&file, coded.bytes)?;
             all.push(Stored { path: file, precision: Precision::Coded, secs: start.elapsed().as_secs_f64() });
         }
         Ok(all)

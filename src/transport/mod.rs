@@ -1,8 +1,18 @@
 //! Matrix: the store R_d(x_i, x_o) on disk, its rows, their shift and normalization.
 
+pub mod arrays;
+mod checksum;
+mod earlier;
 pub mod normalize;
+mod open;
 mod positioned;
+mod row_array;
 pub mod rows;
+mod scratch_rows;
 mod store;
 
+/// R, G, B.
+const CHANNELS: usize = 3;
+
+pub(crate) use earlier::check as check_matrix;
 pub use store::{MatrixHeader, MatrixReader, MatrixWriter, Row, RowBlock, ShotRecord};

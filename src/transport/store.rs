@@ -2,43 +2,50 @@
 //!
 //! | array | dimensions | unit |
 //! |---|---|---|
-//! | `response` f32 | y_i, x_i, dy, dx, channel | mm⁻² |
-//! | `variance` f32 | the same | mm⁻⁴ |
-//! | `valid` u8 | the same | 1 measured, 0 not (the response is then 0) |
+//! | `response` f32 | y_i, x_i, dy, dx, channel | mm⁻²; NaN where not measured |
+//! | `variance` f32 | the same | mm⁻⁴; NaN where not measured |
+//! | `valid` u8 | the same | 1 measured, 0 not |
 //! | `x_i_mm`, `y_i_mm` f64 | y_i, x_i | where the light really fell, mm |
 //! | `position_sd_mm` f64 | y_i, x_i | standard deviation of that place per axis, mm |
 //! | `dx`, `dy` f64 | dx; dy | offset of the cell's centre from the lit point, mm |
 //! | `shot` i32 | y_i, x_i | number of the shot that lit it, an index into the attribute `shots` |
 //!
+//! Stores of other programs are read too, with defaults for what they leave out: `docs/matrix-format.md`.
 //! Everything else is in the group's attributes, see [`MatrixHeader`]; `findings` are the records ([`FindingRecord`]) of `warnings`, one for one.
 
-use super::positioned;
-use crate::{Error, FindingRecord, Result, Warning, geometry::Point, output::ScratchFolder};
+use super::checksum::{self, Checksums};
+use super::open::{self, Opened};
+use super::row_array::{RowArray, RowLayout};
+use super::scratch_rows::ScratchRows;
+use super::{CHANNELS, earlier};
+use crate::output::{Earlier, ScratchFolder, WorkLog, put};
+use crate::{Error, FindingRecord, Result, Warning, geometry::Point};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
-use zarrs::array::codec::ZstdCodec;
-use zarrs::array::{Array, ArrayBuilder, ArraySubset, ChunkKeySeparator, ElementOwned, data_type};
+use std::sync::Arc;
+use zarrs::array::codec::{Crc32cCodec, ZstdCodec};
+use zarrs::array::{Array, ArrayBuilder, ArraySubset, ChunkKeySeparator, data_type};
 use zarrs::filesystem::FilesystemStore;
 
 /// The version of this layout, attribute `acquire_format`.
-const FORMAT: u32 = 1;
+const FORMAT: u64 = 2;
+/// The versions that are read. In 1 the response was 0 where it was not measured, and `points` and `window` were attributes too.
+pub(super) const FORMATS: [u64; 2] = [1, FORMAT];
 /// The most lit points along an axis.
-const MOST_POINTS: usize = 1 << 16;
+pub(super) const MOST_POINTS: usize = 1 << 16;
 /// The most samples of a window along an axis.
-const MOST_SAMPLES: usize = 4095;
+pub(super) const MOST_SAMPLES: usize = 4095;
 /// No slab is larger, and no length is smaller than one over it, mm.
-const LARGEST_MM: f64 = 1e9;
+pub(super) const LARGEST_MM: f64 = 1e9;
 /// Whatever the Zarr crate answers; turned into ours at the public functions.
 type BoxedError = Box<dyn std::error::Error + Send + Sync>;
-/// R, G, B.
-const CHANNELS: usize = 3;
 /// A chunk holds about this many bytes of responses: large enough for the disk, small enough to stream.
 const CHUNK_BYTES: usize = 4 << 20;
 /// Numbers that one thread looks through at a time.
 const CHECKED: usize = 1 << 16;
+/// Lines of chunks that are read at once, in numbers: chunks of several lines of points are decoded once for all of them up to here.
+const BAND_NUMBERS: usize = 1 << 26;
 /// Negative levels leave the bytes that do not repeat as they are: decoding is twice as fast as at level 1, for a tenth more bytes of measured
 /// noise, which no level compresses by much.
 const ZSTD_LEVEL: i32 = -1;
@@ -47,8 +54,10 @@ const ZSTD_LEVEL: i32 = -1;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MatrixHeader {
     /// Lit points along x and y.
+    #[serde(skip)]
     pub points: [usize; 2],
     /// Outgoing samples of a window along x and y, odd.
+    #[serde(skip)]
     pub window: [usize; 2],
     /// Side of an outgoing cell, mm.
     pub pitch_mm: f64,
@@ -91,7 +100,7 @@ impl MatrixHeader {
     }
 
     /// Bounds that keep every later product, index and stored number in range; says what is wrong.
-    fn check(&self) -> Result<(), String> {
+    pub(super) fn check(&self) -> Result<(), String> {
         if !self.points.iter().all(|n| (1..=MOST_POINTS).contains(n)) {
             return Err(format!("points: expected 1 to {MOST_POINTS}, found {:?}", self.points));
         }
@@ -115,7 +124,7 @@ impl MatrixHeader {
     }
 
     /// Whether every lit point has a place that can be used.
-    fn check_places(&self) -> Result<(), String> {
+    pub(super) fn check_places(&self) -> Result<(), String> {
         let place = |v: &f64| v.abs() <= LARGEST_MM;
         if let Some(v) = self.lit_mm.iter().flatten().find(|v| !place(v)) {
             return Err(format!("x_i_mm or y_i_mm: expected places within {LARGEST_MM:e} mm, found {v}"));
@@ -129,6 +138,17 @@ impl MatrixHeader {
     /// Offset of window sample (dx, dy) from the lit point, in samples.
     pub fn offset_px(&self, sample: [usize; 2]) -> [isize; 2] {
         std::array::from_fn(|a| sample[a] as isize - (self.window[a] / 2) as isize)
+    }
+}
+
+/// Refuses a length, mm, that no slab has.
+pub(super) fn check_mm(setting: &'static str, value: f64) -> Result<()> {
+    match (1.0 / LARGEST_MM..=LARGEST_MM).contains(&value) {
+        true => Ok(()),
+        false => {
+            let expected = format!("{:e} to {LARGEST_MM:e} mm", 1.0 / LARGEST_MM);
+            Err(Error::Setting { setting, expected, found: value.to_string() })
+        }
     }
 }
 
@@ -171,38 +191,58 @@ pub struct RowBlock {
 
 /// Writes a matrix. Rows come in any order from any thread; nothing appears under the final name before [`Self::finish`].
 ///
-/// A lattice shot lights points all over the slab, so rows wait uncompressed in a scratch file until all of a chunk are there.
+/// Rows wait uncompressed in a scratch file until all of a chunk are there.
 #[derive(Debug)]
 pub struct MatrixWriter {
     path: PathBuf,
     header: MatrixHeader,
     folder: ScratchFolder,
-    scratch: File,
-    written: Mutex<Vec<bool>>,
+    replaces: bool,
+    rows: ScratchRows,
+    /// Whether rows outlive the writing of the store.
+    stays: bool,
 }
 
 impl MatrixWriter {
     /// Prepares to write the store `path`; an older store there is replaced by [`Self::finish`].
     ///
     /// # Errors
-    /// [`Error::Io`] when the folder of `path` cannot be written, [`Error::Setting`] when something other than a store is at `path`.
+    /// [`Error::Io`] when the folder of `path` cannot be written; [`Error::NotOurs`], [`Error::Changed`] when something other than a matrix of this
+    /// program is at `path`.
     pub fn create(path: &Path, header: MatrixHeader) -> Result<Self> {
+        Self::new(path, header, ScratchFolder::new)
+    }
+
+    /// [`Self::create`], with what a stopped run for the same `path` had finished.
+    pub(crate) fn go_on(path: &Path, header: MatrixHeader) -> Result<Self> {
+        Self::new(path, header, ScratchFolder::go_on)
+    }
+
+    /// [`Self::go_on`] for a `path` in an output that is not finished: rows wait in its scratch folder `outer` and stay there when the store is written,
+    /// so that a run that is stopped afterwards need not measure them again.
+    pub(crate) fn go_on_in(outer: &Path, path: &Path, header: MatrixHeader) -> Result<Self> {
+        let writer = Self::new(path, header, |_, path| ScratchFolder::go_on(outer, path))?;
+        writer.keep_work();
+        Ok(Self { stays: true, ..writer })
+    }
+
+    fn new(
+        path: &Path,
+        header: MatrixHeader,
+        scratch: impl FnOnce(&Path, &Path) -> Result<ScratchFolder>,
+    ) -> Result<Self> {
         if path.to_str().is_none() {
             // The Zarr crate could not read it back.
             let reason = "the path of a matrix must be UTF-8";
             return Err(Error::io("create", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
         }
-        if path.symlink_metadata().is_ok()
-            && let Err(found) = only_a_matrix(path)
-        {
-            let expected = "a new path, or an older matrix with nothing else in its folder to replace".into();
-            return Err(Error::Setting { setting: "out", expected, found });
-        }
+        let replaces = earlier::check(path, true)?;
+        // Where a link leads: it stays.
+        let path = &if replaces { path.canonicalize().map_err(Error::io("create", path))? } else { path.to_path_buf() };
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let folder = ScratchFolder::new(parent, ".acquire-matrix-", path)?;
-        let scratch = tempfile::tempfile_in(folder.path()).map_err(Error::io("create", path))?;
-        let written = Mutex::new(vec![false; header.rows()]);
-        Ok(Self { path: path.to_path_buf(), header, folder, scratch, written })
+        let folder = scratch(parent, path)?;
+        let rows = ScratchRows::new(&folder, header.rows(), header.row_len()).map_err(Error::io("create", path))?;
+        Ok(Self { path: path.clone(), header, folder, replaces, rows, stays: false })
     }
 
     /// What will be written besides the rows.
@@ -220,22 +260,15 @@ impl MatrixWriter {
     /// # Errors
     /// [`Error::Io`]; [`Error::Internal`] when the row has another length than the header says, or a value is not finite.
     pub fn put(&self, index: usize, row: &Row) -> Result<()> {
-        let n = self.header.row_len();
-        if index >= self.header.rows() || [row.response.len(), row.variance.len(), row.valid.len()] != [n; 3] {
-            return Err(Error::internal(format_args!("row {index} does not fit the matrix")));
-        }
-        let mut bytes = Vec::with_capacity(n * 9);
-        for value in row.response.iter().chain(&row.variance) {
-            if !value.is_finite() {
-                return Err(Error::internal(format_args!("row {index} holds {value}")));
-            }
-            bytes.extend_from_slice(&value.to_le_bytes());
-        }
-        bytes.extend(row.valid.iter().map(|&v| u8::from(v)));
-        positioned::write_all_at(&self.scratch, &bytes, (index * n * 9) as u64)
-            .map_err(Error::io("write", &self.path))?;
-        self.written.lock().map_err(Error::internal)?[index] = true;
-        Ok(())
+        self.rows.put(index, row, false, &self.path)
+    }
+
+    /// Stores row `index` in the place of the one that was put, which a later run can still take over.
+    ///
+    /// # Errors
+    /// Those of [`Self::put`].
+    pub(crate) fn replace(&self, index: usize, row: &Row) -> Result<()> {
+        self.rows.put(index, row, true, &self.path)
     }
 
     /// The row that was put last at `index`.
@@ -243,16 +276,26 @@ impl MatrixWriter {
     /// # Errors
     /// [`Error::Io`]; [`Error::Internal`] when there is none.
     pub fn row(&self, index: usize) -> Result<Row> {
-        let written = self.written.lock().map_err(Error::internal)?.get(index).copied();
-        if written != Some(true) {
-            return Err(Error::internal(format_args!("row {index} has not been put")));
-        }
-        let block = self.read_scratch(index..index + 1, |_| true).map_err(Error::io("read", &self.path))?;
-        Ok(Row {
-            response: block.response,
-            variance: block.variance,
-            valid: block.valid.into_iter().map(|v| v != 0).collect(),
-        })
+        self.rows.row(index, &self.path)
+    }
+
+    /// Takes the rows of a stopped run for its own if together they have this BLAKE3; says whether they have.
+    pub(crate) fn adopt(&self, indices: &[usize], hash: &blake3::Hash) -> bool {
+        self.rows.adopt(indices, hash)
+    }
+
+    /// What the stopped run had finished that this one goes on from ([`Self::go_on`]), if it worked on the same `key`; what is added from now on is
+    /// there for a next run.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub(crate) fn earlier<T: serde::de::DeserializeOwned>(&self, key: &str) -> Result<(WorkLog, Earlier<T>)> {
+        WorkLog::open(&self.folder, key)
+    }
+
+    /// From now on what was finished stays for a next run, whatever becomes of this one.
+    pub(crate) fn keep_work(&self) {
+        self.folder.keep();
     }
 
     /// Writes the store and renames it into place. Rows never put are invalid throughout.
@@ -261,20 +304,36 @@ impl MatrixWriter {
     /// [`Error::Io`]; [`Error::Internal`] when the header holds what [`MatrixReader::open`] would refuse.
     pub fn finish(self) -> Result<()> {
         self.header.check().and_then(|()| self.header.check_places()).map_err(Error::internal)?;
-        let written = self.written.lock().map_err(Error::internal)?.clone();
-        let store_path = self.folder.path().join("store");
-        self.write_store(&store_path, &written).map_err(|reason| Error::Io {
-            path: self.path.clone(),
-            action: "write",
-            source: std::io::Error::other(reason.to_string()),
-        })?;
-        if self.path.exists() {
-            std::fs::rename(&self.path, self.folder.path().join("older")).map_err(Error::io("rename", &self.path))?;
+        let done = self.write();
+        // A full disk, say: the rows need not be measured again.
+        match &done {
+            Ok(()) if !self.stays => self.folder.let_go(),
+            Err(error) if error.is_of_system() => {
+                self.keep_work();
+                let _ = std::fs::remove_dir_all(self.folder.new_path());
+            }
+            _ => {}
         }
-        std::fs::rename(&store_path, &self.path).map_err(Error::io("rename", &self.path))
+        done
     }
 
-    fn write_store(&self, store_path: &Path, written: &[bool]) -> Result<(), BoxedError> {
+    fn write(&self) -> Result<()> {
+        let store_path = self.folder.new_path();
+        // Half of one that a stopped run has left.
+        match std::fs::remove_dir_all(&store_path) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(Error::io("write", &self.path)(e)),
+            _ => {}
+        }
+        self.write_store(&store_path).map_err(|e| e.to_string()).map_err(|reason| Error::Io {
+            path: self.path.clone(),
+            action: "write",
+            source: std::io::Error::new(kind_of(&reason), reason),
+        })?;
+        earlier::check(&self.path, self.replaces)?;
+        put(&self.folder, &self.path, self.replaces).map_err(Error::io("write", &self.path))
+    }
+
+    fn write_store(&self, store_path: &Path) -> Result<(), BoxedError> {
         let header = &self.header;
         let store = Arc::new(FilesystemStore::new(store_path)?);
         let mut attributes = serde_json::Map::new();
@@ -286,7 +345,6 @@ impl MatrixWriter {
         // What `warnings` say, as other programs may want it; not read again.
         let findings: Vec<FindingRecord> = header.warnings.iter().map(Warning::record).collect();
         attributes.insert("findings".into(), serde_json::to_value(findings)?);
-        zarrs::group::GroupBuilder::new().attributes(attributes).build(store.clone(), "/")?.store_metadata()?;
         self.write_coordinates(&store)?;
 
         let arrays =
@@ -299,31 +357,19 @@ impl MatrixWriter {
         }
         let chunks: Vec<_> = chunks(header).collect();
         chunks.into_par_iter().try_for_each(|rows| {
-            let block = self.read_scratch(rows.clone(), |row| written[row])?;
+            let mut block = self.rows.block(rows.clone())?;
+            let not = block.valid.iter().enumerate().filter(|(_, v)| **v == 0).map(|(k, _)| k);
+            not.for_each(|k| (block.response[k], block.variance[k]) = (f32::NAN, f32::NAN));
             let subset = subset(header, rows);
             response.store_array_subset(&subset, block.response)?;
             variance.store_array_subset(&subset, block.variance)?;
             valid.store_array_subset(&subset, block.valid)?;
             Ok::<_, BoxedError>(())
         })?;
+        // Last, as it has the checksum of all metadata.
+        attributes.insert(checksum::GROUP.into(), checksum::seal(store_path, &attributes)?);
+        zarrs::group::GroupBuilder::new().attributes(attributes).build(store, "/")?.store_metadata()?;
         Ok(())
-    }
-
-    fn read_scratch(&self, rows: std::ops::Range<usize>, written: impl Fn(usize) -> bool) -> std::io::Result<RowBlock> {
-        let n = self.header.row_len();
-        let mut block = RowBlock::zeros(rows.clone(), n);
-        let mut bytes = vec![0u8; n * 9];
-        for (k, row) in rows.enumerate().filter(|&(_, row)| written(row)) {
-            positioned::read_exact_at(&self.scratch, &mut bytes, (row * n * 9) as u64)?;
-            let (values, valid) = bytes.split_at(n * 8);
-            let floats = values.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
-            for (i, value) in floats.enumerate() {
-                let target = if i < n { &mut block.response } else { &mut block.variance };
-                target[k * n + i % n] = value;
-            }
-            block.valid[k * n..(k + 1) * n].copy_from_slice(valid);
-        }
-        Ok(block)
     }
 
     fn write_coordinates(&self, store: &Arc<FilesystemStore>) -> Result<(), BoxedError> {
@@ -374,27 +420,6 @@ fn subset(header: &MatrixHeader, rows: std::ops::Range<usize>) -> ArraySubset {
     ArraySubset::new_with_ranges(&[y..y + 1, x..x + n, 0..wy as u64, 0..wx as u64, 0..CHANNELS as u64])
 }
 
-/// Everything that a store has in its folder.
-const ENTRIES: [&str; 10] =
-    ["dx", "dy", "position_sd_mm", "response", "shot", "valid", "variance", "x_i_mm", "y_i_mm", "zarr.json"];
-
-/// Whether a folder is a store of this program and holds nothing that is not; what it is or holds otherwise.
-fn only_a_matrix(path: &Path) -> std::result::Result<(), String> {
-    let other = || path.display().to_string();
-    let text = std::fs::read(path.join("zarr.json")).map_err(|_| other())?;
-    let group: serde_json::Value = serde_json::from_slice(&text).map_err(|_| other())?;
-    if group.pointer("/attributes/acquire_format").is_none() {
-        return Err(format!("{}, a Zarr store of another program", other()));
-    }
-    for entry in std::fs::read_dir(path).map_err(|_| other())? {
-        let name = entry.map_err(|_| other())?.file_name();
-        if !ENTRIES.iter().any(|known| name == *known) {
-            return Err(path.join(name).display().to_string());
-        }
-    }
-    Ok(())
-}
-
 /// The attributes of an array: its unit, and what else there is to say.
 fn units(name: &str, more: &[(&str, &str)]) -> serde_json::Map<String, serde_json::Value> {
     let unit = match name {
@@ -424,7 +449,7 @@ where
         .dimension_names(["y_i", "x_i", "dy", "dx", "channel"].into())
         // The CF convention by which xarray takes the lit points' places for coordinates.
         .attributes(units(name, &[("coordinates", "x_i_mm y_i_mm")]))
-        .bytes_to_bytes_codecs(vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, true))])
+        .bytes_to_bytes_codecs(vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, false)), Arc::new(Crc32cCodec::new())])
         // One file a chunk in one folder: five nested folders for each would cost more than the data.
         .chunk_key_encoding_default_separator(ChunkKeySeparator::Dot)
         .build(store.clone(), &format!("/{name}"))
@@ -446,6 +471,7 @@ where
     let array = ArrayBuilder::new(shape.to_vec(), shape.to_vec(), data_type, fill.into())
         .dimension_names(Some(dimensions.iter().copied()))
         .attributes(units(name, &[]))
+        .bytes_to_bytes_codecs(vec![Arc::new(Crc32cCodec::new())])
         .build(store.clone(), &format!("/{name}"))?;
     array.store_metadata()?;
     array.store_array_subset(&array.subset_all(), values)?;
@@ -457,9 +483,12 @@ where
 pub struct MatrixReader {
     path: PathBuf,
     header: MatrixHeader,
-    response: Array<FilesystemStore>,
-    variance: Array<FilesystemStore>,
-    valid: Array<FilesystemStore>,
+    layout: RowLayout,
+    response: RowArray,
+    variance: Option<RowArray>,
+    valid: Option<RowArray>,
+    /// `None` for a store that another program, or an earlier version of this one, has written.
+    checksums: Option<Checksums>,
 }
 
 impl MatrixReader {
@@ -475,64 +504,21 @@ impl MatrixReader {
         }
     }
 
-    /// Opens a store and reads everything but the rows.
+    /// Opens a store, this program's or another's, and reads everything but the rows.
+    ///
+    /// What a store may leave out, and what stands for it then, is in `docs/matrix-format.md`. Not detected: a chunk of another program's store that is
+    /// lost, where its fill value is a number that could have been measured.
     ///
     /// # Errors
-    /// [`Error::Io`] when there is nothing at `path`, [`Error::BrokenMatrix`] when it is not a whole matrix.
+    /// [`Error::Io`] when there is nothing at `path`, [`Error::MatrixFormat`] when it is no matrix, [`Error::BrokenMatrix`] when it is not a whole one.
     pub fn open(path: &Path) -> Result<Self> {
-        let root = path.join("zarr.json");
-        std::fs::metadata(path).map_err(Error::io("read", path))?;
-        if path.to_str().is_none() {
-            let reason = "the path of a matrix must be UTF-8";
-            return Err(Error::io("read", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
-        }
-        let broken = |reason: String| Error::BrokenMatrix { path: path.to_path_buf(), reason };
-        if !root.is_file() {
-            return Err(broken("zarr.json is missing".into()));
-        }
-        let store = Arc::new(FilesystemStore::new(path).map_err(|e| broken(e.to_string()))?);
-        let group = zarrs::group::Group::open(store.clone(), "/").map_err(|e| broken(e.to_string()))?;
-        let attributes = serde_json::Value::Object(group.attributes().clone());
-        let format = attributes.get("acquire_format").and_then(serde_json::Value::as_u64);
-        if format != Some(FORMAT.into()) {
-            return Err(broken(format!("acquire_format: expected {FORMAT}, found {format:?}")));
-        }
-        let mut header: MatrixHeader =
-            serde_json::from_value(attributes).map_err(|e| broken(format!("attributes: {e}")))?;
-        header.check().map_err(&broken)?;
-        let open = |name: &str| {
-            Array::open(store.clone(), &format!("/{name}")).map_err(|e| broken(format!("array {name}: {e}")))
-        };
-        let ([nx, ny], [wx, wy]) = (header.points, header.window);
-        let shape = [ny, nx, wy, wx, CHANNELS].map(|n| n as u64);
-        let rows = |name: &str| {
-            let array = open(name)?;
-            if array.shape() == shape {
-                Ok(array)
-            } else {
-                Err(broken(format!("array {name}: expected shape {shape:?}, found {:?}", array.shape())))
-            }
-        };
-        let (response, variance, valid) = (rows("response")?, rows("variance")?, rows("valid")?);
-        if valid.fill_value().as_ne_bytes() != [u8::MAX] {
-            return Err(broken(format!(
-                "array valid: expected the fill value {}, which marks missing chunks",
-                u8::MAX
-            )));
-        }
-        let points = &shape[..2];
-        let x: Vec<f64> = small(path, &open("x_i_mm")?, points).map_err(&broken)?;
-        let y: Vec<f64> = small(path, &open("y_i_mm")?, points).map_err(&broken)?;
-        header.lit_mm = x.into_iter().zip(y).map(|(x, y)| [x, y]).collect();
-        header.position_sd_mm = small(path, &open("position_sd_mm")?, points).map_err(&broken)?;
-        let shot: Vec<i32> = small(path, &open("shot")?, points).map_err(&broken)?;
-        header.shot_of = shot.into_iter().map(|s| usize::try_from(s).ok()).collect();
-        let shots = header.shots.len();
-        if let Some(s) = header.shot_of.iter().flatten().find(|&&s| s >= shots) {
-            return Err(broken(format!("array shot: expected numbers below {shots}, found {s}")));
-        }
-        header.check_places().map_err(&broken)?;
-        Ok(Self { path: path.to_path_buf(), header, response, variance, valid })
+        Self::open_with(path, &serde_json::Map::new())
+    }
+
+    /// [`Self::open`] with attributes that take the place of those of the same name.
+    pub(super) fn open_with(path: &Path, attributes: &serde_json::Map<String, serde_json::Value>) -> Result<Self> {
+        let Opened { header, layout, response, variance, valid, checksums } = open::open(path, attributes)?;
+        Ok(Self { path: path.to_path_buf(), header, layout, response, variance, valid, checksums })
     }
 
     /// What the matrix is.
@@ -545,16 +531,50 @@ impl MatrixReader {
         &self.path
     }
 
-    /// Ranges of rows that lie in one chunk each; together all rows, in order.
-    pub(super) fn chunks(&self) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
-        chunks(&self.header)
+    /// What tells it from every other matrix; `None` for one without checksums.
+    pub(crate) fn digest(&self) -> Option<&str> {
+        self.checksums.as_ref().map(|c| c.digest.as_str())
+    }
+
+    /// Channels that are stored: 3, or 1, which is read as all three.
+    pub fn channels(&self) -> usize {
+        self.response.sides[4]
+    }
+
+    /// Ranges of rows that lie in chunks that no other range has, as far as memory allows; together all rows, in order.
+    pub(super) fn chunks(&self) -> Vec<std::ops::Range<usize>> {
+        self.parts(0..self.header.rows())
+    }
+
+    /// Splits rows into ranges that are read at once: part of a line of points, or some whole lines.
+    fn parts(&self, rows: std::ops::Range<usize>) -> Vec<std::ops::Range<usize>> {
+        let nx = self.header.points[0];
+        let [across, down] = self.response.chunk_points();
+        let line = nx * self.header.row_len();
+        let down = down.min((BAND_NUMBERS / line).max(1));
+        let mut parts = Vec::new();
+        let mut at = rows.start;
+        while at < rows.end {
+            let (x, y) = (at % nx, at / nx);
+            let lines = (down - y % down).min((rows.end - at) / nx);
+            let end = if x == 0 && lines > 1 {
+                at + lines * nx
+            } else {
+                // Up to the end of the chunk, or of the line when chunks have several.
+                let end = if down > 1 { nx } else { ((x / across + 1) * across).min(nx) };
+                (y * nx + end).min(rows.end)
+            };
+            parts.push(at..end);
+            at = end;
+        }
+        parts
     }
 
     /// Reads consecutive rows; callable from several threads.
     ///
     /// # Errors
-    /// [`Error::BrokenMatrix`] when a chunk is missing or damaged, [`Error::NotFinite`] for NaN or infinity,
-    /// [`Error::Internal`] for rows that the matrix has not.
+    /// [`Error::BrokenMatrix`] when a chunk is missing or damaged, [`Error::NotFinite`] for NaN or infinity where it was measured,
+    /// [`Error::MatrixFormat`] for numbers of a type that is not read, [`Error::Internal`] for rows that the matrix has not.
     pub fn read(&self, rows: std::ops::Range<usize>) -> Result<RowBlock> {
         self.read_parts(rows, true)
     }
@@ -571,107 +591,151 @@ impl MatrixReader {
         if rows.end > self.header.rows() || rows.start > rows.end {
             return Err(Error::internal(format_args!("rows {rows:?} of a matrix of {}", self.header.rows())));
         }
-        let nx = self.header.points[0];
-        let n = rows.len() * self.header.row_len();
-        let mut block = RowBlock {
-            first: rows.start,
-            rows: rows.len(),
-            response: vec![0.0; n],
-            variance: vec![0.0; if variance { n } else { 0 }],
-            valid: vec![0; n],
-        };
+        let mut block = RowBlock::zeros(rows.clone(), self.header.row_len());
+        if !variance {
+            block.variance = Vec::new();
+        }
         // Chunks are decoded side by side, each into its place.
         let mut parts = Vec::new();
         let (mut response, mut variances, mut valid) =
             (block.response.as_mut_slice(), block.variance.as_mut_slice(), block.valid.as_mut_slice());
-        let mut at = rows.start;
-        while at < rows.end {
-            let end = rows.end.min((at / nx + 1) * nx);
-            let end = end.min(at - at % nx + (at % nx / chunk_rows(&self.header) + 1) * chunk_rows(&self.header));
-            let n = (end - at) * self.header.row_len();
+        for rows in self.parts(rows) {
+            let n = rows.len() * self.header.row_len();
             let (response_here, rest) = std::mem::take(&mut response).split_at_mut(n);
             response = rest;
             let (valid_here, rest) = std::mem::take(&mut valid).split_at_mut(n);
             valid = rest;
             let (variance_here, rest) = std::mem::take(&mut variances).split_at_mut(if variance { n } else { 0 });
             variances = rest;
-            parts.push((subset(&self.header, at..end), response_here, variance_here, valid_here));
-            at = end;
+            parts.push(Part { rows, response: response_here, variance: variance_here, valid: valid_here });
         }
-        parts.into_par_iter().try_for_each(|(part, response, variances, valid)| -> Result<()> {
-            let read = |array: &Array<FilesystemStore>, out: &mut [f32]| -> Result<()> {
-                if !out.is_empty() {
-                    out.copy_from_slice(&self.part::<f32>(array, &part)?);
-                }
-                Ok(())
-            };
-            let (a, b) = rayon::join(|| read(&self.response, response), || read(&self.variance, variances));
-            a.and(b)?;
-            valid.copy_from_slice(&self.part::<u8>(&self.valid, &part)?);
-            Ok(())
-        })?;
-        self.check(&block)?;
+        parts.into_par_iter().try_for_each(|part| self.read_part(part))?;
         Ok(block)
     }
 
-    fn part<T: ElementOwned>(&self, array: &Array<FilesystemStore>, part: &ArraySubset) -> Result<Vec<T>>
-    where
-        Vec<T>: zarrs::array::FromArrayBytes,
-    {
-        array.retrieve_array_subset::<Vec<T>>(part).map_err(|e| Error::BrokenMatrix {
-            path: self.path.clone(),
-            reason: format!("array {}: {e}", array.path()),
-        })
+    fn read_part(&self, part: Part<'_>) -> Result<()> {
+        let Part { rows, response, variance, valid } = part;
+        let unread = |name: &str, reason: String| match reason.starts_with("numbers of type") {
+            true => Error::MatrixFormat {
+                path: self.path.clone(),
+                part: format!("array {name}"),
+                expected: "numbers of type float32, float64 or float16".into(),
+                found: reason,
+            },
+            false => Error::BrokenMatrix { path: self.path.clone(), reason: format!("array {name}: {reason}") },
+        };
+        if let Some(checksums) = &self.checksums {
+            let mut read = ["response", "valid"].into_iter().chain((!variance.is_empty()).then_some("variance"));
+            let checked: Result<(), String> = read.try_for_each(|name| checksums.check_rows(name, &rows));
+            checked.map_err(|reason| Error::BrokenMatrix { path: self.path.clone(), reason })?;
+        }
+        if self.layout.stored != self.layout.window {
+            response.fill(f32::NAN);
+        }
+        let (a, b) = rayon::join(
+            || self.response.read(rows.clone(), &self.layout, response).map_err(|e| unread("response", e)),
+            || match &self.variance {
+                Some(array) if !variance.is_empty() => {
+                    array.read(rows.clone(), &self.layout, variance).map_err(|e| unread("variance", e))
+                }
+                _ => Ok(()),
+            },
+        );
+        a.and(b)?;
+        match &self.valid {
+            Some(array) => array.read_flags(rows.clone(), &self.layout, valid).map_err(|e| unread("valid", e))?,
+            None => valid.iter_mut().zip(&*response).for_each(|(valid, v)| *valid = u8::from(!v.is_nan())),
+        }
+        self.settle(rows.start, response, variance, valid)
     }
 
-    fn check(&self, block: &RowBlock) -> Result<()> {
-        if block.valid.par_chunks(CHECKED).any(|part| part.iter().fold(false, |bad, &v| bad | (v > 1))) {
-            let reason =
-                format!("array valid: a chunk of rows {} to {} is missing", block.first, block.first + block.rows);
-            return Err(Error::BrokenMatrix { path: self.path.clone(), reason });
+    /// Makes what was not measured 0, and refuses what is no number where it was measured.
+    fn settle(&self, first: usize, response: &mut [f32], variance: &mut [f32], valid: &[u8]) -> Result<()> {
+        if let Some(at) = first_bad(valid, |v| v > 1) {
+            return Err(self.bad_flag(first, at, valid[at]));
         }
-        for (field, values) in [("response", &block.response), ("variance", &block.variance)] {
-            // Without a way out of the loop it is a matter of vector instructions; where is looked for only when there is something.
-            if values.par_chunks(CHECKED).all(|part| part.iter().fold(true, |good, v| good & v.is_finite())) {
+        for (field, values) in [("response", response), ("variance", variance)] {
+            let settled = values.par_chunks_mut(CHECKED).zip(valid.par_chunks(CHECKED)).map(|(values, valid)| {
+                // Without a way out of the loop it is a matter of vector instructions; where is looked for only when there is something.
+                values.iter_mut().zip(valid).fold(true, |good, (v, &valid)| {
+                    *v = if valid == 0 { 0.0 } else { *v };
+                    good & v.is_finite()
+                })
+            });
+            if settled.reduce(|| true, |a, b| a & b) {
                 continue;
             }
             if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-                let (n, wx) = (self.header.row_len(), self.header.window[0]);
-                let (row, sample) = (block.first + at / n, at % n / CHANNELS);
-                let lit = [row % self.header.points[0], row / self.header.points[0]];
-                let at_text =
-                    format!("lit point {lit:?}, sample [{}, {}], channel {}", sample % wx, sample / wx, at % CHANNELS);
-                return Err(Error::NotFinite { path: self.path.clone(), field, found: values[at].into(), at: at_text });
+                return Err(self.not_finite(field, first, at, values[at]));
             }
         }
         Ok(())
     }
+
+    fn bad_flag(&self, first: usize, at: usize, found: u8) -> Error {
+        let (place, text) = self.place(first, at);
+        let array = self.valid.as_ref().filter(|array| array.fill_byte() == Some(found));
+        match array.and_then(|array| array.missing_chunk(place)) {
+            Some(chunk) => Error::BrokenMatrix { path: self.path.clone(), reason: format!("chunk {chunk} is missing") },
+            None => Error::MatrixFormat {
+                path: self.path.clone(),
+                part: "array valid".into(),
+                expected: "1 where measured and 0 where not".into(),
+                found: format!("{found} at {text}"),
+            },
+        }
+    }
+
+    fn not_finite(&self, field: &'static str, first: usize, at: usize, found: f32) -> Error {
+        let (place, text) = self.place(first, at);
+        let array = if field == "response" { Some(&self.response) } else { self.variance.as_ref() };
+        match array.filter(|_| found.is_nan()).and_then(|array| array.missing_chunk(place)) {
+            Some(chunk) => Error::BrokenMatrix {
+                path: self.path.clone(),
+                reason: format!("chunk {chunk} is missing, though its samples are marked as measured"),
+            },
+            None => Error::NotFinite { path: self.path.clone(), field, found: found.into(), at: text },
+        }
+    }
+
+    /// Where number `at` of the rows from `first` on is: along each axis of the stored arrays, and for a person.
+    fn place(&self, first: usize, at: usize) -> ([usize; 5], String) {
+        let (n, [wx, _], [nx, _]) = (self.header.row_len(), self.header.window, self.header.points);
+        let (row, sample, channel) = (first + at / n, at % n / CHANNELS, at % CHANNELS);
+        let ([x, y], [left, top]) = ([row % nx, row / nx], self.layout.before);
+        let (dx, dy) = ((sample % wx).saturating_sub(left), (sample / wx).saturating_sub(top));
+        let channels = self.response.sides[4];
+        let text = format!("lit point [{x}, {y}], sample [{dx}, {dy}], channel {channel}");
+        ([y, x, dy, dx, channel.min(channels - 1)], text)
+    }
 }
 
-fn small<T: ElementOwned>(root: &Path, array: &Array<FilesystemStore>, shape: &[u64]) -> Result<Vec<T>, String>
-where
-    Vec<T>: zarrs::array::FromArrayBytes,
-{
-    let name = array.path().to_string();
-    if array.shape() != shape {
-        return Err(format!("array {name}: expected shape {shape:?}, found {:?}", array.shape()));
-    }
-    // One chunk, not compressed: its size tells whether the shape may be believed before memory is set aside for it.
-    let file = root.join(array.chunk_key(&vec![0; shape.len()]).as_str());
-    let (found, expected) =
-        (std::fs::metadata(file).map_or(0, |kind| kind.len()), shape.iter().product::<u64>() * size_of::<T>() as u64);
-    if found < expected {
-        return Err(format!("array {name}: expected a chunk of {expected} bytes, found {found}"));
-    }
-    array.retrieve_array_subset(&array.subset_all()).map_err(|e| format!("array {name}: {e}"))
+/// What the system said: of its errors the Zarr crate keeps the words, and in them the number.
+fn kind_of(reason: &str) -> std::io::ErrorKind {
+    let number = reason.rsplit_once("(os error ").and_then(|(_, end)| end.split(')').next()?.parse().ok());
+    number.map_or(std::io::ErrorKind::Other, |number| std::io::Error::from_raw_os_error(number).kind())
+}
+
+/// Rows that are read at once, and where they go.
+struct Part<'a> {
+    rows: std::ops::Range<usize>,
+    response: &'a mut [f32],
+    variance: &'a mut [f32],
+    valid: &'a mut [u8],
+}
+
+/// The first of the numbers that is bad.
+fn first_bad(values: &[u8], bad: impl Fn(u8) -> bool + Sync) -> Option<usize> {
+    let any = values.par_chunks(CHECKED).any(|part| part.iter().fold(false, |any, &v| any | bad(v)));
+    any.then(|| values.iter().position(|&v| bad(v))).flatten()
 }
 
 impl RowBlock {
-    fn zeros(rows: std::ops::Range<usize>, row_len: usize) -> Self {
+    pub(super) fn zeros(rows: std::ops::Range<usize>, row_len: usize) -> Self {
         let n = rows.len() * row_len;
         Self { first: rows.start, rows: rows.len(), response: vec![0.0; n], variance: vec![0.0; n], valid: vec![0; n] }
     }
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -57,3 +57,5 @@ pub(crate) const BLACK_SHARE: f64 = 0.95;
 pub(crate) const BLUR_SHARE: f64 = 1.0 / 3.0;
 /// Of the farthest drift that can be followed.
 pub(crate) const DRIFT_SHARE: f64 = 0.5;
+/// A window that leaves out more of the light than this is worth a warning: relit slabs are then darker by as much, which is what a careful white reference is good to.
+pub(crate) const LIGHT_OUTSIDE: f64 = 0.01;

@@ -28,6 +28,13 @@ pub enum ConsistencyWarning {
         /// Another photograph that may be the wrong one as well: nothing tells which.
         or: Option<String>,
     },
+    /// Photographs that are not as they were when the capture was made, by the checksums beside `capture.toml`.
+    PhotographChanged {
+        /// The first of them.
+        file: String,
+        /// How many.
+        photographs: usize,
+    },
     /// Exposure times by which the photographs of the stacks do not fit together, by more than a camera rounds times.
     ExposureTimes {
         /// The first photograph of the time that is farthest off.
@@ -70,6 +77,24 @@ pub enum ConsistencyWarning {
         offset_projector_px: [f64; 2],
         /// Standard deviation per axis.
         sd_projector_px: f64,
+    },
+    /// Dots of the sample are the farther off the farther along the grid they are.
+    DotsStep {
+        /// From one lit point to the next along x of the grid, seen less stated, projector px.
+        along_x: [f64; 2],
+        /// The same along y.
+        along_y: [f64; 2],
+        /// Standard deviation of each of them.
+        sd_projector_px: f64,
+    },
+    /// The board is blurred more than the reference dots, so that its blur is not theirs.
+    BoardBlur {
+        /// The board's shot.
+        shot: String,
+        /// Its blur as a standard deviation, camera px.
+        psf_px: f64,
+        /// That of the reference dots, at the most.
+        dots_psf_px: f64,
     },
     /// The lattice's photographs have even light that the black shot does not have, or the other way round.
     AmbientChanged {
@@ -294,6 +319,16 @@ impl fmt::Display for ConsistencyWarning {
                     n => write!(f, "; so do {}", count(n - 1, "other photograph")),
                 }
             }
+            Self::PhotographChanged { file, photographs } => {
+                write!(
+                    f,
+                    "{file} is not as it was when the capture was made (its checksum in photographs.b3 differs)"
+                )?;
+                match photographs {
+                    1 => Ok(()),
+                    n => write!(f, "; nor {}", count(n - 1, "other photograph")),
+                }
+            }
             Self::ExposureTimes { file, nominal_secs, measured_secs, relative_sd, settings } => {
                 write!(
                     f,
@@ -326,6 +361,14 @@ impl fmt::Display for ConsistencyWarning {
             Self::DotsOffset { field, offset_projector_px: [x, y], sd_projector_px } => write!(
                 f,
                 "all dots are {x:+.2}, {y:+.2} projector px (± {sd_projector_px:.2}) from where [grid], [reference_dots] and Gray code put them together; the one that disagrees is {field}"
+            ),
+            Self::DotsStep { along_x: [ax, ay], along_y: [bx, by], sd_projector_px } => write!(
+                f,
+                "from one lit point to the next the dots are {ax:+.2}, {ay:+.2} projector px along x and {bx:+.2}, {by:+.2} along y (± {sd_projector_px:.3}) off what grid.step_projector_px says"
+            ),
+            Self::BoardBlur { shot, psf_px, dots_psf_px } => write!(
+                f,
+                "shot \"{shot}\" is blurred by {psf_px:.2} px, the reference dots by {dots_psf_px:.2} px at the most: the board was out of focus, and its blur must not be taken out of the rows"
             ),
             Self::AmbientChanged { dn_per_sec, share } => write!(
                 f,
@@ -489,6 +532,7 @@ super::record::catalogue!(ConsistencyWarning {
         vec![photograph(file), photograph(other), shot(name)], None;
     Self::PhotographDisagrees { file, shot: name, or: None, .. } => "photograph-disagrees", Warning, Files, LeftOut,
         vec![photograph(file), shot(name)], None;
+    Self::PhotographChanged { file, .. } => "photograph-changed", Warning, Files, Accepted, vec![photograph(file)], None;
     Self::ExposureTimes { file, nominal_secs, .. } => "exposure-times", Warning, Exposures, Accepted,
         vec![exposure(*nominal_secs), photograph(file)], bound("measured_secs / nominal_secs - 1", REFUSED_TIME, "");
     Self::ExposuresUnmeasured { .. } => "exposures-unmeasured", Warning, Exposures, Told, vec![], None;
@@ -498,6 +542,8 @@ super::record::catalogue!(ConsistencyWarning {
         "dots-offset", Warning, Dots, Accepted, vec![field(name)],
         bound("offset_projector_px", REFUSED_PROJECTOR_PX, "projector px");
     Self::DotsOffset { field: name, .. } => "dots-offset", Warning, Dots, Told, vec![field(name)], None;
+    Self::DotsStep { .. } => "dots-step", Warning, Dots, Accepted, vec![field("grid.step_projector_px")], None;
+    Self::BoardBlur { shot: name, .. } => "board-blur", Warning, Focus, Accepted, vec![shot(name)], None;
     Self::AmbientChanged { share, .. } if share.abs() > EVEN_REFUSED => "ambient-changed", Warning, Light, Accepted,
         vec![part("ambient light")], bound("share", EVEN_REFUSED, "");
     Self::AmbientChanged { .. } => "ambient-changed", Warning, Light, Told, vec![part("ambient light")], None;

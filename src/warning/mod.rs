@@ -4,6 +4,7 @@
 //! stand here and not in the stages' folders because the header of a matrix keeps those of all stages: this module imports none of them.
 //! `docs/findings.md` lists them, with what to do about each.
 
+mod arrays;
 pub(crate) mod bounds;
 mod capture;
 mod check;
@@ -19,6 +20,7 @@ mod simulate;
 #[cfg(test)]
 mod tests;
 
+pub use arrays::ArraysWarning;
 pub use capture::CaptureWarning;
 pub(crate) use capture::times;
 pub use check::CheckWarning;
@@ -57,6 +59,8 @@ pub enum Warning {
     Factor(FactorWarning),
     /// Of the simulator.
     Simulate(SimulateWarning),
+    /// Of importing a matrix from arrays.
+    Arrays(ArraysWarning),
 }
 
 /// Each stage's enum is one variant: it becomes a warning by `into()`, and is shown as it shows itself.
@@ -109,7 +113,8 @@ join!(
     Registration(RegistrationWarning),
     Response(ResponseWarning),
     Factor(FactorWarning),
-    Simulate(SimulateWarning)
+    Simulate(SimulateWarning),
+    Arrays(ArraysWarning)
 );
 
 impl Warning {

@@ -52,6 +52,8 @@ pub enum Topic {
     Material,
     /// The simulated slab.
     Simulation,
+    /// A matrix that comes as arrays.
+    Arrays,
 }
 
 impl Topic {
@@ -82,6 +84,7 @@ impl Topic {
             Self::Dots => "dots",
             Self::Material => "material",
             Self::Simulation => "simulation",
+            Self::Arrays => "arrays",
         }
     }
 }

@@ -40,12 +40,15 @@ const WRITTEN: &[&str] = &[
     r#"{"warning":"not-looked-at"}"#,
     r#"{"warning":"photograph-disagrees","file":"a.png","shot":"s","looks":"turned by 180°","share":0.5,"photographs":2,"or":null}"#,
     r#"{"warning":"photograph-disagrees","file":"a.png","shot":"s","looks":"turned by 180°","share":0.5,"photographs":1,"or":"b.png"}"#,
+    r#"{"warning":"photograph-changed","file":"a.png","photographs":2}"#,
     r#"{"warning":"exposure-times","file":"a.png","nominal_secs":0.5,"measured_secs":0.25,"relative_sd":0.01,"settings":1}"#,
     r#"{"warning":"exposures-unmeasured","settings":3}"#,
     r#"{"warning":"brightness-varies","relative_sd":0.25}"#,
     r#"{"warning":"other-pattern","shot":"s","looks":"the pattern of shot t","shots":1,"of":9}"#,
     r#"{"warning":"dots-offset","field":"reference_dots","offset_projector_px":[1.0,0.0],"sd_projector_px":0.125}"#,
     r#"{"warning":"dots-offset","field":"reference_dots","offset_projector_px":[0.25,0.0],"sd_projector_px":0.125}"#,
+    r#"{"warning":"dots-step","along_x":[-0.5,0.0],"along_y":[0.0,0.25],"sd_projector_px":0.125}"#,
+    r#"{"warning":"board-blur","shot":"board","psf_px":2.0,"dots_psf_px":1.0}"#,
     r#"{"warning":"response-curve","given":"linear","slope":0.5,"encoding":"sRGB"}"#,
     r#"{"warning":"ambient-changed","dn_per_sec":8.5,"share":0.25}"#,
     r#"{"warning":"ambient-changed","dn_per_sec":8.5,"share":0.001}"#,
@@ -103,6 +106,11 @@ const WRITTEN: &[&str] = &[
     r#"{"warning":"refractive-index-differs","used":"wax","used_index":1.5,"other":"ink","other_index":1.25}"#,
     r#"{"warning":"diffusion-too-clear","medium":"wax","channel":"R","mean_free_path_mm":null,"exceeds":"window","length_mm":7.5}"#,
     r#"{"warning":"diffusion-too-dark","medium":"ink","channel":"B","reduced_scattering_per_mm":0.5,"absorption_per_mm":2.0}"#,
+    r#"{"warning":"negative-responses","entries":2,"share":0.001,"lowest":-0.5,"at":"response[0, 0, 1, 1, 2]"}"#,
+    r#"{"warning":"unmeasured-samples","entries":3,"of":90,"at":"response[0, 0, 1, 1, 2]"}"#,
+    r#"{"warning":"light-outside-window","share":0.0005,"window":[7,7]}"#,
+    r#"{"warning":"light-outside-window","share":0.25,"window":[3,3]}"#,
+    r#"{"warning":"imported-albedo","rows":4,"largest":3.25,"pitch_mm":0.5}"#,
 ];
 
 /// Each finding, and what is written of it.

@@ -23,7 +23,12 @@ fn a_matrix_comes_back_from_the_store_to_the_last_bit() {
         let shots = 1 + draw.below(4);
         h.pitch_mm = draw.unit() + 1e-3;
         h.lit_pitch_mm = [draw.unit() + 1e-3, 1e3 * draw.unit() + 1e-3];
-        h.lit_mm = (0..n).map(|_| [1e3 * draw.signed(), draw.signed()]).collect();
+        // Places that are their pitch apart, but for some drift: from others the reader takes the pitch.
+        let (pitch, origin) = (h.lit_pitch_mm, [1e3 * draw.signed(), draw.signed()]);
+        let drift_mm = 0.02 * pitch[0].min(pitch[1]);
+        let nx = case.points[0];
+        let place = |k: usize, a: usize| origin[a] + pitch[a] * [k % nx, k / nx][a] as f64;
+        h.lit_mm = (0..n).map(|k| [0, 1].map(|a| place(k, a) + drift_mm * draw.signed())).collect();
         h.position_sd_mm = (0..n).map(|_| draw.unit()).collect();
         h.shot_of = (0..n).map(|_| draw.chance(0.8).then(|| draw.below(shots))).collect();
         h.shots = (0..shots)
@@ -62,9 +67,20 @@ fn a_matrix_comes_back_from_the_store_to_the_last_bit() {
             let rows = &matrix.rows[range.clone()];
             let (all, part) = (reader.read(range.clone()).unwrap(), reader.read_responses(range).unwrap());
             let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
-            let response = rows.iter().flat_map(|r| bits(&r.response)).collect::<Vec<_>>();
+            // What was not measured is 0, whatever was put there.
+            let stored = |of: fn(&Row) -> &Vec<f32>| -> Vec<u32> {
+                let bits = |r: &Row| {
+                    of(r)
+                        .iter()
+                        .zip(&r.valid)
+                        .map(|(v, valid)| if *valid { v.to_bits() } else { 0 })
+                        .collect::<Vec<_>>()
+                };
+                rows.iter().flat_map(bits).collect()
+            };
+            let response = stored(|r| &r.response);
             assert!(bits(&all.response) == response && bits(&part.response) == response, "responses from {first}");
-            assert!(bits(&all.variance) == rows.iter().flat_map(|r| bits(&r.variance)).collect::<Vec<_>>());
+            assert!(bits(&all.variance) == stored(|r| &r.variance));
             let valid = rows.iter().flat_map(|r| r.valid.iter().map(|&v| u8::from(v))).collect::<Vec<_>>();
             assert!(all.valid == valid && part.valid == valid && part.variance.is_empty());
         }

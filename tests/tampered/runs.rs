@@ -89,17 +89,31 @@ pub(crate) fn notes(captures: &Captures) -> Vec<Regex> {
     captures.notes.iter().map(|n| pattern(n)).collect()
 }
 
+/// In which captures a mistake is made.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum Each {
+    /// In all.
+    InAll,
+    /// In one, the captures in turn.
+    InOne,
+}
+
 /// Every mistake in every capture that it can be made in. `KEEP` of the environment names a folder where the captures stay.
 pub(crate) fn all<'a>(
     mistakes: &[&'a Mistake],
     untouched: &'a [Untouched<'a>],
+    each: Each,
     folder: &Path,
     notes: &[Regex],
 ) -> Vec<Run<'a>> {
     let pairs: Vec<(&'a Mistake, &'a Untouched<'a>)> = mistakes
         .iter()
-        .flat_map(|&mistake| untouched.iter().map(move |u| (mistake, u)))
-        .filter(|(mistake, u)| !mistake.cannot.contains_key(&u.capture.id))
+        .enumerate()
+        .flat_map(|(k, &mistake)| {
+            let (turned, one) = untouched.split_at(k % untouched.len());
+            let can = one.iter().chain(turned).filter(|u| !mistake.cannot.contains_key(&u.capture.id));
+            can.take(if each == Each::InOne { 1 } else { untouched.len() }).map(move |u| (mistake, u))
+        })
         .collect();
     let keep = std::env::var_os("KEEP").map(PathBuf::from);
     in_turn(pairs.len(), |k| {

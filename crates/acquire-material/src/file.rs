@@ -24,6 +24,39 @@ struct Metadata {
     half_exponents: Option<Vec<i32>>,
     #[serde(flatten)]
     header: MaterialHeader,
+    /// Last in the text: BLAKE3 of the text with zeros in its place and of all tensors. Files of earlier versions have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    blake3: Option<String>,
+}
+
+/// What stands before the checksum in the text, and in its place while it is computed.
+const BEFORE_CHECKSUM: &str = "\"blake3\":\"";
+const NO_CHECKSUM: &str = "0000000000000000000000000000000000000000000000000000000000000000";
+
+/// BLAKE3 of a metadata text without its checksum, and of tensors: name, type, shape and bytes of each, by their names.
+fn checksum(text: &str, mut tensors: Vec<(&str, Dtype, &[usize], &[u8])>) -> String {
+    tensors.sort_by_key(|tensor| tensor.0);
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(text.as_bytes());
+    for (name, dtype, shape, data) in tensors {
+        hasher.update(format!("\n{name} {dtype:?} {shape:?}\n").as_bytes()).update(data);
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+/// Refuses a file whose checksum is not that of its text and tensors.
+fn verify(text: &str, stated: &str, file: &SafeTensors<'_>) -> Result<(), String> {
+    let at = text.rfind(BEFORE_CHECKSUM).map_or(text.len(), |at| at + BEFORE_CHECKSUM.len());
+    let zeroed = match (text.get(..at), text.get(at + NO_CHECKSUM.len()..)) {
+        (Some(before), Some(after)) => [before, NO_CHECKSUM, after].concat(),
+        _ => return Err("metadata: a checksum of another length".into()),
+    };
+    let tensors = file.tensors();
+    let tensors = tensors.iter().map(|(name, t)| (name.as_str(), t.dtype(), t.shape(), t.data())).collect();
+    match checksum(&zeroed, tensors) == stated {
+        true => Ok(()),
+        false => Err("its checksum differs: it was changed after it had been written".into()),
+    }
 }
 
 /// How a material's numbers are stored.
@@ -121,8 +154,14 @@ impl Material {
             .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
             .map_err(Error::internal)?;
         let format = if h.exit_grid.is_some() { FORMAT } else { PLAIN_FORMAT };
-        let metadata = Metadata { format, half_exponents: half.then_some(exponents), header: h.clone() };
+        let blake3 = Some(NO_CHECKSUM.to_owned());
+        let metadata = Metadata { format, half_exponents: half.then_some(exponents), header: h.clone(), blake3 };
         let text = serde_json::to_string(&metadata).map_err(Error::internal)?;
+        let stored =
+            tensors.iter().map(|(name, dtype, shape, data)| (*name, *dtype, shape.as_slice(), data.as_slice()));
+        let checksum = checksum(&text, stored.collect());
+        let (before, after) = text.rsplit_once(NO_CHECKSUM).unwrap_or((&text, ""));
+        let text = [before, &checksum, after].concat();
         serialize(views, Some([(KEY.to_owned(), text)].into_iter().collect())).map_err(Error::internal)
     }
 
@@ -140,7 +179,7 @@ impl Material {
     /// [`Error::Io`], [`Error::Damaged`].
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.to_path_buf(), source })?;
+        let bytes = read_file(path).map_err(|source| Error::Io { path: path.to_path_buf(), source })?;
         decode_any(&bytes).map_err(|reason| Error::damaged(Some(path), reason))
     }
 
@@ -195,6 +234,17 @@ impl Material {
     }
 }
 
+/// All bytes of a file; not of a pipe, which may never end.
+fn read_file(path: &Path) -> std::io::Result<Vec<u8>> {
+    let kind = std::fs::metadata(path)?;
+    match kind.is_file() || kind.is_dir() {
+        true => std::fs::read(path),
+        false => {
+            Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, "expected a file, found a pipe or a device"))
+        }
+    }
+}
+
 /// What first bytes the coded format has, with or without the feature that reads it.
 const CODED: [u8; 4] = *b"\x89ACQ";
 
@@ -211,13 +261,16 @@ fn decode_any(bytes: &[u8]) -> Result<Material, String> {
 fn decode(bytes: &[u8]) -> Result<Material, String> {
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| e.to_string())?;
     let text = metadata.metadata().as_ref().and_then(|m| m.get(KEY)).ok_or("no metadata of acquire")?;
-    let Metadata { format, half_exponents, header } =
+    let Metadata { format, half_exponents, header, blake3 } =
         serde_json::from_str(text).map_err(|e| format!("metadata: {e}"))?;
     if ![PLAIN_FORMAT, FORMAT].contains(&format) {
         return Err(format!("format: expected {PLAIN_FORMAT} or {FORMAT}, found {format}"));
     }
     check_header(&header)?;
     let file = SafeTensors::deserialize(bytes).map_err(|e| e.to_string())?;
+    if let Some(stated) = blake3 {
+        verify(text, &stated, &file)?;
+    }
     let n = header.rows();
     let exponents = half_exponents.unwrap_or_default();
     let read = |name: &str, shape: &[usize], exponent: Option<&i32>| -> Result<Vec<f32>, String> {

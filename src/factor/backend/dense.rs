@@ -1,9 +1,9 @@
 //! Decompositions of the whole matrix, or of its Gram matrix, in f64.
 
 use super::{LowRank, Rows, eigen, transposed, widened};
+use crate::factor::products::add_gram;
 use crate::{Error, Result};
-use faer::linalg::matmul::triangular::{self, BlockStructure};
-use faer::{Accum, Mat, MatRef, get_global_parallelism};
+use faer::{Mat, MatRef};
 
 pub(super) fn full(rows: &dyn Rows, k: usize) -> Result<LowRank> {
     let (n, m) = rows.shape();
@@ -23,17 +23,7 @@ pub(super) fn gram(rows: &dyn Rows, k: usize) -> Result<LowRank> {
     rows.for_each(&mut |_, block| {
         let wide = widened(block);
         let block = MatRef::from_row_major_slice(&wide, wide.len() / m, m);
-        triangular::matmul(
-            gram.as_mut(),
-            BlockStructure::TriangularLower,
-            Accum::Add,
-            block.transpose(),
-            BlockStructure::Rectangular,
-            block,
-            BlockStructure::Rectangular,
-            1.0,
-            get_global_parallelism(),
-        );
+        add_gram(gram.as_mut(), block);
         Ok(())
     })?;
     let (values, vectors) = eigen(gram.as_ref(), k)?;

@@ -9,9 +9,9 @@ mod deflation;
 mod dense;
 mod randomized;
 
+use super::products::multiply;
 use crate::{Error, Result};
-use faer::linalg::matmul::matmul;
-use faer::{Accum, Mat, MatRef, Side, get_global_parallelism};
+use faer::{Accum, Mat, MatRef, Side};
 use rayon::prelude::*;
 
 /// How a truncated SVD is computed. Errors are of singular values, relative to the largest.
@@ -156,13 +156,11 @@ pub(super) fn triplets(rows: &dyn Rows, low: &LowRank, terms: usize, exact: bool
     let (values, rotation) = eigen(small.as_ref(), terms)?;
     let rotated = projected * &rotation;
     let mut right = vec![0.0; terms * m];
-    matmul(
+    multiply(
         faer::MatMut::from_row_major_slice_mut(&mut right, terms, m),
         Accum::Replace,
         rotation.transpose(),
         MatRef::from_row_major_slice(vectors, all, m),
-        1.0,
-        get_global_parallelism(),
     );
     let mut out = Triplets { weights: values, left: vec![0.0; n * terms], right };
     for (j, h) in out.right.chunks_exact_mut(m.max(1)).enumerate() {
@@ -183,9 +181,13 @@ fn sign_of_largest(vector: &[f64]) -> f64 {
 }
 
 /// `out` (row-major) = a bᵀ.
-pub(super) fn product<T: faer::traits::ComplexField>(a: MatRef<'_, T>, b: MatRef<'_, T>, out: &mut [T]) {
+pub(super) fn product<T: faer::traits::ComplexField + Copy + Send + Sync>(
+    a: MatRef<'_, T>,
+    b: MatRef<'_, T>,
+    out: &mut [T],
+) {
     let out = faer::MatMut::from_row_major_slice_mut(out, a.nrows(), b.nrows());
-    matmul(out, Accum::Replace, a, b.transpose(), T::one_impl(), get_global_parallelism());
+    multiply(out, Accum::Replace, a, b.transpose());
 }
 
 fn widened(block: &[f32]) -> Vec<f64> {
@@ -198,7 +200,9 @@ fn widened(block: &[f32]) -> Vec<f64> {
 
 /// AᵀA, both halves.
 fn gram_of(a: MatRef<'_, f64>) -> Mat<f64> {
-    a.transpose() * a
+    let mut gram = Mat::zeros(a.ncols(), a.ncols());
+    multiply(gram.as_mut(), Accum::Replace, a.transpose(), a);
+    gram
 }
 
 fn transposed(v: MatRef<'_, f64>, k: usize) -> Vec<f64> {

@@ -4,8 +4,8 @@
 
 use super::{LowRank, Rows, eigenpairs, product};
 use crate::Result;
-use faer::linalg::matmul::matmul;
-use faer::{Accum, Mat, MatRef, get_global_parallelism};
+use crate::factor::products::multiply;
+use faer::{Accum, Mat, MatRef};
 use rand::{Rng, SeedableRng};
 
 /// Columns of a block beyond the triplets asked for.
@@ -142,7 +142,6 @@ impl Ritz {
 /// AᵀA times a block of columns, one pass: products in f32, sums over blocks of rows in f64.
 pub(super) fn gram_times(rows: &dyn Rows, block: MatRef<'_, f64>) -> Result<Mat<f64>> {
     let (m, width) = (block.nrows(), block.ncols());
-    let par = get_global_parallelism();
     // [width, m], row-major: what products with rows want.
     let narrow: Vec<f32> = (0..width).flat_map(|j| (0..m).map(move |i| (i, j))).map(|at| block[at] as f32).collect();
     let narrow = MatRef::from_row_major_slice(&narrow, width, m);
@@ -154,7 +153,7 @@ pub(super) fn gram_times(rows: &dyn Rows, block: MatRef<'_, f64>) -> Result<Mat<
         let mut projected = vec![0.0_f32; count * width];
         product(a, narrow, &mut projected);
         let projected = MatRef::from_row_major_slice(&projected, count, width);
-        matmul(part.as_mut(), Accum::Replace, a.transpose(), projected, 1.0, par);
+        multiply(part.as_mut(), Accum::Replace, a.transpose(), projected);
         for j in 0..width {
             for i in 0..m {
                 sum[(i, j)] += f64::from(part[(i, j)]);

@@ -1,13 +1,13 @@
 use super::*;
 
-fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
+pub(in crate::transport) fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
     let rows = points[0] * points[1];
     MatrixHeader {
         points,
         window,
         pitch_mm: 0.5,
         lit_pitch_mm: [0.5, 0.5],
-        lit_mm: (0..rows).map(|r| [r as f64 * 0.5, 1.0]).collect(),
+        lit_mm: (0..rows).map(|r| [(r % points[0]) as f64 * 0.5, 1.0 + (r / points[0]) as f64 * 0.5]).collect(),
         position_sd_mm: vec![0.01; rows],
         shot_of: (0..rows).map(|r| (r > 0).then_some(0)).collect(),
         shots: vec![ShotRecord { name: "a".into(), drift_px: [0.1, 0.2], drift_sd_px: None }],
@@ -17,10 +17,13 @@ fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
     }
 }
 
-fn row(header: &MatrixHeader, index: usize) -> Row {
+/// A row of which every other number was measured.
+pub(in crate::transport) fn row(header: &MatrixHeader, index: usize) -> Row {
     let n = header.row_len();
-    let response = (0..n).map(|k| (index * n + k) as f32).collect();
-    Row { response, variance: vec![index as f32; n], valid: (0..n).map(|k| k % 2 == 0).collect() }
+    let measured = |k: usize, v: f32| if k.is_multiple_of(2) { v } else { 0.0 };
+    let response = (0..n).map(|k| measured(k, (index * n + k) as f32)).collect();
+    let variance = (0..n).map(|k| measured(k, index as f32)).collect();
+    Row { response, variance, valid: (0..n).map(|k| k.is_multiple_of(2)).collect() }
 }
 
 #[test]
@@ -57,10 +60,12 @@ fn a_missing_chunk_is_an_error_and_not_a_row_of_zeros() {
     let header = header([2, 2], [3, 3]);
     let writer = MatrixWriter::create(&path, header.clone()).unwrap();
     writer.finish().unwrap();
-    std::fs::remove_file(path.join("valid/c.1.0.0.0.0")).unwrap();
     let reader = MatrixReader::open(&path).unwrap();
+    std::fs::remove_file(path.join("valid/c.1.0.0.0.0")).unwrap();
     reader.read(0..2).unwrap();
     assert!(matches!(reader.read(2..4), Err(Error::BrokenMatrix { .. })));
+    let missing = |e: Error| e.to_string().ends_with("array valid: chunk c.1.0.0.0.0 is missing");
+    assert!(MatrixReader::open(&path).is_err_and(missing), "before any work");
 }
 
 #[test]
@@ -77,7 +82,8 @@ fn uneven() -> MatrixHeader {
         points: [3, 2],
         window: [5, 3],
         pitch_mm: 0.25,
-        lit_pitch_mm: [0.75, 0.5],
+        // Near the median distances of the places: another pitch would be that of a matrix which this one was cut out of.
+        lit_pitch_mm: [3.5, 8.0],
         lit_mm: (0..6).map(|r| [10.0 + f64::from(r), -20.0 - 0.5 * f64::from(r * r)]).collect(),
         position_sd_mm: (0..6).map(|r| 0.01 * f64::from(r)).collect(),
         shot_of: [Some(1), None, Some(0), Some(1), Some(0), None].to_vec(),
@@ -107,7 +113,7 @@ fn coordinates_on_disk_are_under_their_own_names() {
     assert_eq!(stored(&path, "dx/c/0"), [-0.5, -0.25, 0.0, 0.25, 0.5]);
     assert_eq!(stored(&path, "dy/c/0"), [-0.25, 0.0, 0.25]);
     let shots = std::fs::read(path.join("shot/c/0/0")).unwrap();
-    let shots: Vec<i32> = shots.as_chunks::<4>().0.iter().map(|b| i32::from_le_bytes(*b)).collect();
+    let shots: Vec<i32> = shots[..24].as_chunks::<4>().0.iter().map(|b| i32::from_le_bytes(*b)).collect();
     assert_eq!(shots, [1, -1, 0, 1, 0, -1]);
     let json = |name: &str| -> serde_json::Value {
         serde_json::from_slice(&std::fs::read(path.join(name).join("zarr.json")).unwrap()).unwrap()
@@ -141,7 +147,12 @@ fn an_entry_lies_at_its_line_column_sample_and_channel() {
     for [y, x, dy, dx, c] in [[1, 0, 2, 4, 1], [0, 2, 1, 3, 2], [1, 1, 0, 1, 0]] {
         let one = ArraySubset::new_with_ranges(&[y, x, dy, dx, c].map(|k| k..k + 1));
         let found = array.retrieve_array_subset::<Vec<f32>>(&one).unwrap();
-        assert_eq!(found, [(((3 * y + x) * 45) + (5 * dy + dx) * 3 + c) as f32]);
+        let sample = (5 * dy + dx) * 3 + c;
+        match sample % 2 {
+            0 => assert_eq!(found, [((3 * y + x) * 45 + sample) as f32]),
+            // NaN, so that means of other programs leave it out.
+            _ => assert!(found[0].is_nan(), "{found:?}"),
+        }
     }
     let reader = MatrixReader::open(&path).unwrap();
     let (all, light) = (reader.read(1..5).unwrap(), reader.read_responses(1..5).unwrap());
@@ -181,7 +192,8 @@ fn rows_of_several_chunks_are_read_across_their_borders() {
         for (k, index) in range.enumerate() {
             for at in [k * n, k * n + n / 2, (k + 1) * n - 1] {
                 let found = (block.response[at], block.variance[at], block.valid[at]);
-                assert_eq!(found, (index as f32, index as f32 + 0.5, u8::from(index % 3 == 0)));
+                let measured = if index % 3 == 0 { (index as f32, index as f32 + 0.5, 1) } else { (0.0, 0.0, 0) };
+                assert_eq!(found, measured);
             }
         }
     }
@@ -210,17 +222,39 @@ fn rows_that_do_not_fit_or_are_no_numbers_are_refused() {
     assert!(writer.row(5).is_ok() && writer.row(2).is_err() && writer.row(6).is_err());
 }
 
+/// As an earlier version of this program has written it.
+fn unsealed(path: &Path) {
+    let path = path.join("zarr.json");
+    let mut group: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    group["attributes"].as_object_mut().unwrap().remove("checksum").unwrap();
+    std::fs::write(&path, serde_json::to_string_pretty(&group).unwrap()).unwrap();
+}
+
+/// Writes an array anew, as another program does.
+fn put<T: zarrs::array::Element>(path: &Path, name: &str, values: Vec<T>)
+where
+    Vec<T>: zarrs::array::IntoArrayBytes<'static>,
+{
+    let array = Array::open(Arc::new(FilesystemStore::new(path).unwrap()), name).unwrap();
+    array.store_array_subset(&array.subset_all(), values).unwrap();
+}
+
 #[test]
 fn a_number_on_disk_that_is_not_finite_is_told_with_its_place() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.rd.zarr");
     for name in ["response", "variance"] {
-        MatrixWriter::create(&path, uneven()).unwrap().finish().unwrap();
+        let _ = std::fs::remove_dir_all(&path);
+        let writer = MatrixWriter::create(&path, uneven()).unwrap();
+        let row = Row { response: vec![1.0; 45], variance: vec![1.0; 45], valid: vec![true; 45] };
+        (0..6).for_each(|index| writer.put(index, &row).unwrap());
+        writer.finish().unwrap();
         let store = Arc::new(FilesystemStore::new(&path).unwrap());
         let array = Array::open(store, &format!("/{name}")).unwrap();
         // Line 1, column 2: lit point [2, 1]; sample (3, 2), channel 1.
         let one = ArraySubset::new_with_ranges(&[1, 2, 2, 3, 1].map(|k| k..k + 1));
         array.store_array_subset(&one, vec![f32::NEG_INFINITY]).unwrap();
+        unsealed(&path);
         let reader = MatrixReader::open(&path).unwrap();
         assert!(reader.read(0..5).is_ok());
         match reader.read(4..6) {
@@ -271,7 +305,9 @@ fn a_folder_that_is_no_whole_matrix_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.rd.zarr");
     let after = |change: &dyn Fn(&Path)| {
+        let _ = std::fs::remove_dir_all(&path);
         MatrixWriter::create(&path, uneven()).unwrap().finish().unwrap();
+        unsealed(&path);
         change(&path);
         MatrixReader::open(&path).err().map(|e| e.to_string())
     };
@@ -284,26 +320,210 @@ fn a_folder_that_is_no_whole_matrix_is_refused() {
     };
     assert_eq!(after(&|_| ()), None);
     let said = |change: &dyn Fn(&Path), part: &str| assert!(after(change).unwrap().contains(part), "{part}");
-    said(&edit("zarr.json", "\"acquire_format\": 1", "\"acquire_format\": 2"), "acquire_format");
-    said(&|path: &Path| std::fs::write(path.join("shot/c/0/0"), [2u8, 0, 0, 0].repeat(6)).unwrap(), "below 2, found 2");
-    said(&|path: &Path| std::fs::write(path.join("x_i_mm/c/0/0"), [0; 47]).unwrap(), "48 bytes, found 47");
-    said(&|path: &Path| std::fs::write(path.join("y_i_mm/c/0/0"), [0xff; 48]).unwrap(), "x_i_mm or y_i_mm");
-    said(&|path: &Path| std::fs::remove_dir_all(path.join("variance")).unwrap(), "variance");
-    said(&edit("valid/zarr.json", "\"fill_value\": 255", "\"fill_value\": 0"), "fill value 255");
+    said(
+        &edit("zarr.json", "\"acquire_format\": 2", "\"acquire_format\": 3"),
+        "acquire_format: expected one of [1, 2]",
+    );
+    said(&|path: &Path| put(path, "/shot", vec![2i32; 6]), "numbers below 2");
+    said(&|path: &Path| std::fs::write(path.join("x_i_mm/c/0/0"), [0; 47]).unwrap(), "array x_i_mm");
+    said(&|path: &Path| put(path, "/y_i_mm", vec![f64::INFINITY; 6]), "array y_i_mm: expected finite");
+    said(&|path: &Path| std::fs::write(path.join("y_i_mm/c/0/0"), [0; 52]).unwrap(), "array y_i_mm");
+    said(&|path: &Path| std::fs::remove_file(path.join("variance/zarr.json")).unwrap(), "array variance: zarr.json");
+    said(&|path: &Path| std::fs::remove_dir_all(path.join("response")).unwrap(), "array response: expected an array");
+    said(
+        &edit("valid/zarr.json", "3,\n    3,\n    5,", "3,\n    5,\n    3,"),
+        "array valid: expected the shape of response",
+    );
     assert!(matches!(MatrixReader::open(&folder.path().join("none")), Err(Error::Io { .. })));
     // Whatever else is there is not overwritten.
     std::fs::create_dir(folder.path().join("other")).unwrap();
     let refused = |path: &Path| match MatrixWriter::create(path, uneven()) {
-        Err(Error::Setting { setting: "out", found, .. }) => found,
+        Err(e @ (Error::NotOurs { .. } | Error::Changed { .. })) => e.to_string(),
         other => panic!("{other:?}"),
     };
     let other = folder.path().join("other");
-    assert_eq!(refused(&other), other.display().to_string());
     let group = r#"{"zarr_format": 3, "node_type": "group", "attributes": {"made by": "a lab"}}"#;
     std::fs::write(other.join("zarr.json"), group).unwrap();
-    assert!(refused(&other).contains("another program"));
-    after(&|_| ());
+    assert!(refused(&other).starts_with(&other.display().to_string()));
+    std::fs::remove_dir_all(&path).unwrap();
+    MatrixWriter::create(&path, uneven()).unwrap().finish().unwrap();
     std::fs::write(path.join("notes.txt"), "keep").unwrap();
-    assert!(refused(&path).ends_with("notes.txt"));
+    assert!(refused(&path).contains("notes.txt: not replaced"));
     assert!(path.join("notes.txt").is_file() && path.join("zarr.json").is_file());
+}
+
+/// A store with two chunks a line, whose rows differ.
+fn in_chunks(path: &Path) -> MatrixHeader {
+    let header = MatrixHeader { shot_of: vec![None; 60], ..header([30, 2], [131, 131]) };
+    let writer = MatrixWriter::create(path, header.clone()).unwrap();
+    for index in [0, 20, 40] {
+        writer.put(index, &row(&header, index)).unwrap();
+    }
+    writer.finish().unwrap();
+    header
+}
+
+#[test]
+fn exchanged_missing_and_additional_chunks_are_seen_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    in_chunks(&path);
+    let at = |name: &str| path.join(name);
+    let read = || MatrixReader::open(&path).and_then(|r| r.read(0..60).map(|_| ()));
+    read().unwrap();
+    let exchange = |a: &str, b: &str| {
+        std::fs::rename(at(a), at("aside")).unwrap();
+        std::fs::rename(at(b), at(a)).unwrap();
+        std::fs::rename(at("aside"), at(b)).unwrap();
+    };
+    for (a, b) in [
+        ("response/c.0.0.0.0.0", "response/c.0.1.0.0.0"),
+        ("response/c.0.0.0.0.0", "variance/c.0.0.0.0.0"),
+        ("valid/c.0.1.0.0.0", "valid/c.1.1.0.0.0"),
+        ("x_i_mm/c/0/0", "y_i_mm/c/0/0"),
+        ("response/zarr.json", "variance/zarr.json"),
+        ("response", "variance"),
+    ] {
+        exchange(a, b);
+        // Chunks of validity that hold nothing are equal, and may change places.
+        let equal = std::fs::read(at(a)).ok().is_some_and(|bytes| std::fs::read(at(b)).unwrap() == bytes);
+        assert_eq!(read().is_err(), !equal, "{a} and {b}");
+        exchange(a, b);
+    }
+    let chunk = at("variance/c.1.0.0.0.0");
+    let bytes = std::fs::read(&chunk).unwrap();
+    std::fs::remove_file(&chunk).unwrap();
+    assert!(read().unwrap_err().to_string().ends_with("array variance: chunk c.1.0.0.0.0 is missing"));
+    std::fs::write(&chunk, &bytes).unwrap();
+    std::fs::write(at("variance/c.2.0.0.0.0"), &bytes).unwrap();
+    assert!(read().unwrap_err().to_string().ends_with("array variance: c.2.0.0.0.0 is no chunk of it"));
+    std::fs::remove_file(at("variance/c.2.0.0.0.0")).unwrap();
+    read().unwrap();
+}
+
+#[test]
+fn a_bit_that_changes_anywhere_is_seen() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    let header = header([2, 2], [3, 1]);
+    let writer = MatrixWriter::create(&path, header.clone()).unwrap();
+    (0..4).for_each(|index| writer.put(index, &row(&header, index)).unwrap());
+    writer.finish().unwrap();
+    let read = || MatrixReader::open(&path).and_then(|r| Ok((r.header().clone(), r.read(0..4)?)));
+    let whole = read().unwrap();
+    let mut folders = vec![path.clone()];
+    while let Some(folder) = folders.pop() {
+        for file in std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()) {
+            if file.is_dir() {
+                folders.push(file);
+                continue;
+            }
+            let bytes = std::fs::read(&file).unwrap();
+            // Every byte of what is short.
+            for at in (0..bytes.len()).step_by(1 + bytes.len() / 200) {
+                let mut changed = bytes.clone();
+                changed[at] ^= 1 << (at % 7);
+                std::fs::write(&file, &changed).unwrap();
+                // White space and what no reader asks for may change.
+                assert!(read().is_err() || read().unwrap() == whole, "byte {at} of {file:?}");
+            }
+            std::fs::write(&file, &bytes).unwrap();
+        }
+    }
+    assert_eq!(read().unwrap(), whole);
+}
+
+#[test]
+fn a_store_without_checksums_and_one_that_was_written_anew_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    MatrixWriter::create(&path, uneven()).unwrap().finish().unwrap();
+    let edit = |file: &str, change: &dyn Fn(&mut serde_json::Value)| {
+        let mut json = serde_json::from_slice(&std::fs::read(path.join(file)).unwrap()).unwrap();
+        change(&mut json);
+        std::fs::write(path.join(file), json.to_string()).unwrap();
+    };
+    edit("zarr.json", &|group| group["attributes"]["camera_px_per_mm"] = 0.5.into());
+    assert!(matches!(MatrixReader::open(&path), Err(Error::BrokenMatrix { .. })), "changed");
+    unsealed(&path);
+    assert_eq!(MatrixReader::open(&path).unwrap().header().camera_px_per_mm, Some(0.5));
+}
+
+#[test]
+fn a_crop_that_another_program_made_is_read_and_is_not_replaced_and_an_array_of_ours_that_is_gone_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, crop) = (folder.path().join("m.rd.zarr"), folder.path().join("crop.rd.zarr"));
+    let header = header([3, 2], [5, 3]);
+    let writer = MatrixWriter::create(&path, header.clone()).unwrap();
+    (0..6).for_each(|index| writer.put(index, &row(&header, index)).unwrap());
+    writer.finish().unwrap();
+    // As xarray does it: attributes go along, the checksums among them; chunks have its own names. The first column of windows and `variance` are left out.
+    let [from, to] = [&path, &crop].map(|path| Arc::new(FilesystemStore::new(path).unwrap()));
+    let group = zarrs::group::Group::open(from.clone(), "/").unwrap();
+    assert!(group.attributes().contains_key(checksum::GROUP));
+    let builder = |shape: &[u64], of: &Array<FilesystemStore>, names: &[&str]| {
+        let mut builder =
+            ArrayBuilder::new(shape.to_vec(), shape.to_vec(), of.data_type().clone(), of.fill_value().clone());
+        builder.dimension_names(Some(names.iter().copied())).attributes(of.attributes().clone());
+        builder
+    };
+    zarrs::group::GroupBuilder::new()
+        .attributes(group.attributes().clone())
+        .build(to.clone(), "/")
+        .unwrap()
+        .store_metadata()
+        .unwrap();
+    let source = Array::open(from.clone(), "/response").unwrap();
+    let kept = ArraySubset::new_with_ranges(&[0..2, 0..3, 0..3, 1..5, 0..3]);
+    let values: Vec<f32> = source.retrieve_array_subset(&kept).unwrap();
+    let array = builder(&[2, 3, 3, 4, 3], &source, &["y_i", "x_i", "dy", "dx", "channel"]);
+    let array = array.build(to.clone(), "/response").unwrap();
+    array.store_metadata().unwrap();
+    array.store_array_subset(&array.subset_all(), values).unwrap();
+    let source = Array::open(from, "/dx").unwrap();
+    let values: Vec<f64> =
+        source.retrieve_array_subset(&ArraySubset::new_with_start_shape(vec![1], vec![4]).unwrap()).unwrap();
+    let array = builder(&[4], &source, &["dx"]).build(to, "/dx").unwrap();
+    array.store_metadata().unwrap();
+    array.store_array_subset(&array.subset_all(), values).unwrap();
+    let cropped = MatrixReader::open(&crop).unwrap();
+    assert_eq!((cropped.header().points, cropped.header().window), ([3, 2], [5, 3]));
+    let (whole, part) = (MatrixReader::open(&path).unwrap().read(0..6).unwrap(), cropped.read(0..6).unwrap());
+    for k in 0..whole.response.len() {
+        let expected = if (k / CHANNELS).is_multiple_of(5) { (0.0, 0) } else { (whole.response[k], whole.valid[k]) };
+        assert_eq!((part.response[k], part.valid[k]), expected, "number {k}");
+    }
+    assert!(matches!(MatrixWriter::create(&crop, header.clone()), Err(Error::NotOurs { .. })));
+    // Of ours, every array is told by name.
+    for name in checksum::ARRAYS {
+        let aside = folder.path().join("aside");
+        std::fs::rename(path.join(name), &aside).unwrap();
+        let error = MatrixReader::open(&path).unwrap_err().to_string();
+        assert!(error.ends_with(&format!("array {name}: zarr.json is missing")), "{error}");
+        std::fs::rename(&aside, path.join(name)).unwrap();
+    }
+}
+
+#[test]
+fn a_chunk_that_changes_under_an_open_reader_is_seen_in_every_array() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    in_chunks(&path);
+    let reader = MatrixReader::open(&path).unwrap();
+    for name in checksum::ROWS {
+        let chunks = [0, 1].map(|y| path.join(name).join(format!("c.{y}.0.0.0.0")));
+        let [before, other] = [0, 1].map(|k| std::fs::read(&chunks[k]).unwrap());
+        assert_ne!(before, other, "{name}");
+        // Whole, with a checksum of its own: another line's.
+        std::fs::write(&chunks[0], other).unwrap();
+        let error = reader.read(0..1).unwrap_err().to_string();
+        assert!(
+            error.ends_with(&format!("array {name}: chunk c.0.0.0.0.0 is not the one that was written there")),
+            "{error}"
+        );
+        assert!(reader.read(30..31).is_ok(), "rows of other chunks");
+        assert_eq!(reader.read_responses(0..1).is_ok(), name == "variance");
+        std::fs::write(&chunks[0], before).unwrap();
+    }
+    reader.read(0..60).unwrap();
 }

@@ -140,6 +140,9 @@ pub fn trace(setup: &Setup, options: &TraceOptions, stage: Option<&Stage>) -> Re
     let walk = walk(setup, specular);
     let window = setup.window.as_ref();
     let batch = |n: u64| {
+        if let Some(stage) = stage {
+            stage.begin();
+        }
         let mut rng = Pcg64Mcg::seed_from_u64(mix_seed(options.seed, n));
         let exitance = window.filter(|_| setup.exitance);
         let mut tally = Tally::new(setup.rings.as_ref(), exitance, window.filter(|_| setup.eye_mm.is_some()));

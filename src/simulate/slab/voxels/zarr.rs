@@ -81,7 +81,7 @@ impl Arrays for ZarrGroup {
         let mut all = blake3::Hasher::new();
         for file in files {
             let mut hasher = blake3::Hasher::new();
-            let opened = std::fs::File::open(&file).map_err(Error::io("read", &file))?;
+            let opened = crate::files::open(&file).map_err(Error::io("read", &file))?;
             hasher.update_reader(opened).map_err(Error::io("read", &file))?;
             let name = file.strip_prefix(&self.path).unwrap_or(&file);
             all.update(format!("{}\0{}\n", name.display(), hasher.finalize()).as_bytes());

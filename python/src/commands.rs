@@ -1,0 +1,171 @@
+//! What the program does as commands. Options are words as they are typed, so that both have one list; what is reported is JSON.
+
+use crate::errors::{internal, raised};
+use crate::material::NativeMaterial;
+use crate::work::{Report, run};
+use acquire::material::{Precision, Source};
+use acquire::simulate::SlabMaterial;
+use acquire::transport::MatrixReader;
+use acquire::transport::arrays::{
+    ArraysInput, ArraysOptions, ImportedMatrix, import_arrays, import_store, open_arrays,
+};
+use acquire::{Error, Warning};
+use pyo3::prelude::*;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+
+/// Findings as `--json` of the program has them.
+pub(crate) fn findings(found: impl IntoIterator<Item = impl Into<Warning>>) -> acquire::Result<Vec<Value>> {
+    found.into_iter().map(|finding| finding.into().json()).collect()
+}
+
+fn to_json(value: &impl serde::Serialize) -> acquire::Result<Value> {
+    serde_json::to_value(value).map_err(Error::internal)
+}
+
+/// The material of a matrix, and a report.
+#[pyfunction]
+pub(crate) fn factor(
+    py: Python<'_>,
+    path: PathBuf,
+    words: Vec<String>,
+    report: Report<'_>,
+) -> PyResult<(NativeMaterial, String)> {
+    let (options, storage) = acquire::cli::factor_options(&words).map_err(raised)?;
+    let (material, precision, report) = run(py, report, |progress| {
+        let reader = MatrixReader::open(&path)?;
+        let stored = acquire::factor::factor_and_store(&reader, &options, &storage, progress)?;
+        let matrix_bytes = 4 * (reader.header().rows() * reader.header().row_len()) as u64;
+        let factored = &stored.factored;
+        let report = json!({
+            "choice": factored.choice,
+            "backend": factored.backend.to_string(),
+            "rel_rmse": stored.rel_rmse(),
+            "psnr_db": if stored.added_error > 0.0 { stored.psnr_db() } else { factored.psnr_db },
+            "added_error": stored.added_error,
+            "precision": storage.precision.name(),
+            "bytes": stored.bytes,
+            "bytes_f32": factored.material.bytes_f32(),
+            "bytes_matrix": matrix_bytes,
+            "agreement": to_json(&factored.agreement)?,
+            "findings": findings(factored.warnings.iter().cloned())?,
+        });
+        // What is stored is what is evaluated.
+        let material = match storage.precision {
+            Precision::F32 => stored.factored.material,
+            _ => acquire::material::Material::from_bytes(&stored.file)?,
+        };
+        Ok((material, storage.precision, report.to_string()))
+    })?;
+    Ok((NativeMaterial::new(material, Some(precision))?, report))
+}
+
+/// Measures of a matrix or material (a path, or a material in memory) against a matrix.
+#[pyfunction]
+pub(crate) fn evaluate(
+    py: Python<'_>,
+    candidate: Option<PathBuf>,
+    material: Option<PyRef<'_, NativeMaterial>>,
+    reference: PathBuf,
+    report: Report<'_>,
+) -> PyResult<String> {
+    let material = material.map(|material| (material.material.clone(), material.file_bytes()));
+    run(py, report, |progress| {
+        let scratch;
+        let source = match (candidate, material) {
+            (Some(path), _) => Source::open(&path)?,
+            (None, Some((material, bytes))) => {
+                // Bytes of the file count among the measures: it is written, and forgotten.
+                scratch = tempfile::NamedTempFile::new().map_err(Error::io("create", std::env::temp_dir()))?;
+                std::fs::write(scratch.path(), bytes?).map_err(Error::io("write", scratch.path()))?;
+                Source::Material(Box::new(material), scratch.path().to_path_buf())
+            }
+            (None, None) => return Err(Error::internal("nothing to evaluate")),
+        };
+        let measures = acquire::evaluate::evaluate(&source, &MatrixReader::open(&reference)?, progress)?;
+        Ok(to_json(&measures)?.to_string())
+    })
+}
+
+/// A capture without a rig.
+#[pyfunction]
+pub(crate) fn simulate(py: Python<'_>, dir: PathBuf, words: Vec<String>, report: Report<'_>) -> PyResult<String> {
+    let options = acquire::cli::simulate_options(&words).map_err(raised)?;
+    let voxels = match &options.material {
+        SlabMaterial::Voxels(file) => Some(file.as_path()),
+        _ => None,
+    };
+    acquire::cli::check_folder("dir", &dir, voxels.as_slice(), false).map_err(raised)?;
+    run(py, report, |progress| {
+        let summary = acquire::simulate::simulate(&options, &dir, progress)?;
+        let mut object = to_json(&summary)?;
+        object["findings"] = Value::Array(findings(summary.warnings)?);
+        Ok(object.to_string())
+    })
+}
+
+/// Photographs to a matrix.
+#[pyfunction]
+pub(crate) fn build_matrix(
+    py: Python<'_>,
+    capture: PathBuf,
+    out: PathBuf,
+    words: Vec<String>,
+    force: bool,
+    report: Report<'_>,
+) -> PyResult<String> {
+    let options = acquire::cli::build_options(&words).map_err(raised)?;
+    let inputs = acquire::cli::inputs_of(&capture, options.calibration.as_deref());
+    acquire::cli::check_matrix_output("out", &out, &inputs, force).map_err(raised)?;
+    run(py, report, |progress| {
+        let built = acquire::pipeline::build_matrix(&capture, &options, &out, progress)?;
+        let mut object = built.figures()?;
+        object["findings"] = Value::Array(findings(built.warnings)?);
+        Ok(object.to_string())
+    })
+}
+
+/// A matrix from a file of arrays.
+#[pyfunction]
+#[pyo3(signature = (path, out, pitch_mm, lit_pitch_mm, points, window, full, force, report))]
+#[allow(clippy::too_many_arguments, reason = "keywords of the Python function")]
+pub(crate) fn import_matrix(
+    py: Python<'_>,
+    path: PathBuf,
+    out: PathBuf,
+    pitch_mm: Option<f64>,
+    lit_pitch_mm: Option<[f64; 2]>,
+    points: Option<[usize; 2]>,
+    window: Option<[usize; 2]>,
+    full: bool,
+    force: bool,
+    report: Report<'_>,
+) -> PyResult<String> {
+    acquire::cli::check_matrix_output("out", &out, &[&path], force).map_err(raised)?;
+    run(py, report, |progress| {
+        let mut instead = serde_json::Map::new();
+        instead.extend(pitch_mm.map(|v| ("pitch_mm".to_owned(), json!(v))));
+        instead.extend(lit_pitch_mm.map(|v| ("lit_pitch_mm".to_owned(), json!(v))));
+        let source = format!("acquire.import_matrix: {}", path.display());
+        let imported = match open_arrays(&path, full, &instead)? {
+            ArraysInput::Store(reader) => import_store(&reader, &source, &out, progress)?,
+            ArraysInput::Arrays(arrays) => {
+                let options = ArraysOptions { pitch_mm, lit_pitch_mm, points, window, full, source };
+                import_arrays(&arrays, &options, &out, progress)?
+            }
+        };
+        told(&imported)
+    })
+}
+
+/// What was imported, as JSON.
+pub(crate) fn told(imported: &ImportedMatrix) -> acquire::Result<String> {
+    let mut object = to_json(imported)?;
+    object["findings"] = Value::Array(findings(imported.findings.iter().cloned())?);
+    Ok(object.to_string())
+}
+
+/// JSON of anything, as an exception where it fails.
+pub(crate) fn text(value: &impl serde::Serialize) -> PyResult<String> {
+    serde_json::to_string(value).map_err(internal)
+}

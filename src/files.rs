@@ -1,0 +1,37 @@
+//! Files that people name, opened only where they are files.
+
+use std::fs::File;
+use std::io::{Error, ErrorKind, Read, Result};
+use std::path::Path;
+
+/// Opens a file for reading.
+///
+/// # Errors
+/// Those of the system; `InvalidInput` for a pipe, a device or a folder: opening a pipe waits until somebody writes to it, and a device has no end.
+pub(crate) fn open(path: &Path) -> Result<File> {
+    let kind = std::fs::metadata(path)?;
+    match kind.is_file() {
+        true => File::open(path),
+        false if kind.is_dir() => Err(Error::new(ErrorKind::IsADirectory, "expected a file, found a folder")),
+        false => Err(Error::new(ErrorKind::InvalidInput, "expected a file, found a pipe or a device")),
+    }
+}
+
+/// All bytes of a file.
+///
+/// # Errors
+/// Those of [`open`].
+pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
+    let mut file = open(path)?;
+    let mut bytes = Vec::with_capacity(file.metadata()?.len() as usize);
+    file.read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// All text of a file.
+///
+/// # Errors
+/// Those of [`open`]; `InvalidData` when it is not UTF-8.
+pub(crate) fn read_to_string(path: &Path) -> Result<String> {
+    String::from_utf8(read(path)?).map_err(|_| Error::new(ErrorKind::InvalidData, "expected text in UTF-8"))
+}

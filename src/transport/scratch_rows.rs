@@ -1,0 +1,136 @@
+//! Rows that wait for the others of their chunk.
+
+use super::positioned::{read_exact_at, write_all_at};
+use super::store::{Row, RowBlock};
+use crate::output::ScratchFolder;
+use crate::{Error, Result};
+use std::fs::File;
+use std::io;
+use std::path::Path;
+use std::sync::Mutex;
+
+/// The file of rows in a scratch folder.
+const ROWS: &str = "rows";
+
+/// Uncompressed rows, in any order, from any thread: a lattice shot lights points all over the slab.
+#[derive(Debug)]
+pub(super) struct ScratchRows {
+    /// As they were put; they outlive the run.
+    put: File,
+    /// Those in the place of others.
+    replaced: File,
+    state: Mutex<Vec<State>>,
+    row_len: usize,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum State {
+    Missing,
+    Put,
+    Replaced,
+}
+
+impl ScratchRows {
+    /// For `rows` rows of `row_len` numbers in a scratch folder; rows that an earlier run has put there can be adopted.
+    pub(super) fn new(folder: &ScratchFolder, rows: usize, row_len: usize) -> io::Result<Self> {
+        let path = folder.path().join(ROWS);
+        let put = File::options().create(true).truncate(false).read(true).write(true).open(path)?;
+        let replaced = tempfile::tempfile_in(folder.path())?;
+        Ok(Self { put, replaced, state: Mutex::new(vec![State::Missing; rows]), row_len })
+    }
+
+    fn bytes(&self) -> usize {
+        9 * self.row_len
+    }
+
+    /// Keeps a row; `replaces` one that was put and stays in its file.
+    ///
+    /// # Errors
+    /// [`Error::Io`] for `path`; [`Error::Internal`] when the row has another length, or a value is not finite.
+    pub(super) fn put(&self, index: usize, row: &Row, replaces: bool, path: &Path) -> Result<()> {
+        let n = self.row_len;
+        let rows = self.state.lock().map_err(Error::internal)?.len();
+        if index >= rows || [row.response.len(), row.variance.len(), row.valid.len()] != [n; 3] {
+            return Err(Error::internal(format_args!("row {index} does not fit the matrix")));
+        }
+        if let Some(value) = row.response.iter().chain(&row.variance).find(|v| !v.is_finite()) {
+            return Err(Error::internal(format_args!("row {index} holds {value}")));
+        }
+        let (file, state) = if replaces { (&self.replaced, State::Replaced) } else { (&self.put, State::Put) };
+        write_all_at(file, &row.bytes(), (index * self.bytes()) as u64).map_err(Error::io("write", path))?;
+        self.state.lock().map_err(Error::internal)?[index] = state;
+        Ok(())
+    }
+
+    /// The row that was put last.
+    ///
+    /// # Errors
+    /// [`Error::Io`] for `path`; [`Error::Internal`] when there is none.
+    pub(super) fn row(&self, index: usize, path: &Path) -> Result<Row> {
+        if self.state(index) == State::Missing {
+            return Err(Error::internal(format_args!("row {index} has not been put")));
+        }
+        let mut block = RowBlock::zeros(index..index + 1, self.row_len);
+        self.read(index, &mut block, 0).map_err(Error::io("read", path))?;
+        let RowBlock { response, variance, valid, .. } = block;
+        Ok(Row { response, variance, valid: valid.into_iter().map(|v| v != 0).collect() })
+    }
+
+    /// Takes rows that an earlier run has put for its own if together they have this BLAKE3; says whether they have.
+    pub(super) fn adopt(&self, indices: &[usize], hash: &blake3::Hash) -> bool {
+        let mut found = blake3::Hasher::new();
+        let mut bytes = vec![0; self.bytes()];
+        let Ok(mut state) = self.state.lock() else { return false };
+        for &index in indices {
+            if index >= state.len() || read_exact_at(&self.put, &mut bytes, (index * self.bytes()) as u64).is_err() {
+                return false;
+            }
+            found.update(&bytes);
+        }
+        let same = found.finalize() == *hash;
+        if same {
+            indices.iter().for_each(|&index| state[index] = State::Put);
+        }
+        same
+    }
+
+    /// Rows in one block, those that were never put invalid throughout.
+    pub(super) fn block(&self, rows: std::ops::Range<usize>) -> io::Result<RowBlock> {
+        let mut block = RowBlock::zeros(rows.clone(), self.row_len);
+        for (k, row) in rows.enumerate() {
+            if self.state(row) != State::Missing {
+                self.read(row, &mut block, k)?;
+            }
+        }
+        Ok(block)
+    }
+
+    fn state(&self, index: usize) -> State {
+        let state = self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        state.get(index).copied().unwrap_or(State::Missing)
+    }
+
+    fn read(&self, index: usize, block: &mut RowBlock, k: usize) -> io::Result<()> {
+        let file = if self.state(index) == State::Replaced { &self.replaced } else { &self.put };
+        let (n, mut bytes) = (self.row_len, vec![0; self.bytes()]);
+        read_exact_at(file, &mut bytes, (index * self.bytes()) as u64)?;
+        let (values, valid) = bytes.split_at(8 * n);
+        let floats = values.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
+        for (i, value) in floats.enumerate() {
+            let target = if i < n { &mut block.response } else { &mut block.variance };
+            target[k * n + i % n] = value;
+        }
+        block.valid[k * n..(k + 1) * n].copy_from_slice(valid);
+        Ok(())
+    }
+}
+
+impl Row {
+    /// As it waits in a file; what [`ScratchRows::adopt`] hashes.
+    pub(crate) fn bytes(&self) -> Vec<u8> {
+        let mut bytes = Vec::with_capacity(9 * self.response.len());
+        self.response.iter().chain(&self.variance).for_each(|value| bytes.extend_from_slice(&value.to_le_bytes()));
+        bytes.extend(self.valid.iter().map(|&v| u8::from(v)));
+        bytes
+    }
+}

@@ -1,0 +1,108 @@
+//! The sensor's noise from the capture itself.
+
+use crate::common;
+use crate::common::compare;
+use acquire::pipeline::{BuildOptions, build_matrix};
+use acquire::progress::Progress;
+use acquire::simulate::{FileFormat, SensorKind, SimulateOptions, SlabMaterial};
+use acquire::{Error, RadianceWarning, Warning};
+use std::path::Path;
+
+fn build(dir: &Path) -> acquire::Result<(std::path::PathBuf, Vec<Warning>)> {
+    let out = dir.with_extension("rd.zarr");
+    let report = build_matrix(dir, &BuildOptions::default(), &out, &Progress::silent())?;
+    Ok((out, report.warnings))
+}
+
+/// What the issue asks for: gain to 2 %, read noise to 10 %, black to half a code value, and the variance still right.
+#[test]
+#[ignore = "slow: 10 s"]
+fn a_rig_without_noise_gets_it_from_the_photographs_and_the_variance_stays_right() {
+    let options = SimulateOptions {
+        material: SlabMaterial::chessboard([4, 3]),
+        grid: [9, 7],
+        window: [33, 29],
+        psf_px: 0.3,
+        flicker: 0.003,
+        rig_without_noise: true,
+        ..common::bench()
+    };
+    let (_folder, dir) = common::capture(&SimulateOptions { psf_px: 0.0, flicker: 0.0, ..options.clone() });
+    let (matrix, warnings) = build(&dir).unwrap();
+    let found = compare(&matrix, &dir.join("truth.rd.zarr"));
+    assert!((0.93..0.97).contains(&found.coverage), "{found:?}");
+    assert!(is_near(&warnings, 0.4, 7.5335, 512.0), "{warnings:?}");
+    // Blur beside the stripes and a lamp that flickers must not get into it.
+    let (_folder, dir) = common::capture(&options);
+    assert!(is_near(&build(&dir).unwrap().1, 0.4, 7.5335, 512.0), "blurred: {warnings:?}");
+}
+
+fn is_near(warnings: &[Warning], gain: f64, read: f64, black: f64) -> bool {
+    warnings.iter().any(|w| match w {
+        Warning::Radiance(RadianceWarning::NoiseEstimated {
+            gain_dn_per_electron,
+            read_noise_electrons,
+            black_dn,
+            saturation_dn,
+            saturation_seen,
+            ..
+        }) => {
+            (gain_dn_per_electron / gain - 1.0).abs() < 0.02
+                && (read_noise_electrons / read - 1.0).abs() < 0.1
+                && (black_dn - black).abs() < 0.5
+                && *saturation_seen
+                && (*saturation_dn - 16_055.0).abs() < 2.0
+        }
+        _ => false,
+    })
+}
+
+#[test]
+fn a_rig_whose_noise_the_photographs_contradict_is_warned_about_and_a_right_one_is_not() {
+    contradicted(&[SensorKind::SonyA7r1, SensorKind::Phone]);
+}
+
+#[test]
+#[ignore = "slow: more of the same"]
+fn a_contradicted_noise_is_told_of_other_sensors_too() {
+    contradicted(&[SensorKind::SonyA7r3, SensorKind::CanonT1]);
+}
+
+fn contradicted(sensors: &[SensorKind]) {
+    for &sensor in sensors {
+        let (_folder, dir) =
+            common::capture(&SimulateOptions { grid: [7, 5], window: [17, 13], sensor, ..common::bench() });
+        let doubts = |w: &Warning| matches!(w, Warning::Radiance(RadianceWarning::NoiseDisagrees { .. }));
+        let warnings = build(&dir).unwrap().1;
+        assert!(!warnings.iter().any(doubts), "{sensor:?}: {warnings:?}");
+        let rig = dir.join("calibration/rig.toml");
+        let text = std::fs::read_to_string(&rig).unwrap();
+        let gain = text.lines().find(|l| l.starts_with("gain_dn_per_electron")).unwrap().to_owned();
+        let value: f64 = gain.split('=').nth(1).unwrap().trim().parse().unwrap();
+        std::fs::write(&rig, text.replace(&gain, &format!("gain_dn_per_electron = {}", 1.5 * value))).unwrap();
+        let warnings = build(&dir).unwrap().1;
+        let gain_doubted = |w: &Warning| {
+            matches!(w, Warning::Radiance(RadianceWarning::NoiseDisagrees { field, found, .. })
+            if field == "gain_dn_per_electron" && (found / value - 1.0).abs() < 0.03)
+        };
+        assert!(warnings.iter().any(gain_doubted), "{sensor:?}: {warnings:?}");
+    }
+}
+
+#[test]
+fn photographs_that_cannot_tell_the_noise_are_refused_by_the_name_of_the_section() {
+    let options = SimulateOptions {
+        grid: [5, 4],
+        window: [11, 7],
+        format: FileFormat::Jpeg,
+        rig_without_noise: true,
+        ..common::bench()
+    };
+    let (_folder, dir) = common::capture(&options);
+    match build(&dir) {
+        Err(Error::Field { path, field, found, .. }) => {
+            assert!(path.ends_with("rig.toml") && field == "noise" && found.contains("linear"), "{found}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
