@@ -156,7 +156,7 @@ def test_a_capture_is_simulated_and_built(tmp_path):
     measures = acquire.evaluate(tmp_path / "m.rd.zarr", tmp_path / "c/truth.rd.zarr")
     assert measures["rel_rmse"] < 0.05  # of 3 exposures and 12 points, twice what is usual
     with pytest.raises(acquire.InputError, match="no capture.toml"):
-        acquire.build_matrix(tmp_path, tmp_path / "n.rd.zarr")
+        acquire.build_matrix(tmp_path / "c/photos", tmp_path / "n.rd.zarr")
     if not acquire.has_opencv:
         acquire.simulate(tmp_path / "b", grid=2, window=5, exposures=2)
         with pytest.raises(acquire.InputError, match="built without"):
@@ -191,7 +191,9 @@ def test_ctrl_c_stops_and_leaves_nothing(tmp_path):
             sys.exit(42)
         """
     )
-    child = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "c")], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # Shells start what they put into the background with the signal ignored, and Python then leaves it so.
+    heeded = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+    child = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "c")], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heeded)
     assert child.stdout.readline() == "running\n"
     child.send_signal(signal.SIGINT)
     _, said = child.communicate(timeout=60)

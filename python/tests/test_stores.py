@@ -160,6 +160,7 @@ def test_a_first_version_is_read(tmp_path, truth):
     acquire.write_matrix(tmp_path / "m.rd.zarr", response, pitch_mm=0.5)
     group = zarr.open_group(tmp_path / "m.rd.zarr", mode="r+")
     group.attrs.update({"acquire_format": 1, "points": [4, 3], "window": [7, 5]})
+    del group.attrs["checksum"]
     valid = group["valid"][:]
     valid[2, 2, 1] = 0
     group["valid"][:] = valid
