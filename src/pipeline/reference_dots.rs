@@ -238,7 +238,7 @@ pub(super) fn board_blur(scene: &Scene<'_>, width_px2: f64, options: &BuildOptio
     let Some(PointSpread { psf_px, .. }) = scene.registration.point_spread else { return Ok(None) };
     // Of a square of that side; as if they were a projector pixel smaller than stated, which may be wrong.
     let pixels = scene.capture.manifest.grid.dot_projector_px as f64;
-    let side_px = scene.dot_radius_px() / 0.75 * (1.0 - 1.0 / pixels);
+    let side_px = scene.dot_side_px() * (1.0 - 1.0 / pixels);
     let sharp_px2 = side_px * side_px / 6.0;
     if width_px2 > BOARD_WIDTH * (sharp_px2 + gaussian_width(psf_px, reach_px(scene))) {
         return Ok(None);

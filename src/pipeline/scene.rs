@@ -142,9 +142,14 @@ impl<'a> Scene<'a> {
     }
 
     pub(super) fn dot_radius_px(&self) -> f64 {
+        0.75 * self.dot_side_px()
+    }
+
+    /// The side of a dot, px.
+    pub(super) fn dot_side_px(&self) -> f64 {
         let grid = &self.capture.manifest.grid;
         let pixel_mm = self.registration.slab_from_projector.area_scale(grid.dot_projector_px([0, 0])).sqrt();
-        0.75 * grid.dot_projector_px as f64 * pixel_mm * self.px_per_mm
+        grid.dot_projector_px as f64 * pixel_mm * self.px_per_mm
     }
 
     pub(super) fn outside_picture(&self, shot: usize) -> Error {

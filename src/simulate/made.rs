@@ -42,7 +42,7 @@ impl Made {
         Ok(Self { log, earlier, taken: AtomicUsize::new(0) })
     }
 
-    /// Takes part `number` over, if rows and photographs (`hashes` reads them) are what the stopped run has written; says whether they are.
+    /// Takes part `number` over, if rows and photographs (`hashes` reads them) are what the stopped run has written; returns the photographs then.
     pub(super) fn take(
         &self,
         matrix: &MatrixWriter,
@@ -50,16 +50,16 @@ impl Made {
         number: usize,
         rows: &[usize],
         hashes: impl Fn() -> Result<Vec<(String, blake3::Hash)>>,
-    ) -> Result<bool> {
-        let Some(part) = self.earlier.lock().map_err(Error::internal)?.remove(&number) else { return Ok(false) };
+    ) -> Result<Option<Vec<(String, blake3::Hash)>>> {
+        let Some(part) = self.earlier.lock().map_err(Error::internal)?.remove(&number) else { return Ok(None) };
         // A photograph that is gone is no error here: it is taken again.
-        let same = hashes().is_ok_and(|found| part.photographs == named(&found))
-            && blake3::Hash::from_hex(&part.rows).is_ok_and(|hash| matrix.adopt(rows, &hash));
+        let found = hashes().ok().filter(|found| part.photographs == named(found));
+        let same = found.is_some() && blake3::Hash::from_hex(&part.rows).is_ok_and(|hash| matrix.adopt(rows, &hash));
         if same {
             bench.remember(part.noise);
             self.taken.fetch_add(1, Ordering::Relaxed);
         }
-        Ok(same)
+        Ok(found.filter(|_| same))
     }
 
     /// Part `number` is made.
@@ -69,14 +69,14 @@ impl Made {
         bench: &Bench,
         number: usize,
         rows: &[usize],
-        photographs: Vec<(String, blake3::Hash)>,
+        photographs: &[(String, blake3::Hash)],
     ) -> Result<()> {
         let mut hasher = blake3::Hasher::new();
         for &row in rows {
             hasher.update(&matrix.row(row)?.bytes());
         }
         let (rows, noise) = (hasher.finalize().to_hex().to_string(), bench.noise_of(rows));
-        self.log.add(&Part { number, photographs: named(&photographs), rows, noise })
+        self.log.add(&Part { number, photographs: named(photographs), rows, noise })
     }
 
     pub(super) fn taken_over(&self) -> TakenOver {

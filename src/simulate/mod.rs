@@ -199,11 +199,16 @@ fn write_capture(options: &SimulateOptions, studio: Studio, at: &Work<'_>, progr
             let of = |file: &String| hash(&work.join(file)).map_err(Error::io("read", work.join(file)));
             entry.photographs.iter().map(|p| Ok((p.file.clone(), of(&p.file)?))).collect()
         };
-        if !made.take(&matrix, &studio.bench, shot, &rows, hashes)? {
-            studio.shoot(options, &plan, shot, work, &matrix)?;
-            made.add(&matrix, &studio.bench, shot, &rows, hashes()?)?;
-        }
-        for (file, hash) in hashes()? {
+        let photographs = match made.take(&matrix, &studio.bench, shot, &rows, hashes)? {
+            Some(taken) => taken,
+            None => {
+                studio.shoot(options, &plan, shot, work, &matrix)?;
+                let photographs = hashes()?;
+                made.add(&matrix, &studio.bench, shot, &rows, &photographs)?;
+                photographs
+            }
+        };
+        for (file, hash) in photographs {
             let path = work.join(&file);
             bytes.fetch_add(path.metadata().map_err(Error::io("read", &path))?.len(), Ordering::Relaxed);
             checksums.lock().map_err(Error::internal)?.insert(file, hash);
@@ -239,10 +244,10 @@ fn write_truth_only(options: &SimulateOptions, bench: Bench, at: &Work<'_>, prog
     lit.into_par_iter().try_for_each(|(dot, drift_mm)| -> Result<()> {
         stage.begin();
         let row = plan.manifest.grid.row_index(dot);
-        if !made.take(&matrix, &bench, row, &[row], || Ok(vec![]))? {
+        if made.take(&matrix, &bench, row, &[row], || Ok(vec![]))?.is_none() {
             let glow = bench.glow(dot, drift_mm)?;
             matrix.put(row, &bench.row(options, dot, drift_mm, &glow))?;
-            made.add(&matrix, &bench, row, &[row], vec![])?;
+            made.add(&matrix, &bench, row, &[row], &[])?;
         }
         stage.advance(1);
         Ok(())

@@ -80,14 +80,15 @@ impl ScratchRows {
     pub(super) fn adopt(&self, indices: &[usize], hash: &blake3::Hash) -> bool {
         let mut found = blake3::Hasher::new();
         let mut bytes = vec![0; self.bytes()];
-        let Ok(mut state) = self.state.lock() else { return false };
         for &index in indices {
-            if index >= state.len() || read_exact_at(&self.put, &mut bytes, (index * self.bytes()) as u64).is_err() {
+            if read_exact_at(&self.put, &mut bytes, (index * self.bytes()) as u64).is_err() {
                 return false;
             }
             found.update(&bytes);
         }
-        let same = found.finalize() == *hash;
+        // Locked only now: other threads put rows while these are read.
+        let Ok(mut state) = self.state.lock() else { return false };
+        let same = found.finalize() == *hash && indices.iter().all(|&index| index < state.len());
         if same {
             indices.iter().for_each(|&index| state[index] = State::Put);
         }

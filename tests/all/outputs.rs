@@ -424,6 +424,15 @@ fn scratch_folders(bench: &Bench) -> usize {
 #[cfg(unix)]
 const LONG: &str = "simulate c --grid 8x6 --window 21x17 --exposures 2 --voxels-per-sample 1";
 
+/// What a command makes that nothing stops; it is removed again.
+#[cfg(unix)]
+fn undisturbed(bench: &Bench, line: &str, out: &str) -> BTreeMap<PathBuf, Vec<u8>> {
+    bench.done(line);
+    let made = files(&bench.path(out));
+    std::fs::remove_dir_all(bench.path(out.split('/').next().unwrap())).unwrap();
+    made
+}
+
 #[cfg(unix)]
 #[test]
 fn a_killed_run_goes_on_where_it_was_to_the_same_bytes() {
@@ -435,10 +444,7 @@ fn a_killed_run_goes_on_where_it_was_to_the_same_bytes() {
         ("simulate s --grid 8x6 --window 21x17 --exposures 2 --seed 4", "s", "made by a stopped run"),
         ("simulate t --grid 8x6 --window 21x17 --truth-only", "t", "made by a stopped run"),
     ] {
-        bench.done(line);
-        let undisturbed = files(&bench.path(out));
-        let first = bench.path(out.split('/').next().unwrap());
-        std::fs::remove_dir_all(&first).unwrap();
+        let undisturbed = undisturbed(&bench, line, out);
         kill_after(3, &bench, line);
         // Twice, and work beside it leaves it alone.
         bench.done("export m.safetensors --to npz --out beside.npz --force");
@@ -457,9 +463,7 @@ fn a_killed_run_is_not_gone_on_with_when_its_inputs_or_options_are_others() {
     let bench = Bench::new();
     bench.done(LONG);
     let line = "build-matrix c --out o.rd.zarr";
-    bench.done(line);
-    let undisturbed = files(&bench.path("o.rd.zarr"));
-    std::fs::remove_dir_all(bench.path("o.rd.zarr")).unwrap();
+    let undisturbed = undisturbed(&bench, line, "o.rd.zarr");
 
     // Other times, and then the same ones again: nothing is left of the others.
     kill_after(4, &bench, line);
@@ -508,9 +512,7 @@ fn what_was_measured_until_the_disk_was_full_is_gone_on_with() {
     let bench = Bench::new();
     bench.done(LONG);
     let line = "build-matrix c --out o.rd.zarr";
-    bench.done(line);
-    let undisturbed = files(&bench.path("o.rd.zarr"));
-    std::fs::remove_dir_all(bench.path("o.rd.zarr")).unwrap();
+    let undisturbed = undisturbed(&bench, line, "o.rd.zarr");
     // Files of more than so many blocks of 512 bytes cannot be written: some rows fit.
     let limited = format!("trap '' XFSZ; ulimit -f 400; exec {} {line}", env!("CARGO_BIN_EXE_acquire"));
     let output = Command::new("sh").args(["-c", &limited]).current_dir(bench.0.path()).output().unwrap();
