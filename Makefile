@@ -9,6 +9,9 @@ DEMO  ?= results/demo
 TARGET = $(or $(CARGO_TARGET_DIR),target)
 ACQUIRE = $(TARGET)/release/acquire
 
+# With the Python module in CI only: its dependencies would build much of the program's a second time.
+WORKSPACE = --workspace $(if $(filter true,$(CI)),,--exclude acquire-python)
+
 .PHONY: demo test check build python mutants setup
 
 demo: build
@@ -19,19 +22,19 @@ demo: build
 
 # One profile for program and tests, so that OpenCV's bindings are built once.
 test: setup
-	$(CARGO) test --release --locked --workspace $(if $(filter true,$(CI))$(SLOW),-- --include-ignored)
+	$(CARGO) test --release --locked $(WORKSPACE) $(if $(filter true,$(CI))$(SLOW),-- --include-ignored)
 	$(if $(filter true,$(CI)),$(MAKE) check python)
 
-# Without OpenCV, a workspace of its own.
-python: build
+# With OpenCV after all other tests: the library is built then, and the program too.
+python: $(if $(filter true,$(CI)),setup,build)
 	@scripts/setup.sh python
-	scripts/test_python.sh
-	$(if $(filter true,$(CI)),cd python && $(CARGO) fmt --check)
+	$(if $(filter true,$(CI)),FEATURES=opencv) scripts/test_python.sh
 
 check: setup
-	$(CARGO) fmt --check
-	$(CARGO) clippy --release --locked --workspace --all-targets -- -D warnings
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --locked --workspace --no-deps
+	$(CARGO) fmt --all --check
+	$(CARGO) clippy --release --locked $(WORKSPACE) --all-targets -- -D warnings
+	$(CARGO) clippy --release --locked -p acquire-python -- -D warnings # and of the library without OpenCV
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --locked $(WORKSPACE) --no-deps
 
 build: setup
 	$(CARGO) build --release --locked
