@@ -234,6 +234,9 @@ typed!(Simulate => SimulateOptions {
     /// Turn of the camera about its axis, degrees. 2: set up by hand.
     #[arg(long, value_name = "DEG", allow_negative_numbers = true, default_value_t = SimulateOptions::default().camera_turn_deg, help_heading = "Camera")]
     camera_turn_deg: f64,
+    /// Distance of the camera in widths of slab and frame. 2: an ordinary lens; 40: nearly telecentric.
+    #[arg(long, value_name = "WIDTHS", default_value_t = SimulateOptions::default().camera_distance, help_heading = "Camera")]
+    camera_distance: f64,
     /// Sensitivity lost at the corner. 0.15: a good lens, stopped down.
     #[arg(long, value_name = "SHARE", default_value_t = SimulateOptions::default().vignetting, help_heading = "Camera")]
     vignetting: f64,
@@ -264,6 +267,12 @@ typed!(Simulate => SimulateOptions {
     /// Distortion of its lens, Brown's k1 with the image's width for focal length. Usual: 0.01, 1 px at the corner of a picture of 300.
     #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = SimulateOptions::default().projector_distortion, help_heading = "Projector")]
     projector_distortion: f64,
+    /// Standard deviation per axis by which the projector moves between the pictures of the Gray code, projector px.
+    #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().gray_jitter_px, help_heading = "Drift")]
+    gray_jitter_px: f64,
+    /// No reference dots on the frame: drift is to be found from the dots on the sample.
+    #[arg(long, help_heading = "Capture")]
+    without_reference_dots: bool,
     /// Photographs of the board in other poses, for the lens.
     #[arg(long, value_name = "N", default_value_t = SimulateOptions::default().calibration_boards, help_heading = "Capture")]
     calibration_boards: usize,

@@ -4,7 +4,7 @@ use super::{Context, options};
 use crate::words::count;
 use crate::{
     Result,
-    simulate::{self, Cause, SimulateOptions, SlabMaterial, TakenOver},
+    simulate::{self, BenchKind, Cause, SimulateOptions, SlabMaterial, TakenOver},
 };
 use std::path::PathBuf;
 
@@ -17,6 +17,7 @@ Examples:
   acquire simulate ideal --only                                what an ideal bench would measure
   acquire simulate drift --only drift                          what drift alone does to it
   acquire simulate worn --with psf,glare,hot-pixels,flicker    a bench with everyday faults
+  acquire simulate other --bench oblique                       a camera 30° off the normal, no reference dots, …
   acquire simulate dark --material ketchup                     one medium of the table
   acquire simulate face --material layered:skin1=0.5,skin2=3   layers from the top, mm
   acquire simulate mine --voxels slab.npz                      coefficients of your own
@@ -50,6 +51,9 @@ pub(super) struct Options {
     /// A slab of voxels from an NPZ file or a Zarr group (docs/simulation.md), instead of --material.
     #[arg(long, value_name = "FILE.npz|DIR.zarr", conflicts_with = "material", help_heading = "Slab")]
     voxels: Option<PathBuf>,
+    /// Another bench: its figures stand for all options below that are left at their defaults (docs/simulation.md).
+    #[arg(long, value_enum, value_name = "BENCH", default_value = "usual", help_heading = "Capture")]
+    bench: BenchKind,
     /// Only these causes of error, every other off; those of zero strength get a realistic one. None: an ideal bench.
     #[arg(long, value_enum, value_name = "CAUSES", value_delimiter = ',', num_args = 0..=1, help_heading = "Switches")]
     only: Option<Vec<Cause>>,
@@ -68,6 +72,7 @@ impl Options {
         if let Some(file) = self.voxels {
             options.material = SlabMaterial::Voxels(file);
         }
+        options = options.on_bench(self.bench);
         options.switch(self.only.as_deref(), &self.with, &self.without)?;
         Ok(options)
     }

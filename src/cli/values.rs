@@ -113,6 +113,11 @@ values!(crate::simulate::FileFormat {
     Jpeg = "jpeg", "8-bit JPEG (quality 95, no chroma subsampling)";
 });
 
+values!(crate::simulate::BenchKind {
+    Usual = "usual", "Camera nearly above the slab, cells of 0.5 mm, reference dots on the frame";
+    Oblique = "oblique", "Camera far away and 30° off the normal, cells of 0.2 mm, no reference dots, a Gray code that moves, uneven light";
+});
+
 values!(crate::simulate::SensorKind {
     SonyA7r3 = "sony-a7r3", "Sony A7R III: 14 bits, 7.5 e⁻ of read noise";
     SonyA7r1 = "sony-a7r1", "Sony A7R: 14 bits, 0.7 e⁻";

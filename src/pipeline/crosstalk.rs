@@ -27,18 +27,21 @@ pub struct CrossTalk {
     pub removed_share: f64,
     /// Share of the samples that are modelled rather than measured.
     pub modelled_share: f64,
+    /// Share of a row's light by which it may still be too bright or too dark, all rows alike: one standard deviation.
+    pub common_share: f64,
 }
 
 impl CrossTalk {
     /// A finding when the spacing is smaller than it should be.
     pub(super) fn warning(&self) -> Option<ResponseWarning> {
-        let Self { spacing_samples, needed_samples, removed_share, modelled_share } = *self;
+        let Self { spacing_samples, needed_samples, removed_share, modelled_share, common_share } = *self;
         let enough = needed_samples.is_some_and(|needed| spacing_samples >= needed as f64);
         (!enough).then_some(ResponseWarning::CrossTalk {
             spacing_samples,
             needed_samples,
             removed_share,
             modelled_share,
+            common_share,
         })
     }
 }
@@ -88,6 +91,7 @@ pub(super) fn separate(
         needed_samples: model.spacing_for(ENOUGH, &manifest.window),
         removed_share: share(sum.removed, sum.light),
         modelled_share: share(sum.modelled as f64, sum.samples as f64),
+        common_share: model.left_at(spacing_samples, &manifest.window).light_share,
     }))
 }
 

@@ -6,8 +6,8 @@ use crate::capture::{Pattern, Rect};
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
 use crate::registration::{
-    CameraMotion, DotShape, Drift, Located, Parallax, Registration, RimFit, RimPlace, RimSegment, SampleDots,
-    camera_motion, fit_rim, locate_rim, measure_drift, rim_segments,
+    CameraMotion, DepthOfMedium, DotShape, Drift, Located, Parallax, Registration, RimFit, RimPlace, RimSegment,
+    SampleDots, camera_motion, fit_rim, locate_rim, measure_drift, median, rim_segments,
 };
 use crate::warning::bounds::OTHER_SIZE;
 use crate::{ConsistencyWarning, Error, Result};
@@ -129,12 +129,12 @@ fn drift_source(scene: &Scene<'_>) -> Result<DriftSource> {
     let shape = dot_shape(scene)?;
     let dots = SampleDots { shape, dot_radius_px: scene.dot_radius_px() };
     let Some(eye_mm) = scene.registration.view.eye_mm() else { return Ok(DriftSource::Sample(dots, None)) };
-    let mut pilots: Vec<usize> = scene.lattice().into_iter().filter(|&s| scene.dots(s).len() >= 2).collect();
+    let mut pilots = scene.lattice();
     pilots.sort_by_key(|&s| std::cmp::Reverse(scene.dots(s).len()));
     pilots.truncate(PILOT_SHOTS);
     let seen = |&shot: &usize| {
-        let reach = dots.shape.radius_px() + search_px(scene, shot) + 2.0;
         let size_px = scene.capture.rig.camera.size_px;
+        let reach = (dots.shape.radius_px() + search_px(scene, shot) + 2.0).max(window_radius_px(scene, shot));
         let near =
             |&d: &[usize; 2]| square(scene.registration.view.camera_from_slab(scene.nominal_mm(d)), reach, size_px);
         let rects = scene.dots(shot).iter().filter_map(near).collect::<Vec<_>>();
@@ -142,10 +142,48 @@ fn drift_source(scene: &Scene<'_>) -> Result<DriftSource> {
             return Err(scene.outside_picture(shot));
         }
         let windows = scene.photographs.decode(shot, &rects)?;
-        Ok(locate(scene, shot, scene.registration, &windows, &dots).into_iter().flatten().collect())
+        let located = locate(scene, shot, scene.registration, &windows, &dots);
+        let half = |(l, bracket): (&Option<Located>, &Bracket)| half_light_mm(scene, shot, bracket, l.as_ref()?);
+        let halves: Vec<f64> = located.iter().zip(&windows).filter_map(half).collect();
+        Ok((located.into_iter().flatten().collect(), halves))
     };
-    let seen: Vec<Vec<Located>> = pilots.par_iter().map(seen).collect::<Result<_>>()?;
-    Ok(DriftSource::Sample(dots, Some(Parallax::learn(&seen, eye_mm, scene.px_per_mm))))
+    let (seen, halves): (Vec<Vec<Located>>, Vec<Vec<f64>>) =
+        pilots.par_iter().map(seen).collect::<Result<Vec<_>>>()?.into_iter().unzip();
+    let mut halves = halves.concat();
+    let medium = (!halves.is_empty()).then(|| DepthOfMedium::of_half_light(median(&mut halves)));
+    Ok(DriftSource::Sample(dots, Some(Parallax::learn(&seen, eye_mm, scene.px_per_mm, medium))))
+}
+
+/// How far a dot's light is its own: half a window, or half the way to the next dot of its shot, camera px.
+fn window_radius_px(scene: &Scene<'_>, shot: usize) -> f64 {
+    let [nx, ny] = scene.capture.manifest.window.samples;
+    (0.5 * nx.min(ny) as f64 * scene.cell_px).min(half_spacing_px(scene, shot))
+}
+
+/// The radius around a dot within which half of the light of its surroundings ([`window_radius_px`]) leaves, mm; `None` without light.
+fn half_light_mm(scene: &Scene<'_>, shot: usize, bracket: &Bracket, dot: &Located) -> Option<f64> {
+    let at_mm = [0, 1].map(|a| dot.expected_mm[a] + dot.moved_mm[a]);
+    let at = scene.registration.view.camera_from_slab(at_mm);
+    let picture = scene.picture(bracket, bracket.rect(), STILL);
+    let reach = window_radius_px(scene, shot);
+    let rect = picture.rect;
+    let distance =
+        |k: usize| ((rect.x + k % rect.width) as f64 - at[0]).hypot((rect.y + k / rect.width) as f64 - at[1]);
+    let light = picture.luminance();
+    let mut near: Vec<(f64, f64)> = light
+        .iter()
+        .enumerate()
+        .map(|(k, v)| (distance(k), f64::from(*v).max(0.0)))
+        .filter(|(r, _)| *r <= reach)
+        .collect();
+    near.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * near.iter().map(|(_, v)| v).sum::<f64>();
+    let mut sum = 0.0;
+    let found = near.iter().find(|(_, v)| {
+        sum += v;
+        sum >= half
+    });
+    found.filter(|_| half > 0.0).map(|(r, _)| r / scene.px_per_mm)
 }
 
 /// The footprint of the capture's dots.

@@ -94,7 +94,8 @@ pub(super) fn summarize(
         warnings.push(ResponseWarning::AlbedoAboveOne { rows: bright.len(), largest }.into());
     }
     if capture.manifest.reference_dots.is_none() {
-        warnings.push(RegistrationWarning::DriftFromLatticeDots.into());
+        let depth = results.iter().find_map(|r| r.drift?.depth);
+        warnings.push(RegistrationWarning::DriftFromLatticeDots { depth }.into());
     }
     let remaining = results.iter().map(|r| r.flicker_variance).sum::<f64>() / results.len().max(1) as f64;
     warnings.extend(found.light.flicker.warning(remaining).map(Warning::from));

@@ -258,13 +258,32 @@ fn light_sums(capture: &Capture, settings: &Settings, sensor: &Sensor) -> Result
                 let picked = sum_pixels([&all[0].samples, &all[1].samples, &all[2].samples], sensor);
                 let secs = all[2].secs as f32;
                 let black = picked.iter().flat_map(|&p| dark[3 * p..3 * p + 3].iter().map(|v| v * secs)).collect();
+                let slope = slopes([&all[0].samples, &all[1].samples], &picked, parts[1].rect().width, sensor);
                 let [a, b, whole] = all.map(|e| take(&e.samples, &picked));
-                sums.push(LightSum { parts: [a, b], whole, black });
+                sums.push(LightSum { parts: [a, b], whole, black, slope });
             }
             Ok(sums)
         })
         .collect::<Result<_>>()?;
     Ok(sums.into_iter().flatten().collect())
+}
+
+/// How much half the difference of two photographs' light, the second less the first, grows from pixel to pixel along their rows and columns, at some
+/// pixels, R G B: by central differences; not at all beside what is saturated.
+fn slopes(samples: [&Samples; 2], picked: &[usize], width: usize, sensor: &Sensor) -> [Vec<f32>; 2] {
+    let linear = [0, 1, 2].map(|c| {
+        let [pattern, inverse] = samples.map(|s| sensor.linear(s, c));
+        pattern.into_iter().zip(inverse).map(|(a, b)| 0.5 * (b - a)).collect::<Vec<f32>>()
+    });
+    let pixels = linear[0].len();
+    [1, width].map(|step| {
+        let at = |p: usize, c: usize| {
+            let (before, after) = (p.saturating_sub(step), (p + step).min(pixels - 1));
+            let slope = (linear[c][after] - linear[c][before]) / ((after - before) / step).max(1) as f32;
+            if slope.is_finite() { slope } else { 0.0 }
+        };
+        picked.iter().flat_map(|&p| [0, 1, 2].map(|c| at(p, c))).collect()
+    })
 }
 
 /// Lit pixels, half of them where both parts have light.

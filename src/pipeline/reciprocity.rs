@@ -27,6 +27,8 @@ const LEAST_PLACES: usize = 4;
 const PLACES_SHARE: f64 = 0.08;
 /// Light of this share of a dot's own in the place of the dot before is no chance of a medium's structure.
 const LEAST_LAG: f64 = 0.03;
+/// The tails of a row come from deeper than its dot's core, and are displaced the more by an oblique view: by up to so many times as much.
+const FARTHEST: usize = 4;
 /// What is told is so many standard deviations off.
 const SIGMA: f64 = 6.0;
 /// With fewer values nothing is said; of those that a medium does not reach fewer are enough.
@@ -95,8 +97,8 @@ struct Compared {
 #[derive(Clone, Default)]
 struct Seen {
     peak: f64,
-    /// Row, light in its place, and light as far beside it as dots are seen beside theirs.
-    there: Vec<(usize, [Light; 2])>,
+    /// Row, light in its place, light as far beside it as dots are seen beside theirs, and twice to [`FARTHEST`] times as far where the window reaches.
+    there: Vec<(usize, Vec<Light>)>,
 }
 
 impl Compared {
@@ -157,9 +159,11 @@ impl Compared {
             let row = rows.row(k)?;
             let place = |&j: &usize| {
                 let at = self.lit[j]?.at_mm;
-                let displaced = [0, 1].map(|a| at[a] + self.offset_mm[a]);
-                let light = |at: Point| light_at(&row, window, own.at_mm, at);
-                Some((j, [light(at)?, light(displaced)?]))
+                let displaced = |times: usize| [0, 1].map(|a| at[a] + times as f64 * self.offset_mm[a]);
+                let light = |times: usize| light_at(&row, window, own.at_mm, displaced(times));
+                let mut all = vec![light(0)?, light(1)?];
+                all.extend((2..=FARTHEST).map_while(light));
+                Some((j, all))
             };
             let peak = light_at(&row, window, own.at_mm, own.at_mm).map_or(0.0, |l| l[0]);
             Ok(Seen { peak, there: self.asked[k].iter().filter_map(place).collect() })
@@ -280,14 +284,14 @@ fn sd_of_median(values: &[f64], median: f64) -> f64 {
 /// Light of a row in the place of the dot before, less what that dot's row has in its place, over that row's peak; and the latter of it.
 fn excess(seen: &[Seen], [own, before]: [usize; 2]) -> Option<[f64; 2]> {
     let (there, back, peak) = (of(&seen[own], before)?, of(&seen[before], own)?, seen[before].peak);
-    // Light from depth displaces all of a row to one side, by something between none and what its peak is displaced by.
-    let [nominal, displaced] = [0, 1].map(|k| (there[k][0] - back[k][0]) / peak);
-    (peak > 0.0).then_some([nominal.min(displaced), back[0][0] / peak])
+    // Light from depth displaces all of a row to one side, its tails more than its peak.
+    let least = there.iter().zip(back).map(|(there, back)| (there[0] - back[0]) / peak).fold(f64::INFINITY, f64::min);
+    (peak > 0.0).then_some([least, back[0][0] / peak])
 }
 
 /// What a row says of the place of row `k`.
-fn of(seen: &Seen, k: usize) -> Option<[Light; 2]> {
-    seen.there.iter().find(|(j, _)| *j == k).map(|(_, light)| *light)
+fn of(seen: &Seen, k: usize) -> Option<&[Light]> {
+    seen.there.iter().find(|(j, _)| *j == k).map(|(_, light)| light.as_slice())
 }
 
 /// Steps of the grid, in eight directions, to the nearest point that is beyond a dot's edge, to the farthest in the window, and half way.
@@ -372,7 +376,7 @@ mod tests {
         let there = |k: usize| {
             // Displaced by as much as dots are seen beside their places, there is no lean.
             let far = |j: usize| (at(j)[0] - at(k)[0]) / (at(j)[0] - at(k)[0]).hypot(at(j)[1] - at(k)[1]);
-            let both = |j: usize| [light(k, j), light(k, j) / (1.0 - 0.1 * far(j))].map(|light| [light, 1e-9]);
+            let both = |j: usize| [light(k, j), light(k, j) / (1.0 - 0.1 * far(j))].map(|light| [light, 1e-9]).to_vec();
             pairs.asked[k].iter().map(|&j| (j, both(j))).collect()
         };
         (0..pairs.lit.len()).map(|k| Seen { peak: 1.5, there: there(k) }).collect()

@@ -8,10 +8,11 @@ use crate::geometry::{CameraView, Lens, Point};
 use crate::progress::{Progress, Stage};
 use crate::radiance::Radiance;
 use crate::registration::{
-    BitPair, FrameFit, LensChoice, LensTrial, Pairs, PointSpread, ProjectorFit, Registration, StripeSurface, ViewFit,
-    find_board, fit_lens_of_views, marks_moved, measure_point_spread, register_frame, register_projector,
+    BitPair, FrameFit, LensChoice, LensTrial, Pairs, PointSpread, ProjectorFit, Registration, StripeArea,
+    StripeSurface, ViewFit, find_board, fit_lens_of_views, marks_moved, measure_point_spread, register_frame,
+    register_projector,
 };
-use crate::warning::bounds::{BOARD_ELSEWHERE_PX, FRAME_MOVED_PX, MOVED_SIGMA};
+use crate::warning::bounds::{BOARD_ELSEWHERE_PX, FRAME_MOVED_PX, MAP_BENDS_PX, MOVED_SIGMA, STRIPES_LEFT_OUT};
 use crate::{ConsistencyWarning, Error, RegistrationWarning, Result, Warning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -58,6 +59,7 @@ pub(super) fn register(
     let on_white = matches!(stripe_surface(photographs, &codes)?, StripeSurface::White);
     let sums = if on_white { pairs.iter().map(sum).collect() } else { vec![] };
     let projector = projector_fit(photographs, &codes, &camera.view, &pairs)?.map_err(photographs.failed(first))?;
+    warnings.extend(stripe_warnings(&projector).map(Warning::from));
     let size_mm = photographs.capture.manifest.slab.size_mm;
     Registration::new(&camera, choice, point_spread, &projector, size_mm)
         .map(|registration| Registered { registration, sums, warnings })
@@ -87,7 +89,35 @@ fn projector_fit(
     // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
     let lens = Lens::ideal(rig.projector.lens_center_px(), rig.projector.size_px[0] as f64);
     let surface = stripe_surface(photographs, codes)?;
-    Ok(register_projector(pairs, rig.camera.size_px, view, surface, lens))
+    let area = stripe_area(photographs);
+    Ok(register_projector(pairs, rig.camera.size_px, view, surface, &area, lens))
+}
+
+/// The slab, the frame's marks and the reference dots: beyond them nothing need lie in the plane.
+fn stripe_area(photographs: &Photographs<'_>) -> StripeArea {
+    let manifest = &photographs.capture.manifest;
+    let (mut low, mut high) = ([0.0; 2], manifest.slab.size_mm);
+    for mark in photographs.capture.rig.frame.iter().flat_map(|f| &f.marks_mm) {
+        for a in 0..2 {
+            (low[a], high[a]) = (f64::min(low[a], mark[a]), f64::max(high[a], mark[a]));
+        }
+    }
+    let dots = manifest.reference_dots.iter().flat_map(|r| r.projector_px.iter().copied());
+    StripeArea { corners_mm: [low, high], dots_projector_px: dots.collect() }
+}
+
+/// What the stripes say of themselves.
+fn stripe_warnings(fit: &ProjectorFit) -> impl Iterator<Item = RegistrationWarning> {
+    let ignored =
+        (fit.ignored_bits != [0; 2]).then_some(RegistrationWarning::GrayBitsIgnored { bits: fit.ignored_bits });
+    let left_out =
+        (fit.left_out > STRIPES_LEFT_OUT).then_some(RegistrationWarning::StripesLeftOut { share: fit.left_out });
+    let bends = fit.trend.filter(|t| t.off_px.abs() > MAP_BENDS_PX).map(|t| RegistrationWarning::ProjectorMapBends {
+        off_projector_px: t.off_px,
+        sd_projector_px: t.sd_px,
+        at_mm: t.at_mm,
+    });
+    [ignored, left_out, bends].into_iter().flatten()
 }
 
 /// Of two fits, one whose RMS is larger by this factor does not count.

@@ -18,6 +18,19 @@ pub struct Drift {
     pub dots: usize,
     /// How far apart the dots are, of what they should be, with its standard deviation; `None` for fewer than four.
     pub scale: Option<[f64; 2]>,
+    /// Of dots on the sample: from which depth they are taken to be seen.
+    pub depth: Option<SeenDepth>,
+}
+
+/// From how deep dots on the sample are seen, and how obliquely.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct SeenDepth {
+    /// Depth over refractive index, mm.
+    pub depth_mm: f64,
+    /// Its standard deviation, mm.
+    pub sd_mm: f64,
+    /// Tangent of the angle between line of sight and normal: by this times the depth dots are seen beside their places.
+    pub tangent: f64,
 }
 
 /// A dot counts when its light is this many standard deviations above none.
@@ -58,7 +71,7 @@ pub fn measure_drift(dots: &[(Point, Radiance)], registration: &Registration, do
     let photon = moved.iter().map(|m| m.1).sum::<f64>() / n;
     let sd_px = ((photon + CENTROID_FLOOR_PX.powi(2)) / n).sqrt();
     let scale = scale(&places, &moved.iter().map(|m| m.0).collect::<Vec<_>>());
-    Some(Drift { slab_mm, camera_px, sd_px, dots: moved.len(), scale })
+    Some(Drift { slab_mm, camera_px, sd_px, dots: moved.len(), scale, depth: None })
 }
 
 /// How much farther apart things are than at `places` when they have `moved` from there, and its standard deviation.

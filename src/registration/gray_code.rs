@@ -1,8 +1,8 @@
 //! Gray-code stripes on the white reference, or on the frame around the sample: where each projector pixel lands on the slab's plane.
 
 use super::board::percentile;
-use super::fit::{Observation, fit_homography};
-use super::projector_fit::{ProjectorFit, fit_projector};
+use super::fit::Observation;
+use super::projector_fit::{ProjectorFit, fit_projector, plane_of_most};
 use crate::geometry::{CameraView, Homography, Lens, Point};
 
 /// One bit of the code on one axis: the pattern and its inverse, one light value a pixel.
@@ -43,45 +43,112 @@ struct Contrast {
     value: Vec<Option<f32>>,
 }
 
+/// Where on the slab's plane stripes are used: elsewhere they may fall on something that does not lie in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StripeArea {
+    /// Least and greatest corner of a rectangle, mm.
+    pub corners_mm: [Point; 2],
+    /// Reference dots, projector px: the rectangle is widened to hold them.
+    pub dots_projector_px: Vec<Point>,
+}
+
+/// How far beyond the outermost dot the area goes, of its own side.
+const AREA_MARGIN: f64 = 0.05;
+
+impl StripeArea {
+    /// The rectangle with the dots in it, where `map` (slab mm to projector px) puts them; `None` when it holds them already.
+    fn widened(&self, map: &Homography) -> Option<Self> {
+        let back = map.inverse()?;
+        let [mut low, mut high] = self.corners_mm;
+        let margin = [0, 1].map(|a| AREA_MARGIN * (high[a] - low[a]));
+        for p in self.dots_projector_px.iter().map(|q| back.map(*q)).filter(|p| p.iter().all(|v| v.is_finite())) {
+            for a in 0..2 {
+                low[a] = low[a].min(p[a] - margin[a]);
+                high[a] = high[a].max(p[a] + margin[a]);
+            }
+        }
+        let wider = Self { corners_mm: [low, high], dots_projector_px: Vec::new() };
+        (wider.corners_mm != self.corners_mm).then_some(wider)
+    }
+}
+
 /// Pixels nearer to the sample's rim than this are not on the frame alone, px.
 const RIM_PX: f64 = 4.0;
 /// On each side of the sample at least this share of the decoded pixels must lie: beyond them the map is an extrapolation.
 const LEAST_SIDE_SHARE: f64 = 0.05;
+/// Stripes narrower than this, camera px, have no plateau of their own between two edges seen through the lens ([`find_edges`] looks 2.5 px to each side).
+const NARROWEST_STRIPE_PX: f64 = 4.0;
+/// A bit is told apart when at least this share of the lit pixels is clearly dark or light; half of the pixels of stripes of 2 px are.
+const CLEAR_SHARE: f64 = 0.5;
+/// A pixel reads clearly from this contrast on.
+const CLEAR: f32 = 0.5;
+/// Pixels in a square of this side are kept or left out together: a few stripes' edges and the clear pixels between them.
+const BLOCK_PX: usize = 8;
+/// A square is off the plane when its pixels' codes are off the map by more than this share of a finest stripe, which is what decoding rounds to (half) and a half more.
+const OFF_PLANE_STRIPES: f64 = 1.0;
+/// Where more squares than this are off the plane, it is not the plane of most.
+const MOST_LEFT_OUT: f64 = 0.5;
 
 /// Fits the map slab → projector to the places where stripes begin and end.
 ///
-/// First each pixel's code gives its projector coordinate to a stripe, where every bit is clear; then every edge between light and dark,
-/// located to a fraction of a pixel by the area under the contrast, gives one exact coordinate. Edges more than three deviations off
-/// are dropped once. A pixel takes part when both photographs measured it, when it is lit, and when it is not on the sample
-/// (`surface`). `lens` has the projector's centre and unit of length: a radial distortion is fitted when the edges ask for it.
+/// First each pixel's code gives its projector coordinate to a stripe, where every bit is clear; a homography that most of them agree with
+/// tells which squares of the picture lie in the plane. Then every edge between light and dark, located to a fraction of a pixel by the
+/// area under the contrast, gives one exact coordinate; edges that are far off are left out. A pixel takes part when both photographs
+/// measured it, when it is lit, lies in `area`, and is not on the sample (`surface`). The finest bits of an axis are ignored where the
+/// camera does not tell their stripes apart. `lens` has the projector's centre and unit of length: a radial distortion is fitted when the
+/// edges ask for it.
 ///
 /// # Errors
 /// A text that says what was not found.
 ///
-/// Not detected: a frame that is not in the sample's plane; distortion of the projector that is not radial.
+/// Not detected: a frame that is not in the sample's plane, where all of it lies in another; distortion of the projector that is not radial, but as
+/// [`ProjectorFit::trend`].
 pub fn register_projector(
     pairs: &[BitPair],
     size_px: [usize; 2],
     view: &CameraView,
     surface: StripeSurface,
+    area: &StripeArea,
     lens: Lens,
 ) -> Result<ProjectorFit, String> {
-    let [width, height] = size_px;
     let ideal = view.ideal_from_slab.inverse().ok_or("the camera's view of the slab cannot be inverted")?;
     let slab = |q: Point| ideal.map(view.lens.undistort(q));
-    let usable = usable_pixels(view, size_px, surface, &slab);
-    let contrasts: Vec<Contrast> = pairs.iter().map(|p| contrast(p, usable.as_deref())).collect();
-    let coarse = decode_pixels(&contrasts, width, height, &slab)?;
-    if let StripeSurface::Frame(size_mm) = surface {
-        check_sides(&coarse, size_mm)?;
+    let coarse = |area: &StripeArea| {
+        let usable = usable_pixels(view, size_px, surface, area, &slab);
+        let mut contrasts: Vec<Contrast> = pairs.iter().map(|p| contrast(p, &usable)).collect();
+        let mut ignored = drop_unclear(&mut contrasts);
+        let lit = usable.iter().filter(|u| **u).count();
+        let decoded = decode_pixels(&contrasts, &usable, (lit / DECODED_PIXELS).max(1), size_px[0], &slab)?;
+        let map = plane_of_most(&decoded).ok_or("the Gray code was decoded in too few pixels to span a plane")?;
+        let across = across_stripes(&map, size_px, &slab);
+        for axis in 0..2 {
+            let wide =
+                |c: &Contrast| f64::from(2u32 << c.bit) * across[axis].px_per_projector_px >= NARROWEST_STRIPE_PX;
+            let before = contrasts.len();
+            contrasts.retain(|c| c.axis != axis || wide(c));
+            ignored[axis] += before - contrasts.len();
+        }
+        Ok::<_, String>((contrasts, usable, decoded, map, across, ignored))
+    };
+    let mut found = coarse(area)?;
+    if let Some(wider) = area.widened(&found.3) {
+        found = coarse(&wider)?;
     }
-    let (coarse_map, _) =
-        fit_homography(&coarse).ok_or("the Gray code was decoded in too few pixels to span a plane")?;
+    let (mut contrasts, usable, decoded, coarse_map, across, ignored_bits) = found;
+    if let StripeSurface::Frame(size_mm) = surface {
+        check_sides(&decoded, size_mm)?;
+    }
+    let left_out = leave_out_off_plane(&mut contrasts, &usable, size_px[0], &coarse_map, &slab)?;
+    if left_out > MOST_LEFT_OUT {
+        return Err(format!(
+            "the stripes fit no plane: {:.0} % of the squares with a code are off it",
+            100.0 * left_out
+        ));
+    }
 
-    let across = across_stripes(&coarse_map, size_px, &slab);
     let mut edges = Vec::new();
     for contrast in &contrasts {
-        for q in find_edges(contrast, size_px, across[contrast.axis]) {
+        for q in find_edges(contrast, size_px, across[contrast.axis].along) {
             let from = slab(q);
             let coarse = coarse_map.map(from)[contrast.axis];
             if let Some(to) = nearest_edge(coarse, contrast.bit) {
@@ -93,23 +160,86 @@ pub fn register_projector(
     if fit.rms_px > 1.0 {
         return Err(format!("the stripes fit no plane: RMS {:.2} projector px", fit.rms_px));
     }
-    Ok(fit)
+    Ok(ProjectorFit { left_out: left_out.max(fit.left_out), ignored_bits, ..fit })
 }
 
-/// Which pixels may be used; `None` for all.
+/// Which pixels may be used: those of squares whose middle is in the area, and for a frame those beside the sample.
 fn usable_pixels(
     view: &CameraView,
     [width, height]: [usize; 2],
     surface: StripeSurface,
+    area: &StripeArea,
     slab: &dyn Fn(Point) -> Point,
-) -> Option<Vec<bool>> {
-    let StripeSurface::Frame(size) = surface else { return None };
-    let rim = RIM_PX / view.px_per_mm(size.map(|s| 0.5 * s));
-    let outside = |k: usize| {
-        let p = slab([(k % width) as f64, (k / width) as f64]);
-        (0..2).any(|a| p[a] < -rim || p[a] > size[a] + rim)
+) -> Vec<bool> {
+    let [low, high] = area.corners_mm;
+    let inside = |p: Point| (0..2).all(|a| p[a] >= low[a] && p[a] <= high[a]);
+    let columns = width.div_ceil(BLOCK_PX);
+    let middle = |b: usize, side: usize| ((b * BLOCK_PX) as f64 + 0.5 * (BLOCK_PX - 1) as f64).min((side - 1) as f64);
+    let squares: Vec<bool> = (0..columns * height.div_ceil(BLOCK_PX))
+        .map(|b| inside(slab([middle(b % columns, width), middle(b / columns, height)])))
+        .collect();
+    let outside = |x: usize, y: usize| match surface {
+        StripeSurface::White => true,
+        StripeSurface::Frame(size) => {
+            let rim = RIM_PX / view.px_per_mm(size.map(|s| 0.5 * s));
+            let p = slab([x as f64, y as f64]);
+            (0..2).any(|a| p[a] < -rim || p[a] > size[a] + rim)
+        }
     };
-    Some((0..width * height).map(outside).collect())
+    let usable = |k: usize| {
+        let (x, y) = (k % width, k / width);
+        squares[y / BLOCK_PX * columns + x / BLOCK_PX] && outside(x, y)
+    };
+    (0..width * height).map(usable).collect()
+}
+
+/// Removes the finest bits of each axis that are not told apart, while two are left; how many.
+fn drop_unclear(contrasts: &mut Vec<Contrast>) -> [usize; 2] {
+    let clear = |c: &Contrast| {
+        let lit = c.value.iter().flatten();
+        let (all, clear) = lit.fold((0usize, 0usize), |(n, k), v| (n + 1, k + usize::from(v.abs() > CLEAR)));
+        clear as f64 >= CLEAR_SHARE * all as f64
+    };
+    [0, 1].map(|axis| {
+        let mut bits: Vec<u32> = contrasts.iter().filter(|c| c.axis == axis).map(|c| c.bit).collect();
+        bits.sort_unstable();
+        let most = bits.len().saturating_sub(2);
+        let unclear = |bit: &&u32| contrasts.iter().any(|c| c.axis == axis && c.bit == **bit && !clear(c));
+        let dropped: Vec<u32> = bits.iter().take(most).take_while(unclear).copied().collect();
+        contrasts.retain(|c| c.axis != axis || !dropped.contains(&c.bit));
+        dropped.len()
+    })
+}
+
+/// Takes the light out of all squares whose codes are off the map; the share of the squares with codes that are.
+fn leave_out_off_plane(
+    contrasts: &mut [Contrast],
+    usable: &[bool],
+    width: usize,
+    map: &Homography,
+    slab: &dyn Fn(Point) -> Point,
+) -> Result<f64, String> {
+    let columns = width.div_ceil(BLOCK_PX);
+    let square = |k: usize| (k / width) / BLOCK_PX * columns + (k % width) / BLOCK_PX;
+    let squares = columns * (usable.len() / width).div_ceil(BLOCK_PX);
+    let (mut seen, mut off) = (vec![0u32; squares], vec![0u32; squares]);
+    for axis in 0..2 {
+        let finest = contrasts.iter().filter(|c| c.axis == axis).map(|c| c.bit).min().unwrap_or(0);
+        let most = OFF_PLANE_STRIPES * f64::from(1u32 << finest);
+        for (k, to) in decoded(contrasts, axis, usable, 1)? {
+            let at = map.map(slab([(k % width) as f64, (k / width) as f64]))[axis];
+            seen[square(k)] += 1;
+            off[square(k)] += u32::from((at - to).abs() > most);
+        }
+    }
+    let left_out: Vec<bool> = seen.iter().zip(&off).map(|(n, k)| 2 * k > *n).collect();
+    for value in contrasts.iter_mut().flat_map(|c| c.value.iter_mut().enumerate()) {
+        if left_out[square(value.0)] {
+            *value.1 = None;
+        }
+    }
+    let with_codes = seen.iter().filter(|n| **n > 0).count().max(1);
+    Ok(left_out.iter().filter(|l| **l).count() as f64 / with_codes as f64)
 }
 
 /// A frame that is seen on one side only says nothing about the other.
@@ -129,8 +259,8 @@ fn check_sides(decoded: &[Observation], size_mm: Point) -> Result<(), String> {
     Ok(())
 }
 
-fn contrast(pair: &BitPair, usable: Option<&[bool]>) -> Contrast {
-    let allowed = |k: usize| pair.valid[k] && usable.is_none_or(|u| u[k]);
+fn contrast(pair: &BitPair, usable: &[bool]) -> Contrast {
+    let allowed = |k: usize| pair.valid[k] && usable[k];
     let sum: Vec<f32> = pair.pattern.iter().zip(&pair.inverse).map(|(a, b)| a + b).collect();
     let seen: Vec<f32> = sum.iter().enumerate().filter(|(k, _)| allowed(*k)).map(|(_, s)| *s).collect();
     let least = LIT_SHARE * percentile(&seen, 0.9);
@@ -140,38 +270,47 @@ fn contrast(pair: &BitPair, usable: Option<&[bool]>) -> Contrast {
     Contrast { axis: pair.axis, bit: pair.bit, value }
 }
 
-/// The projector coordinate of each pixel (of a subset) as the middle of the finest stripe that its bits tell.
+/// The projector coordinate of every `step`th usable pixel as the middle of the finest stripe that its bits tell, both axes.
 fn decode_pixels(
     contrasts: &[Contrast],
+    usable: &[bool],
+    step: usize,
     width: usize,
-    height: usize,
     slab: &dyn Fn(Point) -> Point,
 ) -> Result<Vec<Observation>, String> {
-    let step = (width * height / DECODED_PIXELS).max(1);
     let mut out = Vec::new();
     for axis in 0..2 {
-        let mut bits: Vec<&Contrast> = contrasts.iter().filter(|c| c.axis == axis).collect();
-        bits.sort_by_key(|c| std::cmp::Reverse(c.bit));
-        let Some(finest) = bits.last().map(|c| c.bit) else {
-            return Err(format!("no Gray-code shots for the projector's {} axis", ["x", "y"][axis]));
-        };
-        if bits.windows(2).any(|p| p[0].bit != p[1].bit + 1) {
-            return Err("the Gray code's bits must follow each other without a gap".into());
-        }
-        for k in (0..width * height).step_by(step) {
-            // A pixel on a stripe's edge may read either way: only clear ones count here.
-            let mut code = Some(0u32);
-            for c in &bits {
-                let clear = c.value[k].filter(|v| v.abs() > 0.5);
-                code = code.zip(clear).map(|(n, v)| (n << 1) | ((n & 1) ^ u32::from(v > 0.0)));
-            }
-            let Some(n) = code else { continue };
-            let from = slab([(k % width) as f64, (k / width) as f64]);
-            let side = f64::from(1u32 << finest);
-            out.push(Observation { from, axis, to: (f64::from(n) + 0.5) * side - 0.5 });
-        }
+        let from = |k: usize| slab([(k % width) as f64, (k / width) as f64]);
+        out.extend(decoded(contrasts, axis, usable, step)?.into_iter().map(|(k, to)| Observation {
+            from: from(k),
+            axis,
+            to,
+        }));
     }
     Ok(out)
+}
+
+/// Pixels of which all bits of an axis are clear, and their coordinate.
+fn decoded(contrasts: &[Contrast], axis: usize, usable: &[bool], step: usize) -> Result<Vec<(usize, f64)>, String> {
+    let mut bits: Vec<&Contrast> = contrasts.iter().filter(|c| c.axis == axis).collect();
+    bits.sort_by_key(|c| std::cmp::Reverse(c.bit));
+    let Some(finest) = bits.last().map(|c| c.bit) else {
+        return Err(format!("no Gray-code shots for the projector's {} axis", ["x", "y"][axis]));
+    };
+    if bits.windows(2).any(|p| p[0].bit != p[1].bit + 1) {
+        return Err("the Gray code's bits must follow each other without a gap".into());
+    }
+    let side = f64::from(1u32 << finest);
+    let middle = |k: usize| {
+        // A pixel on a stripe's edge may read either way: only clear ones count here.
+        let mut code = 0u32;
+        for c in &bits {
+            let clear = c.value[k].filter(|v| v.abs() > CLEAR)?;
+            code = (code << 1) | ((code & 1) ^ u32::from(clear > 0.0));
+        }
+        Some((k, (f64::from(code) + 0.5) * side - 0.5))
+    };
+    Ok((0..usable.len()).filter(|k| usable[*k]).step_by(step).filter_map(middle).collect())
 }
 
 /// Edges of bit j lie between projector pixels m − 1 and m, m an odd multiple of 2^j; `None` when the nearest is not clear.
@@ -183,15 +322,28 @@ fn nearest_edge(coordinate: f64, bit: u32) -> Option<f64> {
     ((coordinate - edge).abs() < 0.5 * side).then_some(edge)
 }
 
-/// Whether the stripes of each projector axis are crossed along the picture's rows (0) or columns (1): the direction nearer to right angles.
+/// How the stripes of one projector axis lie in the picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Across {
+    /// Whether they are crossed along the picture's rows (0) or columns (1): the direction nearer to right angles.
+    along: usize,
+    /// Camera px that a projector px is wide, along it.
+    px_per_projector_px: f64,
+}
+
+/// Across which direction of the picture the stripes of each projector axis are looked at.
 ///
 /// Along the other an edge is seen aslant, its blur longer than the plateaus between which [`find_edges`] looks for it: at 25 degrees that
 /// pulled edges by 1.75 projector px RMS. Decided in the middle of the picture: at 45 degrees both do.
-fn across_stripes(coarse_map: &Homography, size_px: [usize; 2], slab: &dyn Fn(Point) -> Point) -> [usize; 2] {
+fn across_stripes(coarse_map: &Homography, size_px: [usize; 2], slab: &dyn Fn(Point) -> Point) -> [Across; 2] {
     let middle = size_px.map(|s| 0.5 * s as f64);
     let at = |q: Point| coarse_map.map(slab(q));
     let (here, right, below) = (at(middle), at([middle[0] + 1.0, middle[1]]), at([middle[0], middle[1] + 1.0]));
-    [0, 1].map(|axis| usize::from((below[axis] - here[axis]).abs() > (right[axis] - here[axis]).abs()))
+    [0, 1].map(|axis| {
+        let change = [right, below].map(|p| (p[axis] - here[axis]).abs());
+        let along = usize::from(change[1] > change[0]);
+        Across { along, px_per_projector_px: 1.0 / change[along].max(1e-9) }
+    })
 }
 
 /// Camera positions of a bit's edges along picture rows (`along` 0) or columns (1).
@@ -251,15 +403,19 @@ mod tests {
         CameraView { ideal_from_slab, lens: Lens::ideal([65.0, 48.0], 300.0) }
     }
 
-    /// What a pixel sees of bit `bit` of the code, averaged over 6 × 6 places in it.
     fn pair(axis: usize, bit: u32) -> BitPair {
+        pair_of(axis, bit, |_, p| PROJECTOR.map(p))
+    }
+
+    /// What a pixel sees of bit `bit` of the code, averaged over 6 × 6 places in it; `map` from its column and place on the plane, mm.
+    fn pair_of(axis: usize, bit: u32, map: impl Fn(f64, Point) -> Point) -> BitPair {
         let back = view().ideal_from_slab.inverse().unwrap();
         let place = |k: usize| (k as f64 + 0.5) / 6.0 - 0.5;
         let lit = |k: usize| {
             let (x, y) = ((k % SIZE[0]) as f64, (k / SIZE[0]) as f64);
             let on = (0..36)
                 .filter(|s| {
-                    let q = PROJECTOR.map(back.map([x + place(s % 6), y + place(s / 6)]));
+                    let q = map(x, back.map([x + place(s % 6), y + place(s / 6)]));
                     // The centre of projector pixel n is n.
                     let n = (q[axis] + 0.5).floor().max(0.0) as u32;
                     ((n ^ (n >> 1)) >> bit) & 1 == 1
@@ -283,10 +439,90 @@ mod tests {
         (0..2).flat_map(|axis| (2..6).map(move |bit| pair(axis, bit))).collect()
     }
 
+    /// The whole picture, and beyond.
+    fn everywhere() -> StripeArea {
+        StripeArea { corners_mm: [[-100.0; 2], [100.0; 2]], dots_projector_px: vec![] }
+    }
+
+    fn registered(pairs: &[BitPair], lens: Lens) -> Result<ProjectorFit, String> {
+        register_projector(pairs, SIZE, &view(), StripeSurface::White, &everywhere(), lens)
+    }
+
+    /// The largest error of the map over the slab's points, projector px.
+    fn error_px(fit: &ProjectorFit) -> f64 {
+        let points = [[2.0, 1.0], [13.0, 9.0], [22.0, 17.0], [4.0, 18.0], [23.0, 2.0]];
+        let off = points.map(|p| {
+            let (a, b) = (fit.slab_from_projector.projector_from_slab(p), PROJECTOR.map(p));
+            (a[0] - b[0]).hypot(a[1] - b[1])
+        });
+        off.into_iter().fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn a_wall_behind_the_plane_is_left_out_and_said() {
+        let ideal = Lens::ideal([23.5, 19.5], 60.0);
+        // The right third of the picture is a wall where the stripes lie 3.7 px (and a tenth more of their place) further right.
+        let wall = Homography { matrix: [[2.2, 0.1, 6.7], [-0.15, 1.7, 4.0], [1e-3, -2e-3, 1.0]] };
+        let wall_from = |x: f64| x > 88.0;
+        let pairs: Vec<BitPair> = (0..2)
+            .flat_map(|axis| {
+                (2..6).map(move |bit| {
+                    pair_of(axis, bit, |x, p| if wall_from(x) { wall.map(p) } else { PROJECTOR.map(p) })
+                })
+            })
+            .collect();
+        let fit = registered(&pairs, ideal).unwrap();
+        // The wall is a third of the picture; its stripes along y lie where the plane's would, those along x do not.
+        assert!(fit.left_out > 0.12 && fit.left_out < 0.35, "{fit:?}");
+        // Two thirds of the picture, extrapolated to the last of it: the edges are off by some hundredths each.
+        assert!(error_px(&fit) < 0.05, "{} {fit:?}", error_px(&fit));
+        // Of an area that ends before the wall, nothing is left out; the dot beyond it widens the area to the wall again.
+        let only = |dots: Vec<Point>| {
+            let area = StripeArea { corners_mm: [[-2.0, -2.0], [16.0, 30.0]], dots_projector_px: dots };
+            register_projector(&pairs, SIZE, &view(), StripeSurface::White, &area, ideal).unwrap()
+        };
+        let fit = only(vec![]);
+        assert!(fit.left_out < 0.02 && error_px(&fit) < 0.05, "{} {fit:?}", error_px(&fit));
+        let fit = only(vec![PROJECTOR.map([22.0, 10.0])]);
+        assert!(fit.left_out > 0.05 && error_px(&fit) < 0.05, "{} {fit:?}", error_px(&fit));
+    }
+
+    #[test]
+    fn bits_that_the_camera_does_not_tell_apart_are_ignored() {
+        let ideal = Lens::ideal([23.5, 19.5], 60.0);
+        // A projector pixel is about 2.3 camera px wide, so bits 0 and 1 have stripes of 4.6 and 9; through a blur of 13 px at the finest
+        // both are grey.
+        let mut pairs: Vec<BitPair> = (0..2).flat_map(|axis| (0..6).map(move |bit| pair(axis, bit))).collect();
+        let whole = registered(&pairs, ideal).unwrap();
+        assert_eq!(whole.ignored_bits, [0, 0]);
+        for pair in pairs.iter_mut().filter(|p| p.axis == 1 && p.bit < 2) {
+            let (pattern, inverse) = (blurred(&pair.pattern), blurred(&pair.inverse));
+            (pair.pattern, pair.inverse) = (pattern, inverse);
+        }
+        let fit = registered(&pairs, ideal).unwrap();
+        assert_eq!(fit.ignored_bits, [0, 2], "{fit:?}");
+        assert!(error_px(&fit) < 0.02, "{} {fit:?}", error_px(&fit));
+        // A coarser bit that nobody can read is no fine one.
+        pairs.iter_mut().filter(|p| p.axis == 0 && p.bit == 3).for_each(|p| p.inverse = p.pattern.clone());
+        assert!(registered(&pairs, ideal).is_err());
+    }
+
+    /// Means over 13 × 13 pixels.
+    fn blurred(light: &[f32]) -> Vec<f32> {
+        let [w, h] = SIZE;
+        let mean = |k: usize| {
+            let (x, y) = (k % w, k / w);
+            let (xs, ys) = (x.saturating_sub(6)..(x + 7).min(w), y.saturating_sub(6)..(y + 7).min(h));
+            let n = (xs.len() * ys.len()) as f32;
+            ys.flat_map(|v| xs.clone().map(move |u| light[v * w + u])).sum::<f32>() / n
+        };
+        (0..w * h).map(mean).collect()
+    }
+
     #[test]
     fn the_projector_is_registered_by_where_its_stripes_end() {
         let ideal = Lens::ideal([23.5, 19.5], 60.0);
-        let fit = register_projector(&code(), SIZE, &view(), StripeSurface::White, ideal).unwrap();
+        let fit = registered(&code(), ideal).unwrap();
         for p in [[2.0, 1.0], [13.0, 9.0], [22.0, 17.0], [4.0, 18.0]] {
             let (a, b) = (fit.slab_from_projector.projector_from_slab(p), PROJECTOR.map(p));
             // Edges of 36 places a pixel of half a projector pixel: a hundredth each, and hundreds of them.
@@ -296,7 +532,7 @@ mod tests {
         // Without one axis, or a bit, it cannot be told.
         let only = |keep: &dyn Fn(&BitPair) -> bool| {
             let some: Vec<BitPair> = code().into_iter().filter(keep).collect();
-            register_projector(&some, SIZE, &view(), StripeSurface::White, ideal).unwrap_err()
+            registered(&some, ideal).unwrap_err()
         };
         assert!(only(&|p| p.axis == 0).contains("y axis") && only(&|p| p.axis == 1).contains("x axis"));
         assert!(only(&|p| p.bit != 3).contains("gap"));
@@ -304,9 +540,9 @@ mod tests {
 
     #[test]
     fn pixels_are_decoded_to_the_middle_of_their_finest_stripe() {
-        let contrasts: Vec<Contrast> = code().iter().map(|p| contrast(p, None)).collect();
+        let contrasts: Vec<Contrast> = code().iter().map(|p| contrast(p, &[true; SIZE[0] * SIZE[1]])).collect();
         let back = view().ideal_from_slab.inverse().unwrap();
-        let decoded = decode_pixels(&contrasts, SIZE[0], SIZE[1], &|q| back.map(q)).unwrap();
+        let decoded = decode_pixels(&contrasts, &[true; SIZE[0] * SIZE[1]], 1, SIZE[0], &|q| back.map(q)).unwrap();
         assert!(decoded.iter().filter(|o| o.axis == 1).count() > 8000);
         for o in &decoded {
             let at = PROJECTOR.map(o.from)[o.axis];
@@ -373,7 +609,7 @@ mod tests {
             valid: (0..n).map(|k| k != 38).collect(),
         };
         let usable: Vec<bool> = (0..n).map(|k| k != 5).collect();
-        let found = contrast(&pair, Some(&usable));
+        let found = contrast(&pair, &usable);
         assert_eq!((found.axis, found.bit), (1, 3));
         for k in 0..n {
             match found.value[k] {
@@ -382,9 +618,9 @@ mod tests {
                 None => assert!([5, 38, 39].contains(&k), "{k}"),
             }
         }
-        assert!(contrast(&pair, None).value[5].is_some());
+        assert!(contrast(&pair, &vec![true; n]).value[5].is_some());
         let dark = BitPair { pattern: vec![0.0; n], inverse: vec![0.0; n], ..pair };
-        assert!(contrast(&dark, None).value.iter().all(Option::is_none));
+        assert!(contrast(&dark, &vec![true; n]).value.iter().all(Option::is_none));
     }
 
     #[test]
@@ -392,14 +628,24 @@ mod tests {
         let slab = |q: Point| [q[0] / 5.0, q[1] / 4.0];
         let matrix = [[5.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 1.0]];
         let view = CameraView { ideal_from_slab: Homography { matrix }, lens: Lens::ideal([0.0; 2], 300.0) };
-        assert_eq!(usable_pixels(&view, SIZE, StripeSurface::White, &slab), None);
-        let used = usable_pixels(&view, SIZE, StripeSurface::Frame([15.0, 12.0]), &slab).unwrap();
+        let usable =
+            |surface, area: &StripeArea, slab: &dyn Fn(Point) -> Point| usable_pixels(&view, SIZE, surface, area, slab);
+        assert!(usable(StripeSurface::White, &everywhere(), &slab).iter().all(|u| *u));
+        // Squares of 8 px whose middles, 3.5 px from their first, lie between 2 and 10 mm (columns 10 to 50) and beyond 5 mm (line 20).
+        let area = StripeArea { corners_mm: [[2.0, 5.0], [10.0, 100.0]], dots_projector_px: vec![] };
+        let used = usable(StripeSurface::White, &area, &slab);
+        for (x, y, expected) in
+            [(7, 40, false), (8, 40, true), (47, 40, true), (48, 40, false), (20, 24, true), (20, 23, false)]
+        {
+            assert_eq!(used[x + y * SIZE[0]], expected, "({x}, {y})");
+        }
+        let used = usable(StripeSurface::Frame([15.0, 12.0]), &everywhere(), &slab);
         // Four pixels are 4 / √20 = 0.894 mm: beyond 15.894 mm in x are columns from 80 on, beyond 12.894 in y lines from 52 on.
         for (x, y, expected) in [(79, 51, false), (80, 51, true), (79, 52, true), (0, 0, false), (3, 51, false)] {
             assert_eq!(used[x + y * SIZE[0]], expected, "({x}, {y})");
         }
         let left = |q: Point| [q[0] / 5.0 - 2.0, q[1] / 4.0 - 1.0];
-        let used = usable_pixels(&view, SIZE, StripeSurface::Frame([15.0, 12.0]), &left).unwrap();
+        let used = usable(StripeSurface::Frame([15.0, 12.0]), &everywhere(), &left);
         // −0.894 mm is column 5.5, and line 0.4.
         for (x, y, expected) in [(5, 9, true), (6, 9, false), (40, 0, true), (40, 1, false)] {
             assert_eq!(used[x + y * SIZE[0]], expected, "({x}, {y})");

@@ -21,16 +21,16 @@ mod sharpness;
 pub use board::find_board;
 pub use camera_motion::{CameraMotion, RimPlace, RimSegment, camera_motion, locate_rim, rim_segments};
 pub use dot_fit::{DotShape, FoundDot};
-pub use drift::{Drift, measure_drift};
+pub use drift::{Drift, SeenDepth, measure_drift};
 pub(crate) use drift::{median, scaled_deviation};
 pub use fit::{Observation, ViewFit, fit_homography, fit_view};
 pub use frame_marks::{FoundMark, FrameFit, marks_moved, register_frame};
-pub use gray_code::{BitPair, StripeSurface, register_projector};
+pub use gray_code::{BitPair, StripeArea, StripeSurface, register_projector};
 pub use jumps::{Jump, find_jumps};
 pub use lens_fit::{LensChoice, LensTrial, Pairs, fit_lens_of_views};
-pub use projector_fit::{ProjectorFit, fit_projector};
+pub use projector_fit::{MapTrend, ProjectorFit, fit_projector};
 pub use rim_size::{RimFit, fit_rim};
-pub use sample_drift::{Located, Parallax, SampleDots};
+pub use sample_drift::{DepthOfMedium, Located, Parallax, SampleDots};
 pub use sharpness::{PointSpread, measure_point_spread};
 
 use crate::geometry::{CameraView, Homography, Point, SlabFromProjector};
@@ -131,6 +131,9 @@ mod tests {
             ideal_rms_px: 0.33,
             sd_px: 0.06,
             edges: 100,
+            left_out: 0.0,
+            trend: None,
+            ignored_bits: [0; 2],
         };
         let found = Registration::new(&camera, base.lens.clone(), None, &projector, [30.0, 20.0]).unwrap();
         // 5 by 3 projector px a millimetre: √15 on average.

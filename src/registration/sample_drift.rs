@@ -6,7 +6,7 @@
 //! left differs from dot to dot: the median and the spread over a shot's dots.
 
 use super::drift::{centroid, median, robust_mean};
-use super::{DotShape, Drift, Registration};
+use super::{DotShape, Drift, Registration, SeenDepth};
 use crate::geometry::Point;
 use crate::radiance::Radiance;
 
@@ -16,8 +16,12 @@ const UNKNOWN_DOT_SD_PX: f64 = 0.1;
 const FLOOR_PX: f64 = 0.01;
 /// Cores on a real material are not the model's footprint: what all dots of a capture are off by alike, px (simulated materials: up to 0.03).
 const COMMON_PX: f64 = 0.03;
-/// A depth of this many standard deviations is believed.
+/// A depth of this many standard deviations is believed where the medium says nothing.
 const BELIEVED_SIGMA: f64 = 4.0;
+/// Depth over refractive index of a dot's core, in radii of the half of its light, and its scatter from medium to medium: 0.10 to 0.63 in 26 captures of
+/// 12 media, cells of 0.2 and 0.5 mm, by diffusion and by Monte Carlo (docs/accuracy.md, "Geometry").
+const DEPTH_OF_HALF_LIGHT: f64 = 0.3;
+const DEPTH_OF_HALF_LIGHT_SD: f64 = 0.2;
 
 /// How dots on the sample are looked for.
 #[derive(Debug, Clone)]
@@ -73,6 +77,22 @@ impl SampleDots {
     }
 }
 
+/// What the medium itself says of the depth from which its dots are seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DepthOfMedium {
+    /// Depth over refractive index, mm.
+    pub depth_mm: f64,
+    /// Its standard deviation, mm.
+    pub sd_mm: f64,
+}
+
+impl DepthOfMedium {
+    /// From the radius around a dot within which half of its light leaves, mm: light that comes from deeper has spread wider.
+    pub fn of_half_light(half_light_mm: f64) -> Self {
+        Self { depth_mm: DEPTH_OF_HALF_LIGHT * half_light_mm, sd_mm: DEPTH_OF_HALF_LIGHT_SD * half_light_mm }
+    }
+}
+
 impl Parallax {
     /// Nothing known but where the camera is.
     pub fn unknown(eye_mm: [f64; 3]) -> Self {
@@ -85,11 +105,13 @@ impl Parallax {
     }
 
     /// Learns the depth from the dots of several shots, each with a drift of its own: what pulls a shot's dots towards the camera's foot is
-    /// depth. `px_per_mm` is the camera's scale. Without shots of two dots or more the depth is unknown, and taken for none.
+    /// depth. `px_per_mm` is the camera's scale. A camera that looks at all dots from one direction does not tell it: what `medium` says counts by
+    /// its standard deviation beside what the dots do. Without either the depth is unknown, and taken for none.
     ///
     /// Not detected: a pattern that has grown or shrunk since registration; it looks like depth.
-    pub fn learn(shots: &[Vec<Located>], eye_mm: [f64; 3], px_per_mm: f64) -> Self {
-        let nothing = Self::unknown(eye_mm);
+    pub fn learn(shots: &[Vec<Located>], eye_mm: [f64; 3], px_per_mm: f64, medium: Option<DepthOfMedium>) -> Self {
+        let depth = |d: DepthOfMedium| Self { depth_mm: d.depth_mm, depth_sd_mm: d.sd_mm, ..Self::unknown(eye_mm) };
+        let nothing = medium.map_or(Self::unknown(eye_mm), depth);
         // Differences from the shot's mean are free of its drift: (tangent, displacement, weight that the mean takes away).
         let mut pairs: Vec<(f64, f64)> = Vec::new();
         let mut lost = 0;
@@ -116,13 +138,20 @@ impl Parallax {
             spread = (1.4826 * median(&mut left) * freedom).max(1e-9);
             (depth_mm, sd) = (slope, spread / square.sqrt());
         }
-        let believed = depth_mm > BELIEVED_SIGMA * sd;
-        if !believed {
-            let mut left: Vec<f64> = pairs.iter().map(|(_, m)| m.abs()).collect();
+        let (depth_mm, depth_sd_mm) = match medium {
+            Some(medium) => {
+                let (seen, told) = (sd.max(1e-12).powi(-2), medium.sd_mm.max(1e-12).powi(-2));
+                let depth_mm = (seen * depth_mm + told * medium.depth_mm) / (seen + told);
+                (depth_mm.max(0.0), (seen + told).powf(-0.5))
+            }
+            None if depth_mm > BELIEVED_SIGMA * sd => (depth_mm, sd),
+            None => (0.0, sd.hypot(depth_mm)),
+        };
+        if medium.is_some() || depth_mm == 0.0 {
+            let mut left: Vec<f64> = pairs.iter().map(|(t, m)| (m - depth_mm * t).abs()).collect();
             let freedom = (pairs.len() as f64 / (pairs.len() - lost) as f64).sqrt();
             spread = 1.4826 * median(&mut left) * freedom;
         }
-        let (depth_mm, depth_sd_mm) = if believed { (depth_mm, sd) } else { (0.0, 0.0) };
         Self { eye_mm, depth_mm, depth_sd_mm, dot_sd_px: (spread * px_per_mm).max(FLOOR_PX) }
     }
 
@@ -138,11 +167,13 @@ impl Parallax {
         let camera_px = std::array::from_fn(|i| jacobian[i][0] * slab_mm[0] + jacobian[i][1] * slab_mm[1]);
         let n = dots.len() as f64;
         let tangent = [0, 1].map(|a| dots.iter().map(|d| self.tangent(d.expected_mm)[a]).sum::<f64>() / n);
-        let depth_px = self.depth_sd_mm * tangent[0].hypot(tangent[1]) * px_per_mm;
+        let tangent = tangent[0].hypot(tangent[1]);
+        let depth_px = self.depth_sd_mm * tangent * px_per_mm;
+        let depth = SeenDepth { depth_mm: self.depth_mm, sd_mm: self.depth_sd_mm, tangent };
         let noise = dots.iter().map(|d| d.variance_px2).sum::<f64>() / n;
         // The spread between dots has the pixels' noise in it already; in dim captures that noise is more.
         let sd_px = (self.dot_sd_px.powi(2).max(noise) / n + depth_px * depth_px + COMMON_PX * COMMON_PX).sqrt();
-        Some(Drift { slab_mm, camera_px, sd_px, dots: dots.len(), scale: None })
+        Some(Drift { slab_mm, camera_px, sd_px, dots: dots.len(), scale: None, depth: Some(depth) })
     }
 }
 
@@ -179,11 +210,11 @@ mod tests {
 
     #[test]
     fn depth_is_learnt_from_how_dots_of_a_shot_are_pulled_apart() {
-        let found = Parallax::learn(&shots(1.5, 0.0), EYE, 7.0);
+        let found = Parallax::learn(&shots(1.5, 0.0), EYE, 7.0, None);
         assert!((found.depth_mm - 1.5).abs() < 1e-9, "{found:?}");
         assert_eq!((found.eye_mm, found.dot_sd_px), (EYE, FLOOR_PX));
         // Noise that is even in ±0.02 mm has a median deviation of 0.01 mm: 0.0148 mm, or 0.104 px at 7 px a millimetre.
-        let found = Parallax::learn(&shots(1.5, 0.02), EYE, 7.0);
+        let found = Parallax::learn(&shots(1.5, 0.02), EYE, 7.0, None);
         assert!((found.dot_sd_px / 0.104 - 1.0).abs() < 0.2, "144 differences: a tenth of it; {found:?}");
         // Least squares: the noise over the root of the tangents' squares about each shot's mean.
         let tangents =
@@ -203,8 +234,10 @@ mod tests {
     #[test]
     fn a_depth_within_its_noise_or_behind_the_surface_is_taken_for_none() {
         for depth in [0.0, -1.5] {
-            let found = Parallax::learn(&shots(depth, 0.02), EYE, 7.0);
-            assert_eq!((found.depth_mm, found.depth_sd_mm), (0.0, 0.0));
+            let found = Parallax::learn(&shots(depth, 0.02), EYE, 7.0, None);
+            assert_eq!(found.depth_mm, 0.0);
+            // Dots stray by 0.0148 mm over tangents of 0.61 in all; what was found and not believed counts beside it.
+            assert!(found.depth_sd_mm > 0.02 && found.depth_sd_mm < 0.03_f64.hypot(1.2 * depth.abs()), "{found:?}");
             // What dots are off by is then all that the shot's mean leaves, the depth that is not believed too.
             let mut left = Vec::new();
             for dots in shots(depth, 0.02) {
@@ -219,16 +252,40 @@ mod tests {
         }
         // Shots of one dot, or none, tell nothing.
         let single: Vec<Vec<Located>> = shots(1.5, 0.0).into_iter().map(|s| s[..1].to_vec()).collect();
-        assert_eq!(Parallax::learn(&single, EYE, 7.0), Parallax::unknown(EYE));
-        assert_eq!(Parallax::learn(&[], EYE, 7.0), Parallax::unknown(EYE));
+        assert_eq!(Parallax::learn(&single, EYE, 7.0, None), Parallax::unknown(EYE));
+        assert_eq!(Parallax::learn(&[], EYE, 7.0, None), Parallax::unknown(EYE));
         assert_eq!(Parallax::unknown(EYE).dot_sd_px, 0.1);
+    }
+
+    #[test]
+    fn what_the_medium_says_counts_by_its_deviation_and_alone_where_the_dots_say_nothing() {
+        let medium = DepthOfMedium { depth_mm: 0.9, sd_mm: 0.3 };
+        let learn = |shots: &[Vec<Located>], medium| Parallax::learn(shots, EYE, 7.0, medium);
+        let (dots, both) = (learn(&shots(1.5, 0.02), None), learn(&shots(1.5, 0.02), Some(medium)));
+        let (w, v) = (dots.depth_sd_mm.powi(-2), 0.3f64.powi(-2));
+        assert!((both.depth_mm - (w * dots.depth_mm + v * 0.9) / (w + v)).abs() < 1e-9, "{both:?}");
+        assert!((both.depth_sd_mm - (w + v).powf(-0.5)).abs() < 1e-9 && both.depth_sd_mm < dots.depth_sd_mm);
+        // From very far all dots are seen under one tangent: 20 mm over 2 m.
+        let far = |p: Point| [(4e4 - p[0]) / 2e5, (-3e4 - p[1]) / 2e5];
+        let telecentric: Vec<Vec<Located>> = shots(0.0, 0.02)
+            .into_iter()
+            .map(|shot| {
+                let moved = |d: &Located| [0, 1].map(|a| d.moved_mm[a] + 1.5 * far(d.expected_mm)[a]);
+                shot.iter().map(|d| located(d.expected_mm, moved(d), 1e-6)).collect()
+            })
+            .collect();
+        let found = Parallax::learn(&telecentric, [4e4, -3e4, -2e5], 7.0, Some(medium));
+        // The dots themselves tell it to some tens of millimetres.
+        assert!((found.depth_mm - 0.9).abs() < 0.01 && (found.depth_sd_mm / 0.3 - 1.0).abs() < 0.01, "{found:?}");
+        let alone = learn(&[], Some(medium));
+        assert_eq!((alone.depth_mm, alone.depth_sd_mm, alone.dot_sd_px), (0.9, 0.3, 0.1));
     }
 
     #[test]
     fn a_mistaken_dot_does_not_bend_the_depth() {
         let mut some = shots(1.5, 0.001);
         some[3][7].moved_mm = [2.0, -1.0];
-        let found = Parallax::learn(&some, EYE, 7.0);
+        let found = Parallax::learn(&some, EYE, 7.0, None);
         // Its shot's mean is off by a twelfth of it: eleven dots more that count as mistaken.
         assert!((found.depth_mm - 1.5).abs() < 0.01, "{found:?}");
     }
@@ -268,7 +325,7 @@ mod tests {
         let pair = |second: Point| {
             let dot =
                 |p: Point| located(p, [0.2 + 1.5 * (40.0 - p[0]) / 200.0, 0.1 + 1.5 * (-30.0 - p[1]) / 200.0], 1e-6);
-            Parallax::learn(&[vec![dot([2.0, 3.0]), dot(second)]], EYE, 7.0)
+            Parallax::learn(&[vec![dot([2.0, 3.0]), dot(second)]], EYE, 7.0, None)
         };
         assert!((pair([30.0, 11.0]).depth_mm - 1.5).abs() < 1e-9);
         assert_eq!(pair([2.0, 3.0]), Parallax::unknown(EYE));
@@ -276,7 +333,7 @@ mod tests {
 
     #[test]
     fn a_dot_strays_by_what_the_depth_leaves_over_the_freedoms_that_are_left() {
-        let found = Parallax::learn(&shots(1.5, 0.02), EYE, 7.0);
+        let found = Parallax::learn(&shots(1.5, 0.02), EYE, 7.0, None);
         let mut left = Vec::new();
         for dots in shots(1.5, 0.02) {
             for a in 0..2 {
@@ -316,7 +373,7 @@ mod tests {
     fn a_depth_is_believed_from_four_standard_deviations_on() {
         // Of dots that stray by 0.0148 mm over tangents of 0.61 in all: 0.024 mm. In steps of a twelfth of that.
         let found: Vec<Parallax> =
-            (0..75).map(|k| Parallax::learn(&shots(0.05 + 0.002 * f64::from(k), 0.02), EYE, 7.0)).collect();
+            (0..75).map(|k| Parallax::learn(&shots(0.05 + 0.002 * f64::from(k), 0.02), EYE, 7.0, None)).collect();
         let believed: Vec<f64> =
             found.iter().filter(|f| f.depth_mm > 0.0).map(|f| f.depth_mm / f.depth_sd_mm).collect();
         let least = believed.iter().copied().fold(f64::INFINITY, f64::min);

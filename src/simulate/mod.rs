@@ -33,7 +33,7 @@ mod studio;
 pub use camera::photograph::{ExposureTime, PhotographWriter};
 pub use causes::Cause;
 pub use light::{beam::Beam, monte_carlo, solution::Balance};
-pub use options::{CameraCurve, FileFormat, RigCurve, SensorKind, SimulateOptions, Transport};
+pub use options::{BenchKind, CameraCurve, FileFormat, RigCurve, SensorKind, SimulateOptions, Transport};
 pub use slab::{Beyond, Optics, SlabMaterial, SlabRecord, Volume};
 
 use crate::{

@@ -36,6 +36,17 @@ pub enum SensorKind {
     Phone,
 }
 
+/// Which bench the options describe where they are left as they are.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BenchKind {
+    /// Camera nearly above the slab, half-millimetre cells, reference dots.
+    #[default]
+    Usual,
+    /// Camera far away and 30° off the normal, cells of 0.2 mm, no reference dots, a Gray code that moves from picture to picture, uneven light.
+    Oblique,
+}
+
 /// What solves for the light inside the slab.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -145,6 +156,8 @@ pub struct SimulateOptions {
     pub camera_tilt_deg: Point,
     /// Turn of the camera about its axis, degrees. 2: set up by hand.
     pub camera_turn_deg: f64,
+    /// Distance of the camera in widths of slab and frame. 2: an ordinary lens; 40: nearly telecentric.
+    pub camera_distance: f64,
     /// Sensitivity lost at the corner. 0.15: a good lens, stopped down.
     pub vignetting: f64,
     /// Standard deviation of the point-spread function, px. 0: pixels average over their area, and that is all.
@@ -165,6 +178,10 @@ pub struct SimulateOptions {
     pub projector_blur_px: f64,
     /// Distortion of its lens, Brown's k1 with the image's width for focal length. Usual: 0.01, 1 px at the corner of a picture of 300.
     pub projector_distortion: f64,
+    /// Standard deviation per axis by which the projector moves between photographed patterns of the Gray code, projector px.
+    pub gray_jitter_px: f64,
+    /// No dots on the frame: drift is to be found from the sample's own.
+    pub without_reference_dots: bool,
     /// Photographs of the board in other poses, for the lens.
     pub calibration_boards: usize,
     /// Print dark discs on the frame, photograph them before and after the lattice shots, and tell the rig file.
@@ -232,6 +249,9 @@ impl Default for SimulateOptions {
             distortion: -0.05,
             camera_tilt_deg: [5.0, -3.0],
             camera_turn_deg: 2.0,
+            camera_distance: 2.0,
+            gray_jitter_px: 0.0,
+            without_reference_dots: false,
             vignetting: 0.15,
             psf_px: 0.0,
             glare: 0.0,
@@ -267,6 +287,33 @@ impl Default for SimulateOptions {
 }
 
 impl SimulateOptions {
+    /// The options with those of another bench in the place of all that are the usual ones.
+    pub fn on_bench(self, bench: BenchKind) -> Self {
+        if bench == BenchKind::Usual {
+            return self;
+        }
+        let usual = Self::default();
+        let of = |own: f64, usual: f64, other: f64| if own == usual { other } else { own };
+        Self {
+            camera_tilt_deg: if self.camera_tilt_deg == usual.camera_tilt_deg {
+                [24.0, -19.0]
+            } else {
+                self.camera_tilt_deg
+            },
+            camera_turn_deg: of(self.camera_turn_deg, usual.camera_turn_deg, -11.0),
+            camera_distance: of(self.camera_distance, usual.camera_distance, 40.0),
+            pitch_mm: of(self.pitch_mm, usual.pitch_mm, 0.2),
+            psf_px: of(self.psf_px, usual.psf_px, 0.6),
+            falloff: of(self.falloff, usual.falloff, 0.4),
+            white_unevenness: of(self.white_unevenness, usual.white_unevenness, 0.005),
+            projector_turn_deg: of(self.projector_turn_deg, usual.projector_turn_deg, -7.0),
+            projector_blur_px: of(self.projector_blur_px, usual.projector_blur_px, 0.45),
+            gray_jitter_px: of(self.gray_jitter_px, usual.gray_jitter_px, 0.4),
+            without_reference_dots: true,
+            ..self
+        }
+    }
+
     /// Nominal distance of lit points along the projector's axes, mm.
     pub fn lit_pitch_mm(&self) -> Point {
         let [x, y] = self.step_projector_px.map(|step| step as f64);
@@ -348,6 +395,8 @@ impl SimulateOptions {
         }
         // The picture's top left corner must stay the sample's.
         range("camera_turn_deg", self.camera_turn_deg, -30.0, 30.0)?;
+        range("camera_distance", self.camera_distance, 1.0, 1000.0)?;
+        range("gray_jitter_px", self.gray_jitter_px, 0.0, 5.0)?;
         range("projector_turn_deg", self.projector_turn_deg, -180.0, 180.0)?;
         range("white_unevenness", self.white_unevenness, 0.0, 0.5)?;
         range("drift_px", self.drift_px, 0.0, 20.0)?;

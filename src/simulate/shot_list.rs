@@ -73,7 +73,8 @@ impl ShotList {
             slab: Slab { size_mm: scene.slab_size_mm },
             grid: scene.grid.clone(),
             window: Window { samples: options.window, pitch_mm: options.pitch_mm },
-            reference_dots: Some(ReferenceDots { projector_px: scene.reference_dots.clone() }),
+            reference_dots: Some(ReferenceDots { projector_px: scene.reference_dots.clone() })
+                .filter(|dots| !dots.projector_px.is_empty()),
             shots,
         };
         Self { manifest, first_lattice, lattices }

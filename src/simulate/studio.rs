@@ -70,6 +70,18 @@ struct Darkroom {
     writer: PhotographWriter,
 }
 
+/// How far the projector has moved at a photograph of the Gray code, projector px.
+fn gray_jitter(options: &SimulateOptions, shot: usize) -> Point {
+    if options.gray_jitter_px == 0.0 {
+        return [0.0; 2];
+    }
+    let mut rng = Pcg64Mcg::seed_from_u64(mix_seed(options.seed ^ 0x6a77, shot as u64));
+    [0, 1].map(|_| {
+        let normal: f64 = StandardNormal.sample(&mut rng);
+        options.gray_jitter_px * normal
+    })
+}
+
 impl Studio {
     /// Solves for the light all over the sample, and chooses the sensitivity.
     pub(super) fn new(options: &SimulateOptions, bench: Bench) -> Result<Self> {
@@ -159,7 +171,7 @@ impl Studio {
                     )?,
                 )
             }
-            pattern => self.still(options, pattern),
+            pattern => self.still(options, pattern, gray_jitter(options, shot)),
         };
         room.rate = self.rate(options, &room.picture, room.rate);
         let mut bytes = 0;
@@ -188,8 +200,8 @@ impl Studio {
         rate
     }
 
-    /// A shot without dots.
-    fn still(&self, options: &SimulateOptions, pattern: &Pattern) -> RenderedPicture {
+    /// A shot without dots; the Gray code is projected `moved_px` beside its place.
+    fn still(&self, options: &SimulateOptions, pattern: &Pattern, moved_px: Point) -> RenderedPicture {
         let (scene, black) = (&self.bench.scene, options.projector_black);
         let irradiance = |p: Point, lit: f64| {
             let projected = black + (1.0 - black) * lit;
@@ -200,7 +212,10 @@ impl Studio {
             let reflectance = scene.white_reflectance(p);
             std::array::from_fn(|c| light[c] * reflectance[c])
         };
-        let projector_px = |p: Point| scene.slab_from_projector.projector_from_slab(p);
+        let projector_px = |p: Point| {
+            let [x, y] = scene.slab_from_projector.projector_from_slab(p);
+            [x - moved_px[0], y - moved_px[1]]
+        };
         match *pattern {
             Pattern::Board | Pattern::CalibrationBoard => self.board(options, &self.pixels),
             Pattern::ReferenceWhite => self.pixels.picture(|_| GAUSS_1, |p| white(p, 1.0)),
@@ -212,7 +227,9 @@ impl Studio {
                     Brightness::Even(_) => GAUSS_1,
                     Brightness::Edge(rule) => rule,
                 };
-                self.lit_sample(options, &self.pixels, rule, |p| code.brightness(p), |p| code.blurred(p, options))
+                let moved = |p: Point| [p[0] - moved_px[0], p[1] - moved_px[1]];
+                let sharp = |p: Point| code.brightness(moved(p));
+                self.lit_sample(options, &self.pixels, rule, sharp, |p| code.blurred(moved(p), options))
             }
             Pattern::GrayCode { axis, bit, inverse, on: Surface::WhiteReference } => {
                 let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };

@@ -39,6 +39,10 @@ pub(crate) const BOARD_ELSEWHERE_PX: f64 = 0.2;
 /// The frame has moved when its marks have by more than this, px, and by so many standard deviations.
 pub(crate) const FRAME_MOVED_PX: f64 = 0.05;
 pub(crate) const MOVED_SIGMA: f64 = 5.0;
+/// Stripes of this share that are off the plane are more than edges of what stands around.
+pub(crate) const STRIPES_LEFT_OUT: f64 = 0.05;
+/// A part of the projector's map that is off by more, projector px, is seen in the rows beside their stated uncertainty.
+pub(crate) const MAP_BENDS_PX: f64 = 0.25;
 /// A point spread that differs by this much over the board, px, leaves a few per cent of the peaks where it is not the mean's.
 pub(crate) const SPREAD_VARIES_PX: f64 = 0.1;
 /// From this blur on a sharp dot's peak is known to two per cent and worse at 3 px a sample (docs/accuracy.md).

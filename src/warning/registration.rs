@@ -1,10 +1,16 @@
 //! What registration finds: board, frame, point spread, drift.
 
-use super::bounds::{BOARD_ELSEWHERE_PX, FRAME_MOVED_PX, MOVED_SIGMA, SPREAD_VARIES_PX, STRONG_BLUR_PX};
+use super::bounds::{
+    BOARD_ELSEWHERE_PX, FRAME_MOVED_PX, MAP_BENDS_PX, MOVED_SIGMA, SPREAD_VARIES_PX, STRIPES_LEFT_OUT, STRONG_BLUR_PX,
+};
 use super::record::catalogue;
+use crate::registration::SeenDepth;
 use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
+
+/// A shift by depth of less than this, mm, is not worth its words.
+const LEAST_DEPTH_TOLD_MM: f64 = 5e-4;
 
 /// What registration finds: board, frame, point spread, drift.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -47,13 +53,36 @@ pub enum RegistrationWarning {
         jumps: Vec<DriftJump>,
     },
     /// No reference dots: drift is the median of the lattice dots' own shifts, which edges of materials bias.
-    DriftFromLatticeDots,
+    DriftFromLatticeDots {
+        /// From which depth the dots are taken to be seen; `None` where the view or all dots are unknown.
+        #[serde(default)]
+        depth: Option<SeenDepth>,
+    },
     /// Shots without reference dots have too few dots for a measurement of their drift; their drift is treated as zero.
     DriftUnmeasured {
         /// The first such shot.
         first: String,
         /// How many shots.
         shots: usize,
+    },
+    /// The finest bits of the Gray code are ignored: the camera does not tell their stripes apart.
+    GrayBitsIgnored {
+        /// How many of the projector's columns' bits, and of its rows'.
+        bits: [usize; 2],
+    },
+    /// Part of the stripes' area shows codes that do not lie on the plane's map, and is left out.
+    StripesLeftOut {
+        /// Its share of the area's squares with a code, or of the edges.
+        share: f64,
+    },
+    /// The stripes of one part of the slab's plane are off the projector's map together.
+    ProjectorMapBends {
+        /// By how much, projector px.
+        off_projector_px: f64,
+        /// Its standard deviation, projector px.
+        sd_projector_px: f64,
+        /// Where, slab mm.
+        at_mm: [f64; 2],
     },
     /// The blur of the lens could not be measured on the board; it is treated as zero.
     PointSpreadUnmeasured,
@@ -105,7 +134,20 @@ impl fmt::Display for RegistrationWarning {
                 let list = named.collect::<Vec<_>>().join(", ");
                 write!(f, "the pattern jumped before {list}{more}; the jumps are corrected, but something was touched")
             }
-            Self::DriftFromLatticeDots => write!(
+            Self::DriftFromLatticeDots { depth: Some(d) }
+                if d.tangent * d.depth_mm.max(d.sd_mm) >= LEAST_DEPTH_TOLD_MM =>
+            {
+                write!(
+                    f,
+                    "the patterns have no reference dots: drift is measured on the lattice dots, which is biased near edges of materials; seen {:.0}° off the normal, from a depth of {:.3} ± {:.3} mm over the refractive index, they lie {:.3} ± {:.3} mm beside their places",
+                    d.tangent.atan().to_degrees(),
+                    d.depth_mm,
+                    d.sd_mm,
+                    d.tangent * d.depth_mm,
+                    d.tangent * d.sd_mm
+                )
+            }
+            Self::DriftFromLatticeDots { .. } => write!(
                 f,
                 "the patterns have no reference dots: drift is measured on the lattice dots, which is biased near edges of materials"
             ),
@@ -113,6 +155,23 @@ impl fmt::Display for RegistrationWarning {
                 f,
                 "too few dots to measure the drift of {} (first: \"{first}\"); no drift is assumed",
                 count(*shots, "shot")
+            ),
+            Self::GrayBitsIgnored { bits } => {
+                let axes = bits.iter().zip(["x", "y"]).filter(|(n, _)| **n > 0);
+                let list = axes.map(|(n, axis)| format!("{n} in {axis}")).collect::<Vec<_>>().join(" and ");
+                write!(
+                    f,
+                    "the camera does not tell the finest stripes of the Gray code apart; these bits are ignored: {list}"
+                )
+            }
+            Self::StripesLeftOut { share } => write!(
+                f,
+                "{:.1} % of the stripes do not lie on the plane that the others agree on, and are left out",
+                100.0 * share
+            ),
+            Self::ProjectorMapBends { off_projector_px, sd_projector_px, at_mm: [x, y] } => write!(
+                f,
+                "the stripes around ({x:.1}, {y:.1}) mm are {off_projector_px:+.2} ± {sd_projector_px:.2} projector px off the projector's map, and the rows there as much: is the slab's plane flat, and all of it in view?"
             ),
             Self::PointSpreadUnmeasured => {
                 write!(f, "the lens blur cannot be measured at the board's edges; it remains in the rows")
@@ -139,9 +198,14 @@ catalogue!(RegistrationWarning {
     Self::CameraMoved { first, .. } => "camera-moved", Warning, Drift, Corrected, vec![shot(first)], None;
     Self::DriftJumps { jumps } => "drift-jumps", Warning, Drift, Corrected,
         jumps.iter().map(|j| shot(&j.shot)).collect(), None;
-    Self::DriftFromLatticeDots => "drift-from-lattice-dots", Warning, Drift, Replaced,
+    Self::DriftFromLatticeDots { .. } => "drift-from-lattice-dots", Warning, Drift, Replaced,
         vec![field("reference_dots")], None;
     Self::DriftUnmeasured { first, .. } => "drift-unmeasured", Warning, Drift, Replaced, vec![shot(first)], None;
+    Self::GrayBitsIgnored { .. } => "gray-bits-ignored", Note, Registration, LeftOut, vec![part("Gray code")], None;
+    Self::StripesLeftOut { .. } => "stripes-left-out", Warning, Registration, LeftOut, vec![part("Gray code")],
+        bound("share", STRIPES_LEFT_OUT, "");
+    Self::ProjectorMapBends { .. } => "projector-map-bends", Warning, Registration, Told, vec![part("projector")],
+        bound("off_projector_px", MAP_BENDS_PX, "projector px");
     Self::PointSpreadUnmeasured => "point-spread-unmeasured", Warning, Focus, Told, vec![part("board")], None;
     Self::PointSpreadVaries { .. } => "point-spread-varies", Warning, Focus, Corrected, vec![part("lens")],
         bound("range_px", SPREAD_VARIES_PX, "px");

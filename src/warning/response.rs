@@ -42,6 +42,9 @@ pub enum ResponseWarning {
         removed_share: f64,
         /// Share of the samples that are the model's rather than measured.
         modelled_share: f64,
+        /// Share of a row's light by which it may still be off, all rows alike: one standard deviation.
+        #[serde(default)]
+        common_share: f64,
     },
     /// Rows whose albedo exceeds one: more light leaves than arrives.
     AlbedoAboveOne {
@@ -70,13 +73,14 @@ impl fmt::Display for ResponseWarning {
             Self::UnlitPoints { rows } => {
                 write!(f, "no shot lights {}; treated as unmeasured", count(*rows, "grid point"))
             }
-            Self::CrossTalk { spacing_samples, needed_samples, removed_share, modelled_share } => {
+            Self::CrossTalk { spacing_samples, needed_samples, removed_share, modelled_share, common_share } => {
                 let needed = needed_samples.map_or("more than two windows".into(), |n| count(n, "sample"));
                 write!(
                     f,
-                    "dots of one shot are {spacing_samples:.1} samples apart and light each other's windows: {:.1} % of the light was removed, {:.1} % of the samples are modelled; a distance of {needed} avoids it",
+                    "dots of one shot are {spacing_samples:.1} samples apart and light each other's windows: {:.1} % of the light was removed, {:.1} % of the samples are modelled; all rows alike may be {:.1} % too bright or too dark for it (standard deviation); a distance of {needed} avoids it",
                     100.0 * removed_share,
-                    100.0 * modelled_share
+                    100.0 * modelled_share,
+                    100.0 * common_share
                 )
             }
             Self::AlbedoAboveOne { rows, largest } => write!(

@@ -17,6 +17,9 @@ pub struct LightSum {
     pub whole: Samples,
     /// Linear light of black in that exposure time, DN; little.
     pub black: Vec<f32>,
+    /// How much half the inverse's linear light less half the pattern's (of any curve near the right one) grows from pixel to pixel along the picture's
+    /// rows and columns, DN.
+    pub slope: [Vec<f32>; 2],
 }
 
 /// Settings of [`estimate_curve`].
@@ -51,6 +54,10 @@ const BEND_SD: f64 = 0.3;
 const LAMP_SD: f64 = 0.02;
 /// And of what compression does to all edges of a pattern alike, where dark parts cannot tell the lamp's change.
 const COMPRESSED_LAMP_SD: f64 = 0.004;
+/// Prior standard deviation of how far pattern and inverse moved against each other, camera px.
+const MOVED_SD_PX: f64 = 0.7;
+/// Unknowns of a light sum: the lamp's change in either part, and how far these moved against each other along both axes.
+const PER_SUM: usize = 4;
 /// A light sum tells about the curve where both parts have at least this share of it.
 const LEAST_SHARE: f64 = 0.1;
 const ITERATIONS: usize = 15;
@@ -63,7 +70,8 @@ const BLOCK_PIXELS: f64 = 64.0;
 /// Weighted least squares over all unknowns at once: the curve's coefficients, the light of each pixel (eliminated), one exposure time
 /// a setting with the prior `times_sd`. As in `MitsunagaNayar1999` curve and exposure ratios are found together; stacks alone leave the ambiguity
 /// g → g^γ, t → t^γ (`GrossbergNayar2003`), which here is settled by light sums: g(pattern) + g(inverse) = g(white) + g(black) holds for one γ
-/// only. Weights are those of photon statistics and of rounding and compression, at predicted values, not at the noisy ones.
+/// only. A projector that moves between pattern and inverse breaks that at the edges of stripes, where alone both have light: the movement is an
+/// unknown of each sum, and what it leaves unexplained is added to the sum's variance. Weights are otherwise those of photon statistics and of rounding and compression, at predicted values, not at the noisy ones.
 ///
 /// `None` when the stacks have too little in common. Not detected: a curve that changes between photographs (automatic tone
 /// mapping), crosstalk of channels (a colour matrix before the curve).
@@ -141,7 +149,7 @@ impl System {
 
 impl Problem<'_> {
     fn fit(&self, curves: usize, from: Option<&Fit>) -> Option<Fit> {
-        let lamps = 2 * self.sums.len();
+        let lamps = PER_SUM * self.sums.len();
         let mut fit = Fit {
             coefficients: from.map_or_else(|| starting(&Curve::srgb()), |f| f.coefficients.clone()).repeat(curves),
             curves,
@@ -176,7 +184,7 @@ impl Problem<'_> {
     fn system(&self, fit: &Fit, loose: bool) -> Option<System> {
         let curve = fit.curve(vec![vec![0.0; CODES]; fit.curves])?;
         let sensor = Sensor::with_curve(self.noise, Some(curve), self.options.file);
-        let size = fit.coefficients.len() + self.settings + 2 * self.sums.len();
+        let size = fit.coefficients.len() + self.settings + PER_SUM * self.sums.len();
         let stacks: Vec<System> =
             self.stacks.par_iter().map(|s| self.add_stack(s, fit, &sensor, System::new(size), loose)).collect();
         let sums: Vec<System> = self
@@ -210,7 +218,8 @@ impl Problem<'_> {
             system.add(&[(base + s, 1.0)], -now, self.options.times_sd.powi(-2));
         }
         for (l, now) in fit.lamps.iter().enumerate() {
-            let sd = if self.options.file.is_compressed() { COMPRESSED_LAMP_SD } else { LAMP_SD };
+            let lamp = if self.options.file.is_compressed() { COMPRESSED_LAMP_SD } else { LAMP_SD };
+            let sd = if l % PER_SUM < 2 { lamp } else { MOVED_SD_PX };
             system.add(&[(base + self.settings + l, 1.0)], -now, sd.powi(-2));
         }
     }
@@ -265,7 +274,8 @@ impl Problem<'_> {
         system
     }
 
-    /// Light sums: g(a) exp(−α) + g(b) exp(−β) = g(white) + black, α and β being the lamp's changes.
+    /// Light sums: g(a) exp(−α) + g(b) exp(−β) + s · ∇(b − a)/2 = g(white) + black, α and β being the lamp's changes, s how far b has moved
+    /// against a. With the slope of both, no term of s² is left.
     fn add_sum(
         &self,
         number: usize,
@@ -276,12 +286,14 @@ impl Problem<'_> {
         loose: bool,
     ) -> System {
         let Some(curve) = sensor.curve() else { return system };
-        let lamp = fit.coefficients.len() + self.settings + 2 * number;
-        let lamps = [0, 1].map(|p| fit.lamps[2 * number + p].exp().recip());
+        let lamp = fit.coefficients.len() + self.settings + PER_SUM * number;
+        let lamps = [0, 1].map(|p| fit.lamps[PER_SUM * number + p].exp().recip());
+        let moved = [2, 3].map(|p| fit.lamps[PER_SUM * number + p]);
+        let unexplained = self.unexplained(sum, sensor, lamps, moved);
         let samples = sum.whole.len().min(sum.black.len());
         let compressed = self.options.file.is_compressed();
         let mut linear = [[0.0f32; BLOCK]; 3];
-        let mut row = Vec::with_capacity(14);
+        let mut row = Vec::with_capacity(16);
         for first in (0..samples).step_by(BLOCK) {
             let len = BLOCK.min(samples - first);
             for (y, of) in linear.iter_mut().zip([&sum.parts[0], &sum.parts[1], &sum.whole]) {
@@ -298,9 +310,14 @@ impl Problem<'_> {
                 let variance = [a, b, whole].map(|v| f64::from(sensor.variance(v as f32, k % 3)));
                 let total: f64 = variance.iter().sum();
                 let weight = expected * expected / total;
-                let excess = expected - a - b;
+                let slope = [0, 1].map(|axis| f64::from(sum.slope[axis][first + k]));
+                let excess = expected - a - b - moved[0] * slope[0] - moved[1] * slope[1];
                 let residual = excess / expected;
-                if residual.abs() > (5.0 / weight.sqrt()).max(if loose { 0.5 } else { 0.0 }) || weight < 100.0 {
+                let shared = a.min(b) > LEAST_SHARE * (a + b);
+                // Where the light of both meets, they have moved.
+                let noisy = weight < 100.0;
+                let weight = if shared { 1.0 / (1.0 / weight + unexplained) } else { weight };
+                if residual.abs() > (5.0 / weight.sqrt()).max(if loose { 0.5 } else { 0.0 }) || noisy {
                     continue;
                 }
                 // The row is taken at the values that fit: at the noisy ones it would correlate with the residual.
@@ -309,7 +326,6 @@ impl Problem<'_> {
                     b + excess * variance[1] / total,
                     whole - excess * variance[2] / total,
                 ];
-                let shared = a.min(b) > LEAST_SHARE * (a + b);
                 // Compression rings in the dark part, where black clips it: its mean is no longer that of the light.
                 if compressed && !shared {
                     continue;
@@ -328,6 +344,9 @@ impl Problem<'_> {
                 }
                 row.push((lamp, -a / expected));
                 row.push((lamp + 1, -b / expected));
+                if shared {
+                    row.extend([0, 1].map(|axis| (lamp + 2 + axis, slope[axis] / expected)));
+                }
                 system.add(&merged(&mut row), residual, weight);
                 system.chi2 += weight * residual * residual;
                 system.freedom += 1.0;
@@ -336,6 +355,46 @@ impl Problem<'_> {
         system
     }
 }
+
+impl Problem<'_> {
+    /// Variance of a sum's relative residual where both parts have light, beyond that of noise: by the median of its absolute values.
+    fn unexplained(&self, sum: &LightSum, sensor: &Sensor, lamps: [f64; 2], moved: [f64; 2]) -> f64 {
+        let [a, b, whole] = [&sum.parts[0], &sum.parts[1], &sum.whole].map(|of| {
+            let mut linear = vec![0.0; of.len()];
+            sensor.linearize(of, 0, &mut linear);
+            linear
+        });
+        let (mut residuals, mut noise) = (Vec::new(), Vec::new());
+        for k in 0..a.len().min(sum.black.len()) {
+            let [a, b, whole] = [a[k], b[k], whole[k]].map(f64::from);
+            let [a, b] = [a * lamps[0], b * lamps[1]];
+            let expected = whole + f64::from(sum.black[k]);
+            if !(a + b + whole).is_finite() || !(expected > 0.0) || !(a.min(b) > LEAST_SHARE * (a + b)) {
+                continue;
+            }
+            let slope = [0, 1].map(|axis| moved[axis] * f64::from(sum.slope[axis][k]));
+            let variance: f64 = [a, b, whole].map(|v| f64::from(sensor.variance(v as f32, k % 3))).iter().sum();
+            residuals.push(((expected - a - b - slope[0] - slope[1]) / expected).abs());
+            noise.push(variance / (expected * expected));
+        }
+        if residuals.len() < LEAST_SHARED {
+            return 0.0;
+        }
+        let middle = |values: &mut Vec<f64>| {
+            let half = values.len() / 2;
+            *values.select_nth_unstable_by(half, f64::total_cmp).1
+        };
+        let samples = residuals.len() as f64;
+        let own = ((1.4826 * middle(&mut residuals)).powi(2) - middle(&mut noise)).max(0.0);
+        own * (samples / PROFILE_SAMPLES).max(1.0)
+    }
+}
+
+/// What a movement leaves is alike all along an edge: all samples of a sum tell no more than those of one profile, eight px across a rising and a falling
+/// edge each.
+const PROFILE_SAMPLES: f64 = 16.0;
+/// Fewer samples with light of both parts tell no variance of their own.
+const LEAST_SHARED: usize = 50;
 
 /// Sums entries of the same index.
 fn merged(row: &mut [(usize, f64)]) -> Vec<(usize, f64)> {

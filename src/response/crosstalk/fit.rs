@@ -1,5 +1,6 @@
 //! Fitting the kernel and the two maps by multiplicative steps.
 
+use super::exponentials::mixture;
 use super::kernel::{Kernel, Place, interpolate};
 use super::{ChannelModel, LitRow, OutgoingMap, TailModel, distance, reach_mm, sample_mm};
 use crate::capture::Window;
@@ -26,28 +27,28 @@ const CORE_SAMPLES: f64 = 3.0;
 const LARGEST_STEP: f64 = 2.0;
 
 /// A sample of a row and the dots that light it.
-struct Sample {
-    shot: usize,
-    dot: usize,
-    index: usize,
-    cell: usize,
+pub(super) struct Sample {
+    pub(super) shot: usize,
+    pub(super) dot: usize,
+    pub(super) index: usize,
+    pub(super) cell: usize,
     /// Its own dot's place among the pairs.
-    own: usize,
-    pairs: std::ops::Range<usize>,
+    pub(super) own: usize,
+    pub(super) pairs: std::ops::Range<usize>,
 }
 
-struct Pair {
+pub(super) struct Pair {
     /// Number of the dot among all.
-    dot: usize,
-    place: Place,
+    pub(super) dot: usize,
+    pub(super) place: Place,
 }
 
-struct Layout {
-    samples: Vec<Sample>,
-    pairs: Vec<Pair>,
-    flux: Vec<[f64; 3]>,
-    step_mm: f64,
-    nodes: usize,
+pub(super) struct Layout {
+    pub(super) samples: Vec<Sample>,
+    pub(super) pairs: Vec<Pair>,
+    pub(super) flux: Vec<[f64; 3]>,
+    pub(super) step_mm: f64,
+    pub(super) nodes: usize,
 }
 
 /// Fits the model to the rows of some shots, which must be whole: every dot that was lit is in its shot.
@@ -110,14 +111,14 @@ fn neighbours_within(shot: &[LitRow], reach_mm: f64) -> usize {
 }
 
 /// What one channel measured at the samples, and the state of its fit.
-struct Fit<'a> {
-    layout: &'a Layout,
-    channel: usize,
+pub(super) struct Fit<'a> {
+    pub(super) layout: &'a Layout,
+    pub(super) channel: usize,
     /// Light and its variance; `None` where nothing was measured.
-    seen: Vec<Option<(f64, f64)>>,
-    kernel: Vec<f64>,
-    incident: Vec<f64>,
-    outgoing: Vec<f64>,
+    pub(super) seen: Vec<Option<(f64, f64)>>,
+    pub(super) kernel: Vec<f64>,
+    pub(super) incident: Vec<f64>,
+    pub(super) outgoing: Vec<f64>,
 }
 
 fn fit_channel(
@@ -129,7 +130,7 @@ fn fit_channel(
 ) -> Option<ChannelModel> {
     let mut outgoing = OutgoingMap::even(size_mm, window.pitch_mm);
     let mut fit = Fit::new(shots, layout, outgoing.value.clone(), channel);
-    fit.kernel = fit.first_kernel()?;
+    fit.kernel = mixture(&fit, NODE_SAMPLES)?;
     for _ in 0..ROUNDS {
         fit.update_kernel();
         fit.update_incident();
@@ -174,43 +175,6 @@ impl<'a> Fit<'a> {
         });
         let (seen, incident) = (seen.collect(), vec![1.0; layout.flux.len()]);
         Self { layout, channel, seen, kernel: vec![], incident, outgoing }
-    }
-
-    /// From the samples whose own dot is the nearest; exponential beyond them. `None` without light.
-    fn first_kernel(&self) -> Option<Vec<f64>> {
-        let (mut sum, mut weight) = (vec![0.0; self.layout.nodes], vec![0.0; self.layout.nodes]);
-        for (sample, seen) in self.layout.samples.iter().zip(&self.seen) {
-            let Some((light, _)) = seen else { continue };
-            let own = &self.layout.pairs[sample.own];
-            let reach = |p: &Pair| f64::from(p.place.node) + f64::from(p.place.share);
-            if self.layout.pairs[sample.pairs.clone()].iter().any(|p| reach(p) < 1.5 * reach(own) && p.dot != own.dot) {
-                continue;
-            }
-            let t = f64::from(own.place.share);
-            for (node, w) in [(own.place.node as usize, 1.0 - t), (own.place.node as usize + 1, t)] {
-                sum[node] += w * light / self.layout.flux[own.dot][self.channel];
-                weight[node] += w;
-            }
-        }
-        let known: Vec<(usize, f64)> = (0..self.layout.nodes)
-            .filter(|&n| weight[n] > 0.5 && sum[n] > 0.0)
-            .map(|n| (n, (sum[n] / weight[n]).ln()))
-            .collect();
-        let (&(first_node, first), &(last_node, last)) = (known.first()?, known.last()?);
-        // The slope of the last third; a kernel never rises.
-        let (from_node, from) = known[known.len() - 1 - known.len() / 3];
-        let slope = if last_node > from_node { (last - from) / (last_node - from_node) as f64 } else { -0.3 };
-        let slope = slope.min(-0.01);
-        let value = |n: usize| {
-            let after = known.partition_point(|k| k.0 < n);
-            match (after.checked_sub(1).map(|k| known[k]), known.get(after)) {
-                (_, Some(&(node, v))) if node == n => v,
-                (Some((a, va)), Some(&(b, vb))) => va + (vb - va) * (n - a) as f64 / (b - a) as f64,
-                (None, _) => first + slope.abs() * (first_node - n) as f64,
-                (Some(_), None) => last + slope * (n - last_node) as f64,
-            }
-        };
-        Some((0..self.layout.nodes).map(|n| value(n).max(-600.0).exp()).collect())
     }
 
     /// Each pair's light at a sample, into `parts`; their sum.

@@ -8,12 +8,13 @@
 //! uncertain by ([`TailModel::separate`]): close to its own dot a row keeps what was measured, less the others' modelled tails;
 //! close to another dot it becomes the model, with the model's variance. Only what cannot be told apart is modelled.
 
+mod exponentials;
 mod fit;
 mod kernel;
 mod separate;
 
 pub use fit::fit_tails;
-pub use separate::Separation;
+pub use separate::{LeftByOthers, Separation};
 
 use crate::capture::Window;
 use crate::geometry::Point;

@@ -70,12 +70,13 @@ impl TailModel {
     /// Of an even slab: the two maps are left out.
     pub fn spacing_for(&self, share: f64, window: &Window) -> Option<usize> {
         let most = 2 * window.samples[0].max(window.samples[1]);
-        (2..=most).find(|&spacing| self.uncertainty_at(spacing, window) <= share)
+        (2..=most).find(|&spacing| self.left_at(spacing as f64, window).rms_share <= share)
     }
 
-    fn uncertainty_at(&self, spacing: usize, window: &Window) -> f64 {
-        let side = spacing as f64 * window.pitch_mm;
-        let (mut error, mut light) = (0.0, 0.0);
+    /// What the other dots of a square lattice of this distance, in samples, leave separated rows uncertain by. Of an even slab.
+    pub fn left_at(&self, spacing_samples: f64, window: &Window) -> LeftByOthers {
+        let side = spacing_samples * window.pitch_mm;
+        let (mut error, mut square, mut all, mut light) = (0.0, 0.0, 0.0, 0.0);
         for model in &self.channels {
             let around = (super::reach_mm(window) / side).ceil().min(6.0) as i64;
             for j in 0..window.samples[1] {
@@ -89,13 +90,24 @@ impl TailModel {
                     let lattice = (-around..=around).flat_map(|y| (-around..=around).map(move |x| [x, y]));
                     let others: f64 =
                         lattice.filter(|k| *k != [0, 0]).map(|k| part(k.map(|k| k as f64 * side)).1).sum();
-                    error += if own + others > 0.0 { own * others / (own + others) } else { 0.0 };
-                    light += value * value;
+                    let left: f64 = if own + others > 0.0 { own * others / (own + others) } else { 0.0 };
+                    (error, all) = (error + left, all + left.sqrt());
+                    (square, light) = (square + value * value, light + value);
                 }
             }
         }
-        (error / light).sqrt()
+        LeftByOthers { rms_share: (error / square).sqrt(), light_share: all / light }
     }
+}
+
+/// How uncertain other dots leave a row.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LeftByOthers {
+    /// Euclidean norm of its samples' standard deviations, of that of the row.
+    pub rms_share: f64,
+    /// Their sum, of the row's light: what its albedo is uncertain by where the model errs in all samples alike, as it does in a medium that falls off
+    /// otherwise than it says.
+    pub light_share: f64,
 }
 
 /// What one dot of a shot brings to a sample: its light per unit of its incident factor, over the flux of the row's own dot, and the model's relative variance there.

@@ -110,7 +110,9 @@ impl SimulatedScene {
             px_mm,
             projector_blur_px: options.projector_blur_px.max(FINEST_EDGE_PX * projector_px_per_camera_px(options)),
         };
-        scene.reference_dots = scene.reference_dots(options);
+        if !options.without_reference_dots {
+            scene.reference_dots = scene.reference_dots(options);
+        }
         Ok(scene)
     }
 
@@ -371,7 +373,7 @@ pub(crate) fn fitted(options: &SimulateOptions) -> Result<SimulateOptions> {
 fn camera(options: &SimulateOptions, size: Point, frame: f64) -> (CameraView, Camera, [f64; 3]) {
     let px_per_mm = options.camera_px_per_sample / options.pitch_mm;
     let extent_px = size.map(|s| (s + 2.0 * frame) * px_per_mm);
-    let focal_px = (2.0 * extent_px[0].max(extent_px[1])).round();
+    let focal_px = (options.camera_distance * extent_px[0].max(extent_px[1])).round();
     let distance_mm = focal_px / px_per_mm;
     let [(sin_x, cos_x), (sin_y, cos_y)] = options.camera_tilt_deg.map(|t| t.to_radians().sin_cos());
     let (sin_r, cos_r) = options.camera_turn_deg.to_radians().sin_cos();

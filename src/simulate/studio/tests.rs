@@ -227,7 +227,7 @@ fn projector_black_ambient_light_falloff_and_blur_reach_the_photographs() {
     let still = |causes: &[Cause], pattern: &Pattern| {
         let options = bench(causes);
         let studio = studio(&options);
-        let picture = studio.still(&options, pattern);
+        let picture = studio.still(&options, pattern, [0.0; 2]);
         let [width, height] = studio.bench.scene.camera.size_px;
         (picture[height / 2 * width + width / 2], picture[0], picture)
     };

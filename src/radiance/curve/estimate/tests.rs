@@ -93,7 +93,8 @@ fn scene(gamma: [f64; 3]) -> (Stack, LightSum) {
     let share = |k: usize| 0.12 + 0.76 * ((k * 101) % 600) as f64 / 600.0;
     let parts = [false, true]
         .map(|other| codes((0..600).map(|k| whole(k) * if other { 1.0 - share(k) } else { share(k) }), gamma));
-    (stack, LightSum { parts, whole: codes((0..600).map(whole), gamma), black: vec![0.0; 600] })
+    let slope = [vec![0.0; 600], vec![0.0; 600]];
+    (stack, LightSum { parts, whole: codes((0..600).map(whole), gamma), black: vec![0.0; 600], slope })
 }
 
 fn estimated(gamma: [f64; 3]) -> CurveEstimate {
@@ -121,6 +122,56 @@ fn one_power_law_for_all_channels_is_found_as_one_curve() {
     assert!(found.curve.relative_sd_at(0, 188.0) < 1e-9);
     // No noise was added to this.
     assert!(found.reduced_chi2 < 0.1 && found.observations > 1000, "{} {}", found.reduced_chi2, found.observations);
+}
+
+/// Stripes of 10 px, blurred by 1.2 px, on 20 lines of 60 px; the inverse lies `moved` px beside the pattern.
+fn stripes(moved: f64, whole: f64, gamma: [f64; 3]) -> LightSum {
+    // Light from 0 to 1, and its slope.
+    let lit = |x: f64| {
+        (0..3)
+            .map(|k| [10.0 + 20.0 * k as f64, 20.0 + 20.0 * k as f64])
+            .map(|[from, to]| {
+                0.5 * (libm::erf((x - from) / (1.2 * 2f64.sqrt())) - libm::erf((x - to) / (1.2 * 2f64.sqrt())))
+            })
+            .sum::<f64>()
+    };
+    let x = |k: usize| (k / 3 % 60) as f64 + 0.37 * (k / 180 % 5) as f64;
+    let n = 3600;
+    let part = |k: usize, other: bool| whole * if other { 1.0 - lit(x(k) - moved) } else { lit(x(k)) };
+    let parts = [false, true].map(|other| codes((0..n).map(|k| part(k, other)), gamma));
+    let grows = |k: usize| {
+        let at = |x: f64| 0.5 * whole * (1.0 - lit(x - moved) - lit(x));
+        (0.5 * (at(x(k) + 1.0) - at(x(k) - 1.0))) as f32
+    };
+    let slope = [(0..n).map(grows).collect(), vec![0.0; n]];
+    LightSum { parts, whole: codes((0..n).map(|_| whole), gamma), black: vec![0.0; n], slope }
+}
+
+#[test]
+fn a_projector_that_moves_between_pattern_and_inverse_bends_no_curve() {
+    for gamma in [1.4, 1.9, 2.5] {
+        let (stack, _) = scene([gamma; 3]);
+        let sums: Vec<LightSum> = [0.55, -0.7, 0.2, -0.35]
+            .into_iter()
+            .zip([230.0, 120.0, 60.0, 180.0])
+            .map(|(moved, whole)| stripes(moved, whole, [gamma; 3]))
+            .collect();
+        let file = FileNoise { sixteen_bit: true, compression: [0.0; 3] };
+        // Times are nearly free: what settles the power is the sums.
+        let options = CurveOptions { times_sd: 0.3, file };
+        let found = estimate_curve(&[stack], &sums, 3, &NOISE, &options).unwrap();
+        for code in [20.0, 60.0, 120.0, 240.0f64] {
+            let ratio = found.curve.linear_at(0, code) / found.curve.linear_at(0, 188.0);
+            let off = ratio / (code / 188.0).powf(gamma) - 1.0;
+            let sd = found.curve.relative_sd_at(0, code);
+            println!("{gamma} {code}: {off:+.4} ± {sd:.4}");
+            // A hundredth per stop from half the range, and what it says of itself covers it.
+            assert!(
+                off.abs() < 0.01 * (1.0 + (code / 188.0).log2().abs()) && off.abs() < 3.0 * sd + 1e-3,
+                "{gamma} {code}: {off} {sd}"
+            );
+        }
+    }
 }
 
 #[test]
@@ -157,7 +208,7 @@ fn state(settings: usize, sums: usize) -> Fit {
         coefficients,
         curves: 3,
         times: wave(settings),
-        lamps: wave(2 * sums),
+        lamps: wave(4 * sums),
         chi2: 0.0,
         freedom: 0.0,
         covariance_diagonal: vec![],
@@ -260,13 +311,14 @@ fn a_light_sums_equations_are_the_parts_less_the_whole_at_the_values_that_fit() 
     sum.parts = [false, true].map(|other| {
         codes((0..600).map(|k| whole(k) * if other { 1.0 - share(k) } else { share(k) }), [1.6, 1.9, 2.3])
     });
+    sum.slope = [11, 13].map(|step| (0..600).map(|k| 9.0 - ((k * step) % 19) as f32).collect());
     let file = FileNoise { sixteen_bit: true, compression: [0.0; 3] };
     let options = CurveOptions { times_sd: 0.03, file };
     let sums = [sum.clone(), sum];
     let problem = Problem { stacks: &[], sums: &sums, settings: 2, noise: &NOISE, options: &options };
     let fit = state(2, 2);
     let sensor = Sensor::with_curve(&NOISE, fit.curve(vec![vec![0.0; CODES]; 3]), file);
-    let size = 3 * COEFFICIENTS + 2 + 4;
+    let size = 3 * COEFFICIENTS + 2 + 8;
     let found = problem.add_sum(1, &sums[1], &fit, &sensor, System::new(size), true);
     let light = |s: &Samples| {
         let mut all = vec![0.0; 600];
@@ -274,9 +326,25 @@ fn a_light_sums_equations_are_the_parts_less_the_whole_at_the_values_that_fit() 
         all
     };
     let [first, second, white] = [&sums[1].parts[0], &sums[1].parts[1], &sums[1].whole].map(light);
+    let lamps = [fit.lamps[4], fit.lamps[5]].map(|l| (-l).exp());
+    let displaced = |k: usize| (0..2).map(|a| fit.lamps[6 + a] * f64::from(sums[1].slope[a][k])).sum::<f64>();
+    // What noise does not explain where both parts have light: by the middle of 2 lists of numbers, for 16 independent samples.
+    let mut lists = [vec![], vec![]];
+    for k in 0..600 {
+        let seen = [f64::from(first[k]) * lamps[0], f64::from(second[k]) * lamps[1], f64::from(white[k])];
+        let expected = seen[2] + f64::from(sums[1].black[k]);
+        if (seen[0] + seen[1] + seen[2]).is_finite() && seen[0].min(seen[1]) > 0.1 * (seen[0] + seen[1]) {
+            let variance: f64 = seen.map(|v| f64::from(sensor.variance(v as f32, k % 3))).iter().sum();
+            lists[0].push((expected - seen[0] - seen[1] - displaced(k)).abs() / expected);
+            lists[1].push(variance / expected / expected);
+        }
+    }
+    lists.iter_mut().for_each(|l| l.sort_by(f64::total_cmp));
+    let [residual, noise] = [&lists[0], &lists[1]].map(|l| l[l.len() / 2]);
+    let unexplained = ((1.4826 * residual).powi(2) - noise) * lists[0].len() as f64 / 16.0;
+    assert!(unexplained > noise, "the curve of this state is not that of the sums");
     let (mut rows, mut chi2, mut shares) = (Vec::new(), 0.0, [0; 2]);
     for k in 0..600 {
-        let lamps = [fit.lamps[2], fit.lamps[3]].map(|l| (-l).exp());
         let seen = [f64::from(first[k]) * lamps[0], f64::from(second[k]) * lamps[1], f64::from(white[k])];
         let expected = seen[2] + f64::from(sums[1].black[k]);
         if !(seen[0] + seen[1] + seen[2]).is_finite() {
@@ -284,14 +352,16 @@ fn a_light_sums_equations_are_the_parts_less_the_whole_at_the_values_that_fit() 
         }
         let variance = seen.map(|v| f64::from(sensor.variance(v as f32, k % 3)));
         let total = variance[0] + variance[1] + variance[2];
-        let (weight, excess) = (expected * expected / total, expected - seen[0] - seen[1]);
-        if weight < 100.0 || (excess / expected).abs() > 0.5 {
+        let (noise, excess) = (total / expected / expected, expected - seen[0] - seen[1] - displaced(k));
+        let both = seen[0].min(seen[1]) > 0.1 * (seen[0] + seen[1]);
+        let weight = 1.0 / (noise + if both { unexplained } else { 0.0 });
+        // Whatever is not noise alone is looked at up to five deviations.
+        if noise > 0.01 || (excess / expected).abs() > (5.0 / weight.sqrt()).max(0.5) {
             continue;
         }
         // What each would be if the excess were shared by variance.
         let fitted = [0, 1, 2].map(|p| seen[p] + [1.0, 1.0, -1.0][p] * excess * variance[p] / total);
         let mut row = vec![0.0; size];
-        let both = fitted[0].min(fitted[1]) > 0.1 * (fitted[0] + fitted[1]);
         shares[usize::from(both)] += 1;
         for p in 0..3 {
             let code = sensor.curve().unwrap().code_at(k % 3, fitted[p]);
@@ -301,9 +371,12 @@ fn a_light_sums_equations_are_the_parts_less_the_whole_at_the_values_that_fit() 
                 (0..4).for_each(|m| row[k % 3 * COEFFICIENTS + first + m] += sign * fitted[p] / expected * values[m]);
             }
         }
-        // Lamps come after the two settings' times, two for each sum.
-        row[3 * COEFFICIENTS + 2 + 2] = -fitted[0] / expected;
-        row[3 * COEFFICIENTS + 2 + 3] = -fitted[1] / expected;
+        // Lamps and movements come after the two settings' times, four for each sum.
+        row[3 * COEFFICIENTS + 2 + 4] = -fitted[0] / expected;
+        row[3 * COEFFICIENTS + 2 + 5] = -fitted[1] / expected;
+        for a in (0..2).filter(|_| both) {
+            row[3 * COEFFICIENTS + 2 + 6 + a] = f64::from(sums[1].slope[a][k]) / expected;
+        }
         chi2 += weight * (excess / expected).powi(2);
         rows.push((row, excess / expected, weight));
     }
