@@ -80,6 +80,14 @@ struct Lit {
     at_mm: Point,
 }
 
+/// Light that a row has in a place over what the row of that place has in its own.
+#[derive(Debug, Clone, Copy)]
+struct Ratio {
+    ln_ratio: f64,
+    /// Of the noise of both.
+    sd: f64,
+}
+
 /// The rows that are compared with each other.
 struct Compared {
     lit: Vec<Option<Lit>>,
@@ -173,26 +181,27 @@ impl Compared {
 
     /// For each row, ln of its light over that of the rows of other shots between the same places. What all pairs of a displacement have in
     /// common is no shot's, and taken out: light from depth is seen beside its place.
-    fn ratios(&self, seen: &[Seen]) -> Vec<Vec<f64>> {
-        let mut pairs: Vec<(usize, [isize; 2], f64)> = Vec::new();
+    fn ratios(&self, seen: &[Seen]) -> Vec<Vec<Ratio>> {
+        let mut pairs: Vec<(usize, [isize; 2], Ratio)> = Vec::new();
         let mut alike: BTreeMap<[isize; 2], Vec<f64>> = BTreeMap::new();
         for (k, own) in seen.iter().enumerate() {
             for (j, there) in &own.there {
                 let Some(back) = of(&seen[*j], k) else { continue };
                 let ([light, variance], [back, back_variance]) = (there[1], back[1]);
                 if light.min(back) > SEEN_SIGMA * (variance + back_variance).sqrt() {
-                    let (step, ratio) = (self.step(k, *j), (light / back).ln());
-                    pairs.push((k, step, ratio));
-                    alike.entry(step).or_default().push(ratio);
+                    let (step, ln_ratio) = (self.step(k, *j), (light / back).ln());
+                    let sd = (variance / (light * light) + back_variance / (back * back)).sqrt();
+                    pairs.push((k, step, Ratio { ln_ratio, sd }));
+                    alike.entry(step).or_default().push(ln_ratio);
                 }
             }
         }
         alike.retain(|_, all| all.len() >= LEAST_VALUES);
         let alike: BTreeMap<[isize; 2], f64> =
             alike.into_iter().map(|(step, mut all)| (step, median(&mut all))).collect();
-        let mut rows: Vec<Vec<f64>> = vec![vec![]; seen.len()];
+        let mut rows: Vec<Vec<Ratio>> = vec![vec![]; seen.len()];
         for (row, step, ratio) in pairs {
-            rows[row].extend(alike.get(&step).map(|common| ratio - common));
+            rows[row].extend(alike.get(&step).map(|common| Ratio { ln_ratio: ratio.ln_ratio - common, ..ratio }));
         }
         rows
     }
@@ -206,7 +215,7 @@ impl Compared {
     /// Shots whose rows have another light than the rows of other shots say: all of them, some, or in some places.
     fn levels(&self, seen: &[Seen]) -> Option<OffShot> {
         let rows = self.ratios(seen);
-        let mut shots: Vec<Vec<f64>> = vec![vec![]; self.shots];
+        let mut shots: Vec<Vec<Ratio>> = vec![vec![]; self.shots];
         let mut places = vec![0; self.shots];
         for (lit, ratios) in self.lit.iter().zip(&rows) {
             if let Some(lit) = lit {
@@ -233,8 +242,14 @@ impl Compared {
             shots.dedup();
             return Some(find((shot, level), Some([off, places[shot]]), shots.len()));
         }
-        let limit = LEAST_PLACE.max(SIGMA * scaled_deviation(shots.iter().flatten().copied(), 0.0));
-        let away = |ratios: &Vec<f64>| ratios.iter().copied().filter(|r| r.abs() > limit).collect::<Vec<f64>>();
+        let limit = LEAST_PLACE.max(SIGMA * scaled_deviation(shots.iter().flatten().map(|r| r.ln_ratio), 0.0));
+        // Something in the way takes light from all of its places, or adds to all.
+        let away = |ratios: &Vec<Ratio>| {
+            let far = |r: &&Ratio| r.ln_ratio.abs() > limit.max(SIGMA * r.sd);
+            let (more, less): (Vec<f64>, Vec<f64>) =
+                ratios.iter().filter(far).map(|r| r.ln_ratio).partition(|r| *r > 0.0);
+            if more.len() > less.len() { more } else { less }
+        };
         let some: Vec<(usize, Vec<f64>)> = shots
             .iter()
             .map(away)
@@ -265,10 +280,11 @@ impl Compared {
 }
 
 /// Of groups of ratios those whose median, ln, is off beyond what it is known to and what groups differ by; with its standard deviation.
-fn off_levels(groups: &[Vec<f64>]) -> Vec<(usize, [f64; 2])> {
-    let level = |ratios: &Vec<f64>| {
-        let middle = median(&mut ratios.clone());
-        (ratios.len() >= 3).then(|| [middle, sd_of_median(ratios, middle)])
+fn off_levels(groups: &[Vec<Ratio>]) -> Vec<(usize, [f64; 2])> {
+    let level = |ratios: &Vec<Ratio>| {
+        let mut all: Vec<f64> = ratios.iter().map(|r| r.ln_ratio).collect();
+        let middle = median(&mut all);
+        (all.len() >= 3).then(|| [middle, sd_of_median(&all, middle)])
     };
     let levels: Vec<Option<[f64; 2]>> = groups.iter().map(level).collect();
     let usual = scaled_deviation(levels.iter().flatten().map(|l| l[0]), 0.0);

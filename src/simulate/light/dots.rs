@@ -12,6 +12,9 @@ use rayon::prelude::*;
 
 /// Around a window the box of voxels goes on by this many pitches, so that its sides do not shape the tails.
 const BOX_MARGIN_PITCHES: usize = 4;
+/// Where the distance of a shot's dots is asked for, their light is followed so many window sides to each side: it is to be seen in the others' windows. Where it
+/// is not, dots are a window and a half apart, and what they would add to each other is left out.
+const FOLLOWED_WINDOWS: f64 = 1.5;
 /// Photons, and what a beam scatters first, are counted in cells of this share of the pitch, and spread by splines: a blur of 0.07
 /// pitches. (In cells twice as wide it took 6 % of a peak in marble out of its sample.)
 const CELLS_PER_SAMPLE: usize = 8;
@@ -52,6 +55,15 @@ struct Tracer {
     seed: u64,
 }
 
+/// Sides of the box of voxels around a dot, samples.
+fn box_samples(options: &SimulateOptions) -> [usize; 2] {
+    let followed = 2.0 * FOLLOWED_WINDOWS * options.window[0].max(options.window[1]) as f64;
+    options.window.map(|samples| {
+        let near = samples + 2 * BOX_MARGIN_PITCHES;
+        if options.spacing.is_some() { near.max(followed.ceil() as usize) } else { near }
+    })
+}
+
 impl Glow {
     /// Means over `cells` × `cells` squares of side `cell_mm`, centred as a whole on `center_mm`: `[y][x][channel]`, exact.
     pub(crate) fn cell_means(&self, center_mm: Point, cells: [usize; 2], cell_mm: f64) -> Vec<f32> {
@@ -87,9 +99,7 @@ impl Dots {
             voxel_mm,
             eye_mm,
             pitch_mm: options.pitch_mm,
-            box_voxels: options
-                .window
-                .map(|samples| ((samples + 2 * BOX_MARGIN_PITCHES) * options.voxels_per_sample).next_multiple_of(8)),
+            box_voxels: box_samples(options).map(|samples| (samples * options.voxels_per_sample).next_multiple_of(8)),
             tracer,
             everywhere: None,
         };
