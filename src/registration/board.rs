@@ -81,6 +81,33 @@ mod tests {
         (0..2).for_each(corners_of_a_board);
     }
 
+    #[cfg(feature = "opencv")]
+    #[test]
+    fn a_board_on_a_dark_plate_without_a_white_margin_is_found() {
+        // Squares of 14 px, a few of them in half the light, on a plate as dark as they are.
+        let h = Homography { matrix: [[7.1, 0.3, 21.0], [-0.2, 6.8, 19.0], [1e-3, -1e-3, 1.0]] };
+        let back = h.inverse().unwrap();
+        let board = Board { inner_corners: [7, 5], square_mm: 2.0, origin_mm: [2.0, 2.0], edge_blur_mm: 0.0 };
+        let bright = |x: f64, y: f64| {
+            let p = back.map([x, y]);
+            let [i, j] = [0, 1].map(|a| ((p[a] - board.origin_mm[a]) / board.square_mm).floor() as i64);
+            (-1..7).contains(&i) && (-1..5).contains(&j) && (i + j).rem_euclid(2) == 0
+        };
+        let rect = Rect { x: 0, y: 0, width: 170, height: 140 };
+        let seen = picture(rect, |x, y| 3.0 + (900.0 - 3.0 * x) * share(x, y, bright), 1.0);
+        let camera = Camera {
+            size_px: [170, 140],
+            focal_px: 500.0,
+            principal_px: [84.5, 69.5],
+            response_curve: ResponseCurve::Linear,
+            vignetting: Vec::new(),
+        };
+        for (mm, px) in find_board(&seen, &board, &camera).unwrap() {
+            let q = h.map(mm);
+            assert!((px[0] - q[0]).hypot(px[1] - q[1]) < 0.1, "{px:?} {q:?}");
+        }
+    }
+
     /// OpenCV begins at the one or the other end, by which squares are dark.
     #[cfg(feature = "opencv")]
     fn corners_of_a_board(first_dark: i64) {
