@@ -269,7 +269,7 @@ fn light_sums(capture: &Capture, settings: &Settings, sensor: &Sensor) -> Result
 }
 
 /// How much half the difference of two photographs' light, the second less the first, grows from pixel to pixel along their rows and columns, at some
-/// pixels, R G B: by central differences; not at all beside what is saturated.
+/// pixels, R G B: by differences of the fourth order; not at all beside what is saturated.
 fn slopes(samples: [&Samples; 2], picked: &[usize], width: usize, sensor: &Sensor) -> [Vec<f32>; 2] {
     let linear = [0, 1, 2].map(|c| {
         let [pattern, inverse] = samples.map(|s| sensor.linear(s, c));
@@ -278,8 +278,9 @@ fn slopes(samples: [&Samples; 2], picked: &[usize], width: usize, sensor: &Senso
     let pixels = linear[0].len();
     [1, width].map(|step| {
         let at = |p: usize, c: usize| {
-            let (before, after) = (p.saturating_sub(step), (p + step).min(pixels - 1));
-            let slope = (linear[c][after] - linear[c][before]) / ((after - before) / step).max(1) as f32;
+            // Of four neighbours: with two, a blurred edge's slope is too broad.
+            let light = |by: isize| linear[c][p.saturating_add_signed(by * step as isize).min(pixels - 1)];
+            let slope = (8.0 * (light(1) - light(-1)) - (light(2) - light(-2))) / 12.0;
             if slope.is_finite() { slope } else { 0.0 }
         };
         picked.iter().flat_map(|&p| [0, 1, 2].map(|c| at(p, c))).collect()

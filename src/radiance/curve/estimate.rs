@@ -364,7 +364,7 @@ impl Problem<'_> {
             sensor.linearize(of, 0, &mut linear);
             linear
         });
-        let (mut residuals, mut noise) = (Vec::new(), Vec::new());
+        let (mut residuals, mut noise, mut explained) = (Vec::new(), Vec::new(), Vec::new());
         for k in 0..a.len().min(sum.black.len()) {
             let [a, b, whole] = [a[k], b[k], whole[k]].map(f64::from);
             let [a, b] = [a * lamps[0], b * lamps[1]];
@@ -374,6 +374,7 @@ impl Problem<'_> {
             }
             let slope = [0, 1].map(|axis| moved[axis] * f64::from(sum.slope[axis][k]));
             let variance: f64 = [a, b, whole].map(|v| f64::from(sensor.variance(v as f32, k % 3))).iter().sum();
+            explained.push((slope[0] + slope[1]).abs() / expected);
             residuals.push(((expected - a - b - slope[0] - slope[1]) / expected).abs());
             noise.push(variance / (expected * expected));
         }
@@ -386,7 +387,9 @@ impl Problem<'_> {
         };
         let samples = residuals.len() as f64;
         let own = ((1.4826 * middle(&mut residuals)).powi(2) - middle(&mut noise)).max(0.0);
-        own * (samples / PROFILE_SAMPLES).max(1.0)
+        // A movement of a good part of a pixel is no slope: a term of its third power is left, a twelfth of it across edges about a pixel wide.
+        let third = (moved[0].powi(2) + moved[1].powi(2)) / 12.0 * middle(&mut explained);
+        (own + third * third) * (samples / PROFILE_SAMPLES).max(1.0)
     }
 }
 
