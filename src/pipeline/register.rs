@@ -93,7 +93,7 @@ fn projector_fit(
     Ok(register_projector(pairs, rig.camera.size_px, view, surface, &area, lens))
 }
 
-/// The slab, the frame's marks and the reference dots: beyond them nothing need lie in the plane.
+/// The slab, the frame's marks, the reference dots and the grid: beyond them nothing need lie in the plane.
 fn stripe_area(photographs: &Photographs<'_>) -> StripeArea {
     let manifest = &photographs.capture.manifest;
     let (mut low, mut high) = ([0.0; 2], manifest.slab.size_mm);
@@ -102,8 +102,10 @@ fn stripe_area(photographs: &Photographs<'_>) -> StripeArea {
             (low[a], high[a]) = (f64::min(low[a], mark[a]), f64::max(high[a], mark[a]));
         }
     }
-    let dots = manifest.reference_dots.iter().flat_map(|r| r.projector_px.iter().copied());
-    StripeArea { corners_mm: [low, high], dots_projector_px: dots.collect() }
+    let mut dots = manifest.reference_dots.as_ref().map_or_else(Vec::new, |r| r.projector_px.clone());
+    let [nx, ny] = manifest.grid.points;
+    dots.extend([[0, 0], [nx - 1, 0], [0, ny - 1], [nx - 1, ny - 1]].map(|d| manifest.grid.dot_projector_px(d)));
+    StripeArea { corners_mm: [low, high], dots_projector_px: dots }
 }
 
 /// What the stripes say of themselves.

@@ -48,7 +48,7 @@ struct Contrast {
 pub struct StripeArea {
     /// Least and greatest corner of a rectangle, mm.
     pub corners_mm: [Point; 2],
-    /// Reference dots, projector px: the rectangle is widened to hold them.
+    /// Reference dots and corners of the grid, projector px: the rectangle is widened to hold them.
     pub dots_projector_px: Vec<Point>,
 }
 
@@ -130,7 +130,9 @@ pub fn register_projector(
         }
         Ok::<_, String>((contrasts, usable, decoded, map, across, ignored))
     };
-    let mut found = coarse(area)?;
+    // Of a slab that is stated far too small, the whole picture tells where the dots are.
+    let everywhere = StripeArea { corners_mm: [[f64::MIN; 2], [f64::MAX; 2]], dots_projector_px: Vec::new() };
+    let mut found = coarse(area).or_else(|_| coarse(&everywhere))?;
     if let Some(wider) = area.widened(&found.3) {
         found = coarse(&wider)?;
     }
