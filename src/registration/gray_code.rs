@@ -132,6 +132,8 @@ pub fn register_projector(
     };
     // Of a slab that is stated far too small, the whole picture tells where the dots are.
     let everywhere = StripeArea { corners_mm: [[f64::MIN; 2], [f64::MAX; 2]], dots_projector_px: Vec::new() };
+    // A frame is in the plane as far as it goes.
+    let area = if surface == StripeSurface::White { area } else { &everywhere };
     let mut found = coarse(area).or_else(|_| coarse(&everywhere))?;
     if let Some(wider) = area.widened(&found.3) {
         found = coarse(&wider)?;

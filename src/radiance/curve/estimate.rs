@@ -359,6 +359,9 @@ impl Problem<'_> {
 impl Problem<'_> {
     /// Variance of a sum's relative residual where both parts have light, beyond that of noise: by the median of its absolute values.
     fn unexplained(&self, sum: &LightSum, sensor: &Sensor, lamps: [f64; 2], moved: [f64; 2]) -> f64 {
+        if moved[0].hypot(moved[1]) < STILL_PX {
+            return 0.0;
+        }
         let [a, b, whole] = [&sum.parts[0], &sum.parts[1], &sum.whole].map(|of| {
             let mut linear = vec![0.0; of.len()];
             sensor.linearize(of, 0, &mut linear);
@@ -396,6 +399,8 @@ impl Problem<'_> {
 /// What a movement leaves is alike all along an edge: all samples of a sum tell no more than those of one profile, eight px across a rising and a falling
 /// edge each.
 const PROFILE_SAMPLES: f64 = 16.0;
+/// A pattern and its inverse that lie this near to each other, camera px, add up but for noise.
+const STILL_PX: f64 = 0.05;
 /// Fewer samples with light of both parts tell no variance of their own.
 const LEAST_SHARED: usize = 50;
 
