@@ -10,7 +10,9 @@ use pyo3::prelude::*;
 use std::borrow::Cow;
 use std::path::PathBuf;
 
-type Rows<'py> = (Bound<'py, PyArrayDyn<f32>>, Bound<'py, PyArrayDyn<f32>>, Bound<'py, PyArrayDyn<u8>>);
+type Array<'py, T> = Bound<'py, PyArrayDyn<T>>;
+type Rows<'py> = (Array<'py, f32>, Array<'py, f32>, Array<'py, u8>);
+type Places<'py> = (Array<'py, f64>, Array<'py, f64>, Array<'py, i64>);
 
 /// A matrix that is open.
 #[pyclass(frozen, module = "acquire._acquire")]
@@ -38,10 +40,7 @@ impl NativeMatrix {
     }
 
     /// Places of lit points, mm, (n, 2), their standard deviations, (n,), and their shots, (n,), −1 for none.
-    fn places<'py>(
-        &self,
-        py: Python<'py>,
-    ) -> (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<i64>>) {
+    fn places<'py>(&self, py: Python<'py>) -> Places<'py> {
         let h = self.reader.header();
         let shot: Vec<i64> = h.shot_of.iter().map(|s| s.map_or(-1, |s| s as i64)).collect();
         let shaped = |values: &[f64], shape: &[usize]| values.to_pyarray(py).reshape(shape.to_vec());
