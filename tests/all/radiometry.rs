@@ -125,7 +125,7 @@ fn settings_that_no_stack_links_are_named() {
 }
 
 #[test]
-fn an_unknown_response_of_jpeg_files_is_found_to_two_and_a_half_percent_together_with_the_times() {
+fn an_unknown_response_of_jpeg_files_is_found_to_two_percent_together_with_the_times() {
     let (_folder, dir) = common::capture(&SimulateOptions {
         response_curve: Some(CameraCurve::Film),
         format: FileFormat::Jpeg,
@@ -135,10 +135,9 @@ fn an_unknown_response_of_jpeg_files_is_found_to_two_and_a_half_percent_together
         ..bench()
     });
     let (matrix, _) = build(&dir, ExposureFrom::Estimate);
-    // 2.2 % is found (2.0 at most before movements between pattern and inverse were unknowns); the project aims at 1 %, which a bench that was square and
-    // central had (0.7 %).
+    // 1.5 % is found; the project aims at 1 %, which a bench that was square and central had (0.7 %).
     let error = curve_error(&dir);
-    assert!(error < 0.025, "curve off by {error}");
+    assert!(error < 0.02, "curve off by {error}");
     let errors = time_errors(&dir, &matrix);
     // 0.2 to 1.9 % over three seeds and two materials (the project aims at half a per cent): a curve that is a little steeper and times that are a little
     // farther apart give almost the same stacks.

@@ -56,11 +56,21 @@ const LAMP_SD: f64 = 0.02;
 const COMPRESSED_LAMP_SD: f64 = 0.004;
 /// Prior standard deviation of how far pattern and inverse moved against each other, camera px.
 const MOVED_SD_PX: f64 = 0.7;
+/// The same where they have not.
+const HELD_SD_PX: f64 = 1e-6;
 /// Unknowns of a light sum: the lamp's change in either part, and how far these moved against each other along both axes.
 const PER_SUM: usize = 4;
 /// A light sum tells about the curve where both parts have at least this share of it.
 const LEAST_SHARE: f64 = 0.1;
 const ITERATIONS: usize = 15;
+/// What a movement leaves is alike all along an edge: all samples of a sum tell no more than those of one profile, eight px across a rising and a falling
+/// edge each.
+const PROFILE_SAMPLES: f64 = 16.0;
+/// A pattern and its inverse that lie this near to each other, camera px, add up but for noise, and no movement is unknown: what JPEG does to edges
+/// looks like 0.05 px, photons and the curve's own error like 0.02 (still captures of tests/all/radiometry.rs).
+const STILL_PX: f64 = 0.1;
+/// Fewer samples with light of both parts tell no variance of their own.
+const LEAST_SHARED: usize = 50;
 /// Compression errs for a block of pixels together: so many are one observation when curves are compared.
 const BLOCK_PIXELS: f64 = 64.0;
 
@@ -82,8 +92,11 @@ pub fn estimate_curve(
     noise: &Noise,
     options: &CurveOptions,
 ) -> Option<CurveEstimate> {
-    let problem = Problem { stacks, sums, settings, noise, options };
-    let common = problem.fit(1, None)?;
+    let still = Problem { stacks, sums, settings, noise, options, moving: false };
+    let first = still.fit(1, None)?;
+    let moving = still.moved_px(&first)? > STILL_PX;
+    let problem = Problem { moving, ..still };
+    let common = if moving { problem.fit(1, None)? } else { first };
     let own = problem.fit(3, Some(&common));
     // Each channel of its own costs twice the coefficients.
     let blocks = if options.file.is_compressed() { BLOCK_PIXELS } else { 1.0 };
@@ -99,6 +112,8 @@ struct Problem<'a> {
     settings: usize,
     noise: &'a Noise,
     options: &'a CurveOptions,
+    /// Whether patterns and inverses have moved against each other.
+    moving: bool,
 }
 
 /// Where a solution stands.
@@ -219,7 +234,8 @@ impl Problem<'_> {
         }
         for (l, now) in fit.lamps.iter().enumerate() {
             let lamp = if self.options.file.is_compressed() { COMPRESSED_LAMP_SD } else { LAMP_SD };
-            let sd = if l % PER_SUM < 2 { lamp } else { MOVED_SD_PX };
+            let moved = if self.moving { MOVED_SD_PX } else { HELD_SD_PX };
+            let sd = if l % PER_SUM < 2 { lamp } else { moved };
             system.add(&[(base + self.settings + l, 1.0)], -now, sd.powi(-2));
         }
     }
@@ -300,32 +316,23 @@ impl Problem<'_> {
                 sensor.linearize(of, first, &mut y[..len]);
             }
             for k in 0..len {
-                let [a, b, whole] = [0, 1, 2].map(|p| f64::from(linear[p][k]));
-                let black = f64::from(sum.black[first + k]);
-                let [a, b] = [a * lamps[0], b * lamps[1]];
-                let expected = whole + black;
-                if !(a + b + whole).is_finite() || !(expected > 0.0) || a + b <= 0.0 {
-                    continue;
-                }
-                let variance = [a, b, whole].map(|v| f64::from(sensor.variance(v as f32, k % 3)));
-                let total: f64 = variance.iter().sum();
-                let weight = expected * expected / total;
-                let slope = [0, 1].map(|axis| f64::from(sum.slope[axis][first + k]));
-                let excess = expected - a - b - moved[0] * slope[0] - moved[1] * slope[1];
-                let residual = excess / expected;
-                let shared = a.min(b) > LEAST_SHARE * (a + b);
+                let at = first + k;
+                let Some(seen) = SumSample::of(sum, at, linear.map(|y| y[k]), lamps, moved, sensor) else { continue };
+                let SumSample { lights, variance, expected, slope, excess } = seen;
+                let (residual, total) = (excess / expected, seen.total_variance());
+                let noise = total / (expected * expected);
                 // Where the light of both meets, they have moved.
-                let noisy = weight < 100.0;
-                let weight = if shared { 1.0 / (1.0 / weight + unexplained) } else { weight };
-                if residual.abs() > (5.0 / weight.sqrt()).max(if loose { 0.5 } else { 0.0 }) || noisy {
+                let weight = 1.0 / if seen.is_shared() { noise + unexplained } else { noise };
+                if residual.abs() > (5.0 / weight.sqrt()).max(if loose { 0.5 } else { 0.0 }) || noise > 0.01 {
                     continue;
                 }
                 // The row is taken at the values that fit: at the noisy ones it would correlate with the residual.
                 let [a, b, whole] = [
-                    a + excess * variance[0] / total,
-                    b + excess * variance[1] / total,
-                    whole - excess * variance[2] / total,
+                    lights[0] + excess * variance[0] / total,
+                    lights[1] + excess * variance[1] / total,
+                    lights[2] - excess * variance[2] / total,
                 ];
+                let shared = share_light(a, b);
                 // Compression rings in the dark part, where black clips it: its mean is no longer that of the light.
                 if compressed && !shared {
                     continue;
@@ -344,7 +351,7 @@ impl Problem<'_> {
                 }
                 row.push((lamp, -a / expected));
                 row.push((lamp + 1, -b / expected));
-                if shared {
+                if shared && self.moving {
                     row.extend([0, 1].map(|axis| (lamp + 2 + axis, slope[axis] / expected)));
                 }
                 system.add(&merged(&mut row), residual, weight);
@@ -356,30 +363,104 @@ impl Problem<'_> {
     }
 }
 
+/// Whether either part of a light sum has enough of it to tell about the curve.
+fn share_light(a: f64, b: f64) -> bool {
+    a.min(b) > LEAST_SHARE * (a + b)
+}
+
+/// Linear values of all samples.
+fn linearized(samples: &Samples, sensor: &Sensor) -> Vec<f32> {
+    let mut all = vec![0.0; samples.len()];
+    sensor.linearize(samples, 0, &mut all);
+    all
+}
+
+/// What a light sum shows in one sample.
+#[derive(Debug, Clone, Copy)]
+struct SumSample {
+    /// Light of pattern, inverse (the lamp's changes taken out) and white, DN.
+    lights: [f64; 3],
+    variance: [f64; 3],
+    /// Light of white and black together.
+    expected: f64,
+    slope: [f64; 2],
+    /// What white and black have more than pattern and inverse, moved as they are.
+    excess: f64,
+}
+
+impl SumSample {
+    /// Sample `at`, whose linear values are `linear`; `None` where it is saturated or dark.
+    fn of(
+        sum: &LightSum,
+        at: usize,
+        linear: [f32; 3],
+        lamps: [f64; 2],
+        moved: [f64; 2],
+        sensor: &Sensor,
+    ) -> Option<Self> {
+        let [a, b, whole] = linear.map(f64::from);
+        let [a, b] = [a * lamps[0], b * lamps[1]];
+        let expected = whole + f64::from(sum.black[at]);
+        if !(a + b + whole).is_finite() || !(expected > 0.0) || a + b <= 0.0 {
+            return None;
+        }
+        let lights = [a, b, whole];
+        let slope = [0, 1].map(|axis| f64::from(sum.slope[axis][at]));
+        Some(Self {
+            lights,
+            variance: lights.map(|v| f64::from(sensor.variance(v as f32, at % 3))),
+            expected,
+            slope,
+            excess: expected - a - b - moved[0] * slope[0] - moved[1] * slope[1],
+        })
+    }
+
+    fn total_variance(&self) -> f64 {
+        self.variance.iter().sum()
+    }
+
+    fn is_shared(&self) -> bool {
+        share_light(self.lights[0], self.lights[1])
+    }
+}
+
 impl Problem<'_> {
+    /// How far patterns and inverses have moved against each other, camera px, root mean square over the sums, by a solution that knows of no movement: what is
+    /// left of a sum changes its sign from the rising to the falling edges of its stripes where it moved, and does not where the curve is wrong.
+    fn moved_px(&self, fit: &Fit) -> Option<f64> {
+        let sensor =
+            Sensor::with_curve(self.noise, Some(fit.curve(vec![vec![0.0; CODES]; fit.curves])?), self.options.file);
+        let square = |(number, sum): (usize, &LightSum)| {
+            let lamps = [0, 1].map(|p| fit.lamps[PER_SUM * number + p].exp().recip());
+            let lights = [&sum.parts[0], &sum.parts[1], &sum.whole].map(|of| linearized(of, &sensor));
+            let (mut matrix, mut right) = (vec![1e-9, 0.0, 0.0, 1e-9], vec![0.0; 2]);
+            for k in 0..lights[0].len().min(sum.black.len()) {
+                let seen = SumSample::of(sum, k, lights.each_ref().map(|l| l[k]), lamps, [0.0; 2], &sensor);
+                let Some(seen) = seen.filter(SumSample::is_shared) else { continue };
+                for i in 0..2 {
+                    right[i] += seen.slope[i] * seen.excess;
+                    (0..2).for_each(|j| matrix[2 * i + j] += seen.slope[i] * seen.slope[j]);
+                }
+            }
+            solve(matrix, right).map_or(0.0, |s| s[0] * s[0] + s[1] * s[1])
+        };
+        let squares: f64 = self.sums.par_iter().enumerate().map(square).collect::<Vec<f64>>().iter().sum();
+        Some((squares / self.sums.len().max(1) as f64).sqrt())
+    }
+
     /// Variance of a sum's relative residual where both parts have light, beyond that of noise: by the median of its absolute values.
     fn unexplained(&self, sum: &LightSum, sensor: &Sensor, lamps: [f64; 2], moved: [f64; 2]) -> f64 {
-        if moved[0].hypot(moved[1]) < STILL_PX {
+        if !self.moving {
             return 0.0;
         }
-        let [a, b, whole] = [&sum.parts[0], &sum.parts[1], &sum.whole].map(|of| {
-            let mut linear = vec![0.0; of.len()];
-            sensor.linearize(of, 0, &mut linear);
-            linear
-        });
+        let [a, b, whole] = [&sum.parts[0], &sum.parts[1], &sum.whole].map(|of| linearized(of, sensor));
         let (mut residuals, mut noise, mut explained) = (Vec::new(), Vec::new(), Vec::new());
         for k in 0..a.len().min(sum.black.len()) {
-            let [a, b, whole] = [a[k], b[k], whole[k]].map(f64::from);
-            let [a, b] = [a * lamps[0], b * lamps[1]];
-            let expected = whole + f64::from(sum.black[k]);
-            if !(a + b + whole).is_finite() || !(expected > 0.0) || !(a.min(b) > LEAST_SHARE * (a + b)) {
-                continue;
-            }
-            let slope = [0, 1].map(|axis| moved[axis] * f64::from(sum.slope[axis][k]));
-            let variance: f64 = [a, b, whole].map(|v| f64::from(sensor.variance(v as f32, k % 3))).iter().sum();
-            explained.push((slope[0] + slope[1]).abs() / expected);
-            residuals.push(((expected - a - b - slope[0] - slope[1]) / expected).abs());
-            noise.push(variance / (expected * expected));
+            let seen = SumSample::of(sum, k, [a[k], b[k], whole[k]], lamps, moved, sensor);
+            let Some(seen) = seen.filter(SumSample::is_shared) else { continue };
+            explained.push((moved[0] * seen.slope[0] + moved[1] * seen.slope[1]).abs() / seen.expected);
+            residuals.push((seen.excess / seen.expected).abs());
+            noise.push(seen.total_variance() / (seen.expected * seen.expected));
         }
         if residuals.len() < LEAST_SHARED {
             return 0.0;
@@ -395,14 +476,6 @@ impl Problem<'_> {
         (own + third * third) * (samples / PROFILE_SAMPLES).max(1.0)
     }
 }
-
-/// What a movement leaves is alike all along an edge: all samples of a sum tell no more than those of one profile, eight px across a rising and a falling
-/// edge each.
-const PROFILE_SAMPLES: f64 = 16.0;
-/// A pattern and its inverse that lie this near to each other, camera px, add up but for noise.
-const STILL_PX: f64 = 0.05;
-/// Fewer samples with light of both parts tell no variance of their own.
-const LEAST_SHARED: usize = 50;
 
 /// Sums entries of the same index.
 fn merged(row: &mut [(usize, f64)]) -> Vec<(usize, f64)> {

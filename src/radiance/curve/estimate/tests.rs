@@ -240,7 +240,7 @@ fn a_stacks_equations_are_those_of_curve_and_times_with_the_light_of_each_pixel_
     let file = FileNoise { sixteen_bit: true, compression: [0.0; 3] };
     let options = CurveOptions { times_sd: 0.03, file };
     let stacks = [Stack { settings: vec![1, 0, 2], ..stack }];
-    let problem = Problem { stacks: &stacks, sums: &[], settings: 3, noise: &NOISE, options: &options };
+    let problem = Problem { stacks: &stacks, sums: &[], settings: 3, noise: &NOISE, options: &options, moving: false };
     let fit = state(3, 0);
     let sensor = Sensor::with_curve(&NOISE, fit.curve(vec![vec![0.0; CODES]; 3]), file);
     let size = 3 * COEFFICIENTS + 3;
@@ -313,7 +313,7 @@ fn a_light_sums_equations_are_the_parts_less_the_whole_at_the_values_that_fit() 
     let file = FileNoise { sixteen_bit: true, compression: [0.0; 3] };
     let options = CurveOptions { times_sd: 0.03, file };
     let sums = [sum.clone(), sum];
-    let problem = Problem { stacks: &[], sums: &sums, settings: 2, noise: &NOISE, options: &options };
+    let problem = Problem { stacks: &[], sums: &sums, settings: 2, noise: &NOISE, options: &options, moving: true };
     let mut fit = state(2, 2);
     // More than what counts as still.
     (fit.lamps[6], fit.lamps[7]) = (0.08, -0.05);
@@ -355,8 +355,8 @@ fn a_light_sums_equations_are_the_parts_less_the_whole_at_the_values_that_fit() 
         let variance = seen.map(|v| f64::from(sensor.variance(v as f32, k % 3)));
         let total = variance[0] + variance[1] + variance[2];
         let (noise, excess) = (total / expected / expected, expected - seen[0] - seen[1] - displaced(k));
-        let both = seen[0].min(seen[1]) > 0.1 * (seen[0] + seen[1]);
-        let weight = 1.0 / (noise + if both { unexplained } else { 0.0 });
+        let meet = seen[0].min(seen[1]) > 0.1 * (seen[0] + seen[1]);
+        let weight = 1.0 / (noise + if meet { unexplained } else { 0.0 });
         // Whatever is not noise alone is looked at up to five deviations.
         if noise > 0.01 || (excess / expected).abs() > (5.0 / weight.sqrt()).max(0.5) {
             continue;
@@ -364,6 +364,7 @@ fn a_light_sums_equations_are_the_parts_less_the_whole_at_the_values_that_fit() 
         // What each would be if the excess were shared by variance.
         let fitted = [0, 1, 2].map(|p| seen[p] + [1.0, 1.0, -1.0][p] * excess * variance[p] / total);
         let mut row = vec![0.0; size];
+        let both = fitted[0].min(fitted[1]) > 0.1 * (fitted[0] + fitted[1]);
         shares[usize::from(both)] += 1;
         for p in 0..3 {
             let code = sensor.curve().unwrap().code_at(k % 3, fitted[p]);
