@@ -96,15 +96,22 @@ impl DotSearch {
             let light: f32 = row.response[3 * k..3 * k + 3].iter().sum();
             f64::from(light).max(0.0)
         };
-        let half = 0.5 * self.cells.iter().map(|&(_, k)| light(k)).sum::<f64>();
-        let mut sum = 0.0;
-        let found = self.cells.iter().find(|&&(_, k)| {
-            sum += light(k);
-            sum >= half
-        });
+        let found = radius_of_half(self.cells.iter().map(|&(r, k)| (r, light(k))));
         // A cell's own light is spread over half its width.
-        found.filter(|_| half > 0.0).map_or(0.0, |(r, _)| r.max(0.5 * self.pitch_mm))
+        found.map_or(0.0, |r| r.max(0.5 * self.pitch_mm))
     }
+}
+
+/// The distance within which half of some light is, given (distance, light) from the nearest to the farthest; `None` for none.
+pub(super) fn radius_of_half(near: impl Iterator<Item = (f64, f64)> + Clone) -> Option<f64> {
+    let half = 0.5 * near.clone().map(|(_, light)| light).sum::<f64>();
+    let mut sum = 0.0;
+    let mut near = near.filter(|_| half > 0.0);
+    let found = near.find(|(_, light)| {
+        sum += light;
+        sum >= half
+    });
+    found.map(|(r, _)| r)
 }
 
 /// Whether no pixel is ten standard deviations above none.

@@ -1,5 +1,6 @@
 //! How far the pattern of a lattice shot has moved: from dots on the frame, or without any from the dots on the sample.
 
+use super::dots_seen::radius_of_half;
 use super::looks::looks;
 use super::scene::{STILL, Scene, overlap, square};
 use crate::capture::{Pattern, Rect};
@@ -177,13 +178,7 @@ fn half_light_mm(scene: &Scene<'_>, shot: usize, bracket: &Bracket, dot: &Locate
         .filter(|(r, _)| *r <= reach)
         .collect();
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * near.iter().map(|(_, v)| v).sum::<f64>();
-    let mut sum = 0.0;
-    let found = near.iter().find(|(_, v)| {
-        sum += v;
-        sum >= half
-    });
-    found.filter(|_| half > 0.0).map(|(r, _)| r / scene.px_per_mm)
+    radius_of_half(near.iter().copied()).map(|r| r / scene.px_per_mm)
 }
 
 /// The footprint of the capture's dots.

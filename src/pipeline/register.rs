@@ -8,9 +8,8 @@ use crate::geometry::{CameraView, Lens, Point};
 use crate::progress::{Progress, Stage};
 use crate::radiance::Radiance;
 use crate::registration::{
-    BitPair, FrameFit, LensChoice, LensTrial, Pairs, PointSpread, ProjectorFit, Registration, StripeArea,
-    StripeSurface, ViewFit, find_board, fit_lens_of_views, marks_moved, measure_point_spread, register_frame,
-    register_projector,
+    BitPair, FrameFit, LensChoice, LensTrial, Pairs, PointSpread, Registration, StripeArea, StripeFit, StripeSurface,
+    ViewFit, find_board, fit_lens_of_views, marks_moved, measure_point_spread, register_frame, register_projector,
 };
 use crate::warning::bounds::{BOARD_ELSEWHERE_PX, FRAME_MOVED_PX, MAP_BENDS_PX, MOVED_SIGMA, STRIPES_LEFT_OUT};
 use crate::{ConsistencyWarning, Error, RegistrationWarning, Result, Warning};
@@ -58,10 +57,10 @@ pub(super) fn register(
     // On the frame they are not of the white reference.
     let on_white = matches!(stripe_surface(photographs, &codes)?, StripeSurface::White);
     let sums = if on_white { pairs.iter().map(sum).collect() } else { vec![] };
-    let projector = projector_fit(photographs, &codes, &camera.view, &pairs)?.map_err(photographs.failed(first))?;
-    warnings.extend(stripe_warnings(&projector).map(Warning::from));
+    let stripes = projector_fit(photographs, &codes, &camera.view, &pairs)?.map_err(photographs.failed(first))?;
+    warnings.extend(stripe_warnings(&stripes).map(Warning::from));
     let size_mm = photographs.capture.manifest.slab.size_mm;
-    Registration::new(&camera, choice, point_spread, &projector, size_mm)
+    Registration::new(&camera, choice, point_spread, &stripes.projector, size_mm)
         .map(|registration| Registered { registration, sums, warnings })
         .ok_or_else(|| photographs.failed(first)("the projector's map cannot be inverted".into()))
 }
@@ -84,7 +83,7 @@ fn projector_fit(
     codes: &[usize],
     view: &CameraView,
     pairs: &[BitPair],
-) -> Result<std::result::Result<ProjectorFit, String>> {
+) -> Result<std::result::Result<StripeFit, String>> {
     let rig = &photographs.capture.rig;
     // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
     let lens = Lens::ideal(rig.projector.lens_center_px(), rig.projector.size_px[0] as f64);
@@ -109,15 +108,13 @@ fn stripe_area(photographs: &Photographs<'_>) -> StripeArea {
 }
 
 /// What the stripes say of themselves.
-fn stripe_warnings(fit: &ProjectorFit) -> impl Iterator<Item = RegistrationWarning> {
+fn stripe_warnings(fit: &StripeFit) -> impl Iterator<Item = RegistrationWarning> {
     let ignored =
         (fit.ignored_bits != [0; 2]).then_some(RegistrationWarning::GrayBitsIgnored { bits: fit.ignored_bits });
     let left_out =
         (fit.left_out > STRIPES_LEFT_OUT).then_some(RegistrationWarning::StripesLeftOut { share: fit.left_out });
-    let bends = fit.trend.filter(|t| t.off_px.abs() > MAP_BENDS_PX).map(|t| RegistrationWarning::ProjectorMapBends {
-        off_projector_px: t.off_px,
-        sd_projector_px: t.sd_px,
-        at_mm: t.at_mm,
+    let bends = fit.projector.trend.filter(|t| t.off_px.abs() > MAP_BENDS_PX).map(|t| {
+        RegistrationWarning::ProjectorMapBends { off_projector_px: t.off_px, sd_projector_px: t.sd_px, at_mm: t.at_mm }
     });
     [ignored, left_out, bends].into_iter().flatten()
 }
@@ -140,11 +137,11 @@ pub(super) fn exchanged_pair(photographs: &Photographs<'_>) -> Result<Option<[us
     let rms = |pairs: &[BitPair]| -> Result<Option<f64>> {
         let Ok(fit) = projector_fit(photographs, &codes, &camera.view, pairs)? else { return Ok(None) };
         let lies = |dot: [usize; 2]| {
-            let at = fit.slab_from_projector.map(manifest.grid.dot_projector_px(dot));
+            let at = fit.projector.slab_from_projector.map(manifest.grid.dot_projector_px(dot));
             on_slab(at, manifest.slab.size_mm, 0.0)
         };
         let corners = [[0, 0], [nx - 1, 0], [0, ny - 1], [nx - 1, ny - 1]];
-        Ok(corners.into_iter().all(lies).then_some(fit.rms_px))
+        Ok(corners.into_iter().all(lies).then_some(fit.projector.rms_px))
     };
     if rms(&pairs)?.is_some() {
         return Ok(None);

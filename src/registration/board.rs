@@ -76,6 +76,12 @@ mod tests {
     }
 
     #[cfg(feature = "opencv")]
+    fn camera(size_px: [usize; 2], focal_px: f64) -> Camera {
+        let principal_px = size_px.map(|s| 0.5 * (s - 1) as f64);
+        Camera { size_px, focal_px, principal_px, response_curve: ResponseCurve::Linear, vignetting: Vec::new() }
+    }
+
+    #[cfg(feature = "opencv")]
     #[test]
     fn corners_of_a_board_are_found_by_their_own_numbers() {
         (0..2).for_each(corners_of_a_board);
@@ -95,13 +101,7 @@ mod tests {
         };
         let rect = Rect { x: 0, y: 0, width: 170, height: 140 };
         let seen = picture(rect, |x, y| 3.0 + (900.0 - 3.0 * x) * share(x, y, bright), 1.0);
-        let camera = Camera {
-            size_px: [170, 140],
-            focal_px: 500.0,
-            principal_px: [84.5, 69.5],
-            response_curve: ResponseCurve::Linear,
-            vignetting: Vec::new(),
-        };
+        let camera = camera([170, 140], 500.0);
         for (mm, px) in find_board(&seen, &board, &camera).unwrap() {
             let q = h.map(mm);
             // OpenCV's corners on sharp squares whose light falls by a third from one side of the board to the other: up to 0.11 px.
@@ -124,13 +124,7 @@ mod tests {
         };
         let rect = Rect { x: 0, y: 0, width: 120, height: 90 };
         let seen = picture(rect, |x, y| 3.0 + 900.0 * share(x, y, bright), 1.0);
-        let camera = Camera {
-            size_px: [120, 90],
-            focal_px: 400.0,
-            principal_px: [59.5, 44.5],
-            response_curve: ResponseCurve::Linear,
-            vignetting: Vec::new(),
-        };
+        let camera = camera([120, 90], 400.0);
         let pairs = find_board(&seen, &board, &camera).unwrap();
         assert_eq!(pairs.len(), 24);
         for (k, (mm, px)) in pairs.iter().enumerate() {

@@ -3,6 +3,7 @@
 use super::board::percentile;
 use super::fit::Observation;
 use super::projector_fit::{ProjectorFit, fit_projector, plane_of_most};
+use super::stripe_area::{BLOCK_PX, StripeArea, StripeSurface, check_sides, usable_pixels};
 use crate::geometry::{CameraView, Homography, Lens, Point};
 
 /// One bit of the code on one axis: the pattern and its inverse, one light value a pixel.
@@ -20,15 +21,6 @@ pub struct BitPair {
     pub valid: Vec<bool>,
 }
 
-/// What the stripes were projected on.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum StripeSurface {
-    /// A white reference all over.
-    White,
-    /// The frame around a sample of this size, mm: only what lies outside the sample is used, which blurs the stripes.
-    Frame(Point),
-}
-
 /// A pixel is lit when pattern and inverse together reach this share of the bright ones.
 const LIT_SHARE: f32 = 0.1;
 /// An edge counts when the light's contrast on its two sides differs by more than half of the possible.
@@ -43,51 +35,38 @@ struct Contrast {
     value: Vec<Option<f32>>,
 }
 
-/// Where on the slab's plane stripes are used: elsewhere they may fall on something that does not lie in it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct StripeArea {
-    /// Least and greatest corner of a rectangle, mm.
-    pub corners_mm: [Point; 2],
-    /// Reference dots and corners of the grid, projector px: the rectangle is widened to hold them.
-    pub dots_projector_px: Vec<Point>,
-}
-
-/// How far beyond the outermost dot the area goes, of its own side.
-const AREA_MARGIN: f64 = 0.05;
-
-impl StripeArea {
-    /// The rectangle with the dots in it, where `map` (slab mm to projector px) puts them; `None` when it holds them already.
-    fn widened(&self, map: &Homography) -> Option<Self> {
-        let back = map.inverse()?;
-        let [mut low, mut high] = self.corners_mm;
-        let margin = [0, 1].map(|a| AREA_MARGIN * (high[a] - low[a]));
-        for p in self.dots_projector_px.iter().map(|q| back.map(*q)).filter(|p| p.iter().all(|v| v.is_finite())) {
-            for a in 0..2 {
-                low[a] = low[a].min(p[a] - margin[a]);
-                high[a] = high[a].max(p[a] + margin[a]);
-            }
-        }
-        let wider = Self { corners_mm: [low, high], dots_projector_px: Vec::new() };
-        (wider.corners_mm != self.corners_mm).then_some(wider)
-    }
-}
-
-/// Pixels nearer to the sample's rim than this are not on the frame alone, px.
-const RIM_PX: f64 = 4.0;
-/// On each side of the sample at least this share of the decoded pixels must lie: beyond them the map is an extrapolation.
-const LEAST_SIDE_SHARE: f64 = 0.05;
 /// Stripes narrower than this, camera px, have no plateau of their own between two edges seen through the lens ([`find_edges`] looks 2.5 px to each side).
 const NARROWEST_STRIPE_PX: f64 = 4.0;
-/// A bit is told apart when at least this share of the lit pixels is clearly dark or light; half of the pixels of stripes of 2 px are.
+/// The finest bits are ignored when fewer than this share of the lit pixels are clearly dark or light under them: an edge's blur is as wide as the stripe then.
 const CLEAR_SHARE: f64 = 0.5;
 /// A pixel reads clearly from this contrast on.
 const CLEAR: f32 = 0.5;
-/// Pixels in a square of this side are kept or left out together: a few stripes' edges and the clear pixels between them.
-const BLOCK_PX: usize = 8;
 /// A square is off the plane when its pixels' codes are off the map by more than this share of a finest stripe, which is what decoding rounds to (half) and a half more.
 const OFF_PLANE_STRIPES: f64 = 1.0;
 /// Where more squares than this are off the plane, it is not the plane of most.
 const MOST_LEFT_OUT: f64 = 0.5;
+
+/// What the stripes say of the projector.
+#[derive(Debug, Clone, Copy)]
+pub struct StripeFit {
+    /// The map.
+    pub projector: ProjectorFit,
+    /// Share of the area that was left out: squares whose codes, or edges that, are far off the map; the larger of both.
+    pub left_out: f64,
+    /// How many of the finest bits of each axis were ignored: the camera does not tell their stripes apart.
+    pub ignored_bits: [usize; 2],
+}
+
+/// What the codes tell before the edges do.
+struct Coarse {
+    contrasts: Vec<Contrast>,
+    usable: Vec<bool>,
+    decoded: Vec<Observation>,
+    /// Slab mm to projector px.
+    map: Homography,
+    across: [Across; 2],
+    ignored_bits: [usize; 2],
+}
 
 /// Fits the map slab → projector to the places where stripes begin and end.
 ///
@@ -110,13 +89,13 @@ pub fn register_projector(
     surface: StripeSurface,
     area: &StripeArea,
     lens: Lens,
-) -> Result<ProjectorFit, String> {
+) -> Result<StripeFit, String> {
     let ideal = view.ideal_from_slab.inverse().ok_or("the camera's view of the slab cannot be inverted")?;
     let slab = |q: Point| ideal.map(view.lens.undistort(q));
-    let coarse = |area: &StripeArea| {
+    let coarse = |area: &StripeArea| -> Result<Coarse, String> {
         let usable = usable_pixels(view, size_px, surface, area, &slab);
         let mut contrasts: Vec<Contrast> = pairs.iter().map(|p| contrast(p, &usable)).collect();
-        let mut ignored = drop_unclear(&mut contrasts);
+        let mut ignored_bits = drop_unclear(&mut contrasts);
         let lit = usable.iter().filter(|u| **u).count();
         let decoded = decode_pixels(&contrasts, &usable, (lit / DECODED_PIXELS).max(1), size_px[0], &slab)?;
         let map = plane_of_most(&decoded).ok_or("the Gray code was decoded in too few pixels to span a plane")?;
@@ -126,19 +105,19 @@ pub fn register_projector(
                 |c: &Contrast| f64::from(2u32 << c.bit) * across[axis].px_per_projector_px >= NARROWEST_STRIPE_PX;
             let before = contrasts.len();
             contrasts.retain(|c| c.axis != axis || wide(c));
-            ignored[axis] += before - contrasts.len();
+            ignored_bits[axis] += before - contrasts.len();
         }
-        Ok::<_, String>((contrasts, usable, decoded, map, across, ignored))
+        Ok(Coarse { contrasts, usable, decoded, map, across, ignored_bits })
     };
     // Of a slab that is stated far too small, the whole picture tells where the dots are.
-    let everywhere = StripeArea { corners_mm: [[f64::MIN; 2], [f64::MAX; 2]], dots_projector_px: Vec::new() };
+    let everywhere = StripeArea::everywhere();
     // A frame is in the plane as far as it goes.
     let area = if surface == StripeSurface::White { area } else { &everywhere };
     let mut found = coarse(area).or_else(|_| coarse(&everywhere))?;
-    if let Some(wider) = area.widened(&found.3) {
+    if let Some(wider) = area.widened(&found.map) {
         found = coarse(&wider)?;
     }
-    let (mut contrasts, usable, decoded, coarse_map, across, ignored_bits) = found;
+    let Coarse { mut contrasts, usable, decoded, map: coarse_map, across, ignored_bits } = found;
     if let StripeSurface::Frame(size_mm) = surface {
         check_sides(&decoded, size_mm)?;
     }
@@ -164,37 +143,7 @@ pub fn register_projector(
     if fit.rms_px > 1.0 {
         return Err(format!("the stripes fit no plane: RMS {:.2} projector px", fit.rms_px));
     }
-    Ok(ProjectorFit { left_out: left_out.max(fit.left_out), ignored_bits, ..fit })
-}
-
-/// Which pixels may be used: those of squares whose middle is in the area, and for a frame those beside the sample.
-fn usable_pixels(
-    view: &CameraView,
-    [width, height]: [usize; 2],
-    surface: StripeSurface,
-    area: &StripeArea,
-    slab: &dyn Fn(Point) -> Point,
-) -> Vec<bool> {
-    let [low, high] = area.corners_mm;
-    let inside = |p: Point| (0..2).all(|a| p[a] >= low[a] && p[a] <= high[a]);
-    let columns = width.div_ceil(BLOCK_PX);
-    let middle = |b: usize, side: usize| ((b * BLOCK_PX) as f64 + 0.5 * (BLOCK_PX - 1) as f64).min((side - 1) as f64);
-    let squares: Vec<bool> = (0..columns * height.div_ceil(BLOCK_PX))
-        .map(|b| inside(slab([middle(b % columns, width), middle(b / columns, height)])))
-        .collect();
-    let outside = |x: usize, y: usize| match surface {
-        StripeSurface::White => true,
-        StripeSurface::Frame(size) => {
-            let rim = RIM_PX / view.px_per_mm(size.map(|s| 0.5 * s));
-            let p = slab([x as f64, y as f64]);
-            (0..2).any(|a| p[a] < -rim || p[a] > size[a] + rim)
-        }
-    };
-    let usable = |k: usize| {
-        let (x, y) = (k % width, k / width);
-        squares[y / BLOCK_PX * columns + x / BLOCK_PX] && outside(x, y)
-    };
-    (0..width * height).map(usable).collect()
+    Ok(StripeFit { left_out: left_out.max(fit.left_out), ignored_bits, projector: fit })
 }
 
 /// Removes the finest bits of each axis that are not told apart, while two are left; how many.
@@ -244,23 +193,6 @@ fn leave_out_off_plane(
     }
     let with_codes = seen.iter().filter(|n| **n > 0).count().max(1);
     Ok(left_out.iter().filter(|l| **l).count() as f64 / with_codes as f64)
-}
-
-/// A frame that is seen on one side only says nothing about the other.
-fn check_sides(decoded: &[Observation], size_mm: Point) -> Result<(), String> {
-    for axis in 0..2 {
-        for (far, side) in [(false, ["left", "upper"]), (true, ["right", "lower"])] {
-            let beyond = |o: &&Observation| if far { o.from[axis] > size_mm[axis] } else { o.from[axis] < 0.0 };
-            let found = decoded.iter().filter(beyond).count();
-            if (found as f64) < LEAST_SIDE_SHARE * decoded.len() as f64 {
-                let (all, side) = (decoded.len(), side[axis]);
-                return Err(format!(
-                    "the frame must show the Gray code on all sides of the sample, but only {found} of {all} decoded pixels lie on its {side} side"
-                ));
-            }
-        }
-    }
-    Ok(())
 }
 
 fn contrast(pair: &BitPair, usable: &[bool]) -> Contrast {
@@ -443,20 +375,15 @@ mod tests {
         (0..2).flat_map(|axis| (2..6).map(move |bit| pair(axis, bit))).collect()
     }
 
-    /// The whole picture, and beyond.
-    fn everywhere() -> StripeArea {
-        StripeArea { corners_mm: [[-100.0; 2], [100.0; 2]], dots_projector_px: vec![] }
-    }
-
-    fn registered(pairs: &[BitPair], lens: Lens) -> Result<ProjectorFit, String> {
-        register_projector(pairs, SIZE, &view(), StripeSurface::White, &everywhere(), lens)
+    fn registered(pairs: &[BitPair], lens: Lens) -> Result<StripeFit, String> {
+        register_projector(pairs, SIZE, &view(), StripeSurface::White, &StripeArea::everywhere(), lens)
     }
 
     /// The largest error of the map over the slab's points, projector px.
-    fn error_px(fit: &ProjectorFit) -> f64 {
+    fn error_px(fit: &StripeFit) -> f64 {
         let points = [[2.0, 1.0], [13.0, 9.0], [22.0, 17.0], [4.0, 18.0], [23.0, 2.0]];
         let off = points.map(|p| {
-            let (a, b) = (fit.slab_from_projector.projector_from_slab(p), PROJECTOR.map(p));
+            let (a, b) = (fit.projector.slab_from_projector.projector_from_slab(p), PROJECTOR.map(p));
             (a[0] - b[0]).hypot(a[1] - b[1])
         });
         off.into_iter().fold(0.0, f64::max)
@@ -528,11 +455,11 @@ mod tests {
         let ideal = Lens::ideal([23.5, 19.5], 60.0);
         let fit = registered(&code(), ideal).unwrap();
         for p in [[2.0, 1.0], [13.0, 9.0], [22.0, 17.0], [4.0, 18.0]] {
-            let (a, b) = (fit.slab_from_projector.projector_from_slab(p), PROJECTOR.map(p));
+            let (a, b) = (fit.projector.slab_from_projector.projector_from_slab(p), PROJECTOR.map(p));
             // Edges of 36 places a pixel of half a projector pixel: a hundredth each, and hundreds of them.
             assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 0.01, "{a:?} {b:?}");
         }
-        assert!(fit.rms_px < 0.03 && fit.edges > 500, "{fit:?}");
+        assert!(fit.projector.rms_px < 0.03 && fit.projector.edges > 500, "{fit:?}");
         // Without one axis, or a bit, it cannot be told.
         let only = |keep: &dyn Fn(&BitPair) -> bool| {
             let some: Vec<BitPair> = code().into_iter().filter(keep).collect();
@@ -625,51 +552,5 @@ mod tests {
         assert!(contrast(&pair, &vec![true; n]).value[5].is_some());
         let dark = BitPair { pattern: vec![0.0; n], inverse: vec![0.0; n], ..pair };
         assert!(contrast(&dark, &vec![true; n]).value.iter().all(Option::is_none));
-    }
-
-    #[test]
-    fn on_a_frame_only_what_lies_outside_the_sample_is_used() {
-        let slab = |q: Point| [q[0] / 5.0, q[1] / 4.0];
-        let matrix = [[5.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 1.0]];
-        let view = CameraView { ideal_from_slab: Homography { matrix }, lens: Lens::ideal([0.0; 2], 300.0) };
-        let usable =
-            |surface, area: &StripeArea, slab: &dyn Fn(Point) -> Point| usable_pixels(&view, SIZE, surface, area, slab);
-        assert!(usable(StripeSurface::White, &everywhere(), &slab).iter().all(|u| *u));
-        // Squares of 8 px whose middles, 3.5 px from their first, lie between 2 and 10 mm (columns 10 to 50) and beyond 5 mm (line 20).
-        let area = StripeArea { corners_mm: [[2.0, 5.0], [10.0, 100.0]], dots_projector_px: vec![] };
-        let used = usable(StripeSurface::White, &area, &slab);
-        for (x, y, expected) in
-            [(7, 40, false), (8, 40, true), (47, 40, true), (48, 40, false), (20, 24, true), (20, 23, false)]
-        {
-            assert_eq!(used[x + y * SIZE[0]], expected, "({x}, {y})");
-        }
-        let used = usable(StripeSurface::Frame([15.0, 12.0]), &everywhere(), &slab);
-        // Four pixels are 4 / √20 = 0.894 mm: beyond 15.894 mm in x are columns from 80 on, beyond 12.894 in y lines from 52 on.
-        for (x, y, expected) in [(79, 51, false), (80, 51, true), (79, 52, true), (0, 0, false), (3, 51, false)] {
-            assert_eq!(used[x + y * SIZE[0]], expected, "({x}, {y})");
-        }
-        let left = |q: Point| [q[0] / 5.0 - 2.0, q[1] / 4.0 - 1.0];
-        let used = usable(StripeSurface::Frame([15.0, 12.0]), &everywhere(), &left);
-        // −0.894 mm is column 5.5, and line 0.4.
-        for (x, y, expected) in [(5, 9, true), (6, 9, false), (40, 0, true), (40, 1, false)] {
-            assert_eq!(used[x + y * SIZE[0]], expected, "({x}, {y})");
-        }
-    }
-
-    #[test]
-    fn a_frame_must_show_the_code_on_all_sides() {
-        let at = |from: Point| Observation { from, axis: 0, to: 0.0 };
-        let all = [[-1.0, 5.0], [31.0, 5.0], [5.0, -1.0], [5.0, 21.0]];
-        let without = |side: usize, few: usize| {
-            let mut decoded: Vec<Observation> =
-                (0..100).map(|k| at(all[k % 4])).filter(|o| o.from != all[side]).collect();
-            decoded.extend((0..few).map(|_| at(all[side])));
-            check_sides(&decoded, [30.0, 20.0])
-        };
-        for (side, name) in ["left", "right", "upper", "lower"].into_iter().enumerate() {
-            // 3 of 78 are less than a twentieth, 4 of 79 are more.
-            assert!(without(side, 3).unwrap_err().contains(&format!("3 of 78 decoded pixels lie on its {name} side")));
-            assert_eq!(without(side, 4), Ok(()));
-        }
     }
 }

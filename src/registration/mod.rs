@@ -17,6 +17,7 @@ mod projector_fit;
 mod rim_size;
 mod sample_drift;
 mod sharpness;
+mod stripe_area;
 
 pub use board::find_board;
 pub use camera_motion::{CameraMotion, RimPlace, RimSegment, camera_motion, locate_rim, rim_segments};
@@ -25,13 +26,14 @@ pub use drift::{Drift, SeenDepth, measure_drift};
 pub(crate) use drift::{median, scaled_deviation};
 pub use fit::{Observation, ViewFit, fit_homography, fit_view};
 pub use frame_marks::{FoundMark, FrameFit, marks_moved, register_frame};
-pub use gray_code::{BitPair, StripeArea, StripeSurface, register_projector};
+pub use gray_code::{BitPair, StripeFit, register_projector};
 pub use jumps::{Jump, find_jumps};
 pub use lens_fit::{LensChoice, LensTrial, Pairs, fit_lens_of_views};
 pub use projector_fit::{MapTrend, ProjectorFit, fit_projector};
 pub use rim_size::{RimFit, fit_rim};
 pub use sample_drift::{DepthOfMedium, Located, Parallax, SampleDots};
 pub use sharpness::{PointSpread, measure_point_spread};
+pub use stripe_area::{StripeArea, StripeSurface};
 
 use crate::geometry::{CameraView, Homography, Point, SlabFromProjector};
 use serde::{Deserialize, Serialize};
@@ -133,7 +135,6 @@ mod tests {
             edges: 100,
             left_out: 0.0,
             trend: None,
-            ignored_bits: [0; 2],
         };
         let found = Registration::new(&camera, base.lens.clone(), None, &projector, [30.0, 20.0]).unwrap();
         // 5 by 3 projector px a millimetre: √15 on average.

@@ -1,7 +1,10 @@
 //! The projector's map and, when the stripes ask for it, its lens.
 
+use super::drift::scaled_deviation;
 use super::fit::{Observation, fit_homography};
 use crate::geometry::{Homography, Lens, Point, SlabFromProjector};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 
 /// The projector registered to the slab's plane.
 #[derive(Debug, Clone, Copy)]
@@ -16,12 +19,10 @@ pub struct ProjectorFit {
     pub sd_px: f64,
     /// Number of edges.
     pub edges: usize,
-    /// Share of the stripes' area that was left out: squares whose codes, or edges that, are far off the map.
+    /// Share of the edges that are far off the map, and were left out.
     pub left_out: f64,
     /// Where the edges are off the map together, if anywhere: what no plane and no radial distortion explains.
     pub trend: Option<MapTrend>,
-    /// How many of the finest bits of each axis were ignored: the camera does not tell their stripes apart.
-    pub ignored_bits: [usize; 2],
 }
 
 /// Edges of one part of the picture that are off the map together.
@@ -48,8 +49,6 @@ const ROUNDS: usize = 4;
 const FAR_SIGMA: f64 = 4.5;
 /// The least robust deviation that edges are given, projector px: of an exact picture all would be far off.
 const LEAST_SD_PX: f64 = 1e-3;
-/// Median of |x| of a normal distribution of unit deviation, inverted.
-const MAD_SD: f64 = 1.4826;
 
 /// Fits homography and lens to edges (slab mm to one projector coordinate), dropping edges far off until none is.
 ///
@@ -59,13 +58,12 @@ pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<ProjectorFit
     let lens = Lens { k1: 0.0, k2: 0.0, ..lens };
     let all = edges.len();
     let step = (edges.len() / DECIDING_EDGES).max(1);
-    let mut few: Vec<Observation> = edges.iter().copied().step_by(step).collect();
+    let deciding: Vec<Observation> = edges.iter().copied().step_by(step).collect();
     // Mistaken edges are off by more than any lens; the plane that most agree on knows nothing of them, and a lens brings back what it bends.
-    let first = plane_of_most(&few)?;
-    let mut start = (first, lens);
-    let all_few = std::mem::take(&mut few);
+    let first = plane_of_most(&deciding)?;
+    let (mut few, mut start) = (Vec::new(), (first, lens));
     for _ in 0..ROUNDS {
-        let kept = near(&all_few, &start);
+        let kept = near(&deciding, &start);
         if kept.len() == few.len() {
             break;
         }
@@ -96,20 +94,14 @@ pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<ProjectorFit
         edges: edges.len(),
         left_out: (all - edges.len()) as f64 / all as f64,
         trend: trend(&edges, &h, &chosen),
-        ignored_bits: [0; 2],
     })
 }
 
 /// The edges that are not far off the map.
 fn near(edges: &[Observation], (h, lens): &(Homography, Lens)) -> Vec<Observation> {
     let off = |o: &Observation| (lens.distort(h.map(o.from))[o.axis] - o.to).abs();
-    let most = FAR_SIGMA * (MAD_SD * median(edges.iter().map(off).collect())).max(LEAST_SD_PX);
+    let most = FAR_SIGMA * scaled_deviation(edges.iter().map(off), 0.0).max(LEAST_SD_PX);
     edges.iter().copied().filter(|o| off(o) <= most).collect()
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// Parts along each side into which the edges are sorted for their trend.
@@ -165,29 +157,24 @@ pub(super) fn plane_of_most(observations: &[Observation]) -> Option<Homography> 
     }
     let off = |h: &Homography, o: &Observation| (h.map(o.from)[o.axis] - o.to).abs();
     let judges: Vec<Observation> = observations.iter().copied().step_by((observations.len() / JUDGES).max(1)).collect();
-    let mid = |h: &Homography| median(judges.iter().map(|o| off(h, o)).collect());
-    // The generator of Knuth's MMIX: drawn places must be spread, and the same in every run.
-    let mut state = 0x2545_f491_4f6c_dd1d_u64;
-    let mut draw = |n: usize| {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        ((state >> 33) as usize) % n
-    };
-    let mut best = fit_homography(observations).map(|(h, _)| (mid(&h), h));
+    let deviation = |h: &Homography| scaled_deviation(judges.iter().map(|o| off(h, o)), 0.0);
+    // The same in every run.
+    let mut rng = Pcg64Mcg::seed_from_u64(1);
+    let mut best = fit_homography(observations).map(|(h, _)| (deviation(&h), h));
     for _ in 0..HYPOTHESES {
         let some: Vec<Observation> =
-            (0..HYPOTHESIS_PIXELS).map(|k| by_axis[k % 2][draw(by_axis[k % 2].len())]).collect();
+            (0..HYPOTHESIS_PIXELS).map(|k| by_axis[k % 2][rng.random_range(0..by_axis[k % 2].len())]).collect();
         let Some((h, _)) = fit_homography(&some) else { continue };
-        let residual = mid(&h);
-        if best.is_none_or(|(b, _)| residual < b) {
-            best = Some((residual, h));
+        let sd = deviation(&h);
+        if best.is_none_or(|(b, _)| sd < b) {
+            best = Some((sd, h));
         }
     }
-    let (residual, mut h) = best?;
-    let mut most = 2.5 * MAD_SD * residual;
+    let (mut sd, mut h) = best?;
     for _ in 0..ROUNDS {
-        let near: Vec<Observation> = observations.iter().copied().filter(|o| off(&h, o) <= most).collect();
+        let near: Vec<Observation> = observations.iter().copied().filter(|o| off(&h, o) <= 2.5 * sd).collect();
         h = fit_homography(&near)?.0;
-        most = 2.5 * MAD_SD * mid(&h);
+        sd = deviation(&h);
     }
     Some(h)
 }

@@ -5,7 +5,7 @@
 //! solution e^(−μr)/r is one, and so are sums of such over depths and reflections, but for the closest samples). The weights are those of
 //! non-negative least squares over all samples with all dots that light each: one minimum, wherever the search begins.
 
-use super::fit::Fit;
+use super::fit::{ASSUMED_SD, Fit};
 use super::kernel::interpolate;
 
 /// Shortest and longest decay lengths, in outgoing samples and in reaches (two windows), and how many.
@@ -14,8 +14,6 @@ const LONGEST_REACHES: f64 = 0.5;
 const LENGTHS: usize = 12;
 /// Nodes near the dot have a weight each, samples: there light falls off as the dot's side and the medium's first scattering want.
 const FREE_SAMPLES: f64 = 3.0;
-/// Relative error of a mixture that the weights assume: slabs differ from place to place.
-const ASSUMED_SD: f64 = 0.2;
 
 /// What is known to no better than this share of the brightest sample.
 const LEAST_LIGHT: f64 = 1e-6;

@@ -12,7 +12,7 @@ const NODE_SAMPLES: f64 = 0.5;
 /// Rounds of updates; each settles kernel, incident and outgoing factors in turn.
 const ROUNDS: usize = 30;
 /// Relative error of the model that the weights assume while it is fitted.
-const ASSUMED_SD: f64 = 0.2;
+pub(super) const ASSUMED_SD: f64 = 0.2;
 /// The model is never trusted to better than this.
 const LEAST_SD: f64 = 0.03;
 /// What the model misses is larger than what it leaves of the samples that it was fitted to (on simulated slabs up to 2 times).
