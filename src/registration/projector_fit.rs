@@ -19,7 +19,8 @@ pub struct ProjectorFit {
     pub sd_px: f64,
     /// Number of edges.
     pub edges: usize,
-    /// Share of the edges that are far off the map, and were left out.
+    /// Share of the edges that are off the map by half a projector pixel and more: of something that does not lie in the plane. (Of those that are left out
+    /// beside them most lie where prints end.)
     pub left_out: f64,
     /// Where the edges are off the map together, if anywhere: what no plane and no radial distortion explains.
     pub trend: Option<MapTrend>,
@@ -47,6 +48,8 @@ const WORTH_PX: f64 = 0.25;
 const ROUNDS: usize = 4;
 /// Edges further off than so many robust deviations are left out: of a normal distribution's 1e-5.
 const FAR_SIGMA: f64 = 4.5;
+/// Blur and prints displace no edge as far as this, projector px.
+const ELSEWHERE_PX: f64 = 0.5;
 /// The least robust deviation that edges are given, projector px: of an exact picture all would be far off.
 const LEAST_SD_PX: f64 = 1e-3;
 
@@ -56,7 +59,6 @@ const LEAST_SD_PX: f64 = 1e-3;
 /// no edge by a quarter of a pixel. `None` for fewer than nine edges or a degenerate layout.
 pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<ProjectorFit> {
     let lens = Lens { k1: 0.0, k2: 0.0, ..lens };
-    let all = edges.len();
     let step = (edges.len() / DECIDING_EDGES).max(1);
     let deciding: Vec<Observation> = edges.iter().copied().step_by(step).collect();
     // Mistaken edges are off by more than any lens; the plane that most agree on knows nothing of them, and a lens brings back what it bends.
@@ -81,6 +83,7 @@ pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<ProjectorFit
         }
     }
     let (_, chosen) = best?;
+    let far = edges.iter().filter(|o| off(o, &start) > ELSEWHERE_PX).count() as f64 / edges.len() as f64;
     let edges = near(&edges, &start);
     let (h, rms_px) = fit_given(&edges, first, &chosen)?;
     let ideal_rms_px = if chosen.is_ideal() { rms_px } else { fit_given(&edges, first, &lens)?.1 };
@@ -92,16 +95,20 @@ pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<ProjectorFit
         ideal_rms_px,
         sd_px: rms_px * (parameters as f64 / independent).sqrt(),
         edges: edges.len(),
-        left_out: (all - edges.len()) as f64 / all as f64,
+        left_out: far,
         trend: trend(&edges, &h, &chosen),
     })
 }
 
+/// How far an edge is off the map, projector px.
+fn off(o: &Observation, (h, lens): &(Homography, Lens)) -> f64 {
+    (lens.distort(h.map(o.from))[o.axis] - o.to).abs()
+}
+
 /// The edges that are not far off the map.
-fn near(edges: &[Observation], (h, lens): &(Homography, Lens)) -> Vec<Observation> {
-    let off = |o: &Observation| (lens.distort(h.map(o.from))[o.axis] - o.to).abs();
-    let most = FAR_SIGMA * scaled_deviation(edges.iter().map(off), 0.0).max(LEAST_SD_PX);
-    edges.iter().copied().filter(|o| off(o) <= most).collect()
+fn near(edges: &[Observation], map: &(Homography, Lens)) -> Vec<Observation> {
+    let most = FAR_SIGMA * scaled_deviation(edges.iter().map(|o| off(o, map)), 0.0).max(LEAST_SD_PX);
+    edges.iter().copied().filter(|o| off(o, map) <= most).collect()
 }
 
 /// Parts along each side into which the edges are sorted for their trend.
