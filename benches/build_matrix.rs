@@ -1,7 +1,8 @@
-//! Time of the whole `build-matrix` against only decoding the same photographs with the same crates, in turn, on all cores.
+//! Time of the whole `build-matrix` against only decoding the same photographs with the same crates, in turn, on all
+//! cores.
 //!
-//! `cargo bench --bench build_matrix [-- CAPTURE_DIR]` (by default a simulated capture of 16×16 points, 31×31 window); prints medians
-//! over five pairs and the median of the pairs' ratios.
+//! `cargo bench --bench build_matrix [-- CAPTURE_DIR]` (by default a simulated capture of 16×16 points, 31×31 window);
+//! prints medians over five pairs and the median of the pairs' ratios.
 
 use acquire::capture::Capture;
 use acquire::pipeline::{BuildOptions, build_matrix};

@@ -1,8 +1,9 @@
 //! What evaluating a material costs: a point query, a draw, relighting the slab.
 //!
-//! `cargo bench --bench evaluate [-- POINTS WINDOW TERMS]` (by default 256 × 256 points, 61 × 61 window, T = 15), on synthetic factors:
-//! `tucker` with P = 7, `joint`, and `joint` with 25 different shifts. Queries and draws on one core, at random lit points and offsets (memory
-//! is the limit) and at one lit point (the processor is); relighting on all cores, lit points beside the samples of the canvas.
+//! `cargo bench --bench evaluate [-- POINTS WINDOW TERMS]` (by default 256 × 256 points, 61 × 61 window, T = 15), on
+//! synthetic factors: `tucker` with P = 7, `joint`, and `joint` with 25 different shifts. Queries and draws on one
+//! core, at random lit points and offsets (memory is the limit) and at one lit point (the processor is); relighting on
+//! all cores, lit points beside the samples of the canvas.
 
 use acquire::material::{Evaluator, Light, Material, MaterialHeader, Model, Responses, Source, lit_area, relight};
 use acquire::progress::Progress;

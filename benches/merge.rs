@@ -1,7 +1,7 @@
 //! Merged radiance against the Cramér–Rao bound, level by level.
 //!
-//! `cargo bench --bench merge [-- PIXELS [SENSOR EXPOSURES STOPS]]`: SENSOR is sony-a7r3, canon-t1 or phone.
-//! With `ACQUIRE_STACK=DIR` the stacks, the truth and what we make of them are written there instead, for benches/peers/hdr.
+//! `cargo bench --bench merge [-- PIXELS [SENSOR EXPOSURES STOPS]]`: SENSOR is sony-a7r3, canon-t1 or phone. With
+//! `ACQUIRE_STACK=DIR` the stacks, the truth and what we make of them are written there instead, for benches/peers/hdr.
 
 #[path = "../tests/common/merge_levels.rs"]
 mod merge_levels;
@@ -54,7 +54,8 @@ fn main() {
 /// Rows of a level in the pictures of the stack: two, so that it holds whole blocks of a Bayer mosaic.
 const ROWS: usize = 2;
 
-/// Grey 16-bit pictures `exposure-K.png`, a level in every two rows; `stack.json`; `value.f32`, `variance.f32`, `used.u8` of our merge.
+/// Grey 16-bit pictures `exposure-K.png`, a level in every two rows; `stack.json`; `value.f32`, `variance.f32`,
+/// `used.u8` of our merge.
 fn write_stack(
     bracketing: &Bracketing,
     pixels: usize,

@@ -1,8 +1,9 @@
-//! What a simulation costs beside its image encoder: the whole of `simulate` against only encoding and writing the same photographs, on all cores.
+//! What a simulation costs beside its image encoder: the whole of `simulate` against only encoding and writing the same
+//! photographs, on all cores.
 //!
-//! `cargo bench --bench simulate [-- GRID CAMERA_PX_PER_SAMPLE png|jpeg]` (by default 16 points of a 31×31 window, 3 px a
-//! sample, PNG); thrice in turn, in folders of their own. Prints elapsed times, processor times (Linux; they hardly depend on
-//! what else the machine does) and their ratios, then the medians.
+//! `cargo bench --bench simulate [-- GRID CAMERA_PX_PER_SAMPLE png|jpeg]` (by default 16 points of a 31×31 window, 3 px
+//! a sample, PNG); thrice in turn, in folders of their own. Prints elapsed times, processor times (Linux; they hardly
+//! depend on what else the machine does) and their ratios, then the medians.
 
 use acquire::progress::Progress;
 use acquire::simulate::{ExposureTime, FileFormat, PhotographWriter, SimulateOptions, simulate};
@@ -12,8 +13,8 @@ use std::time::Instant;
 
 /// Photographs held in memory at a time.
 const BATCH: usize = 64;
-/// Folders are removed between rounds only when they hold this many bytes: for half a minute after files were removed ext4
-/// is slow to create others.
+/// Folders are removed between rounds only when they hold this many bytes: for half a minute after files were removed
+/// ext4 is slow to create others.
 const MUCH: u64 = 1 << 30;
 
 /// Seconds elapsed, and seconds of all processors together.

@@ -1,11 +1,13 @@
 //! The trade: how the error falls with exposures and photographs, against the lab's time and ours.
 //!
-//! `cargo bench --bench trade [-- --csv] [--svg FILE] [--grid N] [--window N] [--seed N]` (by default 12 × 12 points 1 mm apart, window of 31 samples of
-//! 0.5 mm, seed 3). For every distance of a shot's dots one capture of a chessboard slab is simulated, six exposures two stops apart;
-//! matrices are built from all of these photographs and from fewer, the longest left out first (range and photographs fall), then every other one (only
-//! photographs). Cross-talk is removed. A Markdown table, or CSV; one plot.
+//! `cargo bench --bench trade [-- --csv] [--svg FILE] [--grid N] [--window N] [--seed N]` (by default 12 × 12 points 1
+//! mm apart, window of 31 samples of 0.5 mm, seed 3). For every distance of a shot's dots one capture of a chessboard
+//! slab is simulated, six exposures two stops apart; matrices are built from all of these photographs and from fewer,
+//! the longest left out first (range and photographs fall), then every other one (only photographs). Cross-talk is
+//! removed. A Markdown table, or CSV; one plot.
 //!
-//! The lab's time is assumed: the exposure times of all photographs, reference shots too, and half a second for each photograph.
+//! The lab's time is assumed: the exposure times of all photographs, reference shots too, and half a second for each
+//! photograph.
 
 #[allow(dead_code, unused_imports)]
 #[path = "../src/report/chart.rs"]
@@ -33,7 +35,8 @@ const SAMPLES_PER_POINT: usize = 2;
 const SECS_PER_PHOTOGRAPH: f64 = 0.5;
 /// Simulated exposures of a lattice shot, two stops apart.
 const EXPOSURES: usize = 6;
-/// Exposures that are kept, counted from the shortest: two stops apart, then four and eight apart over the same range as five.
+/// Exposures that are kept, counted from the shortest: two stops apart, then four and eight apart over the same range
+/// as five.
 const KEPT: [&[usize]; 8] =
     [&[0], &[0, 1], &[0, 1, 2], &[0, 1, 2, 3], &[0, 1, 2, 3, 4], &[0, 1, 2, 3, 4, 5], &[0, 2, 4], &[0, 4]];
 /// The first of these leave the longest out, and make a line of the plot.
@@ -183,7 +186,8 @@ type Quantity = (&'static str, fn(&Point) -> f64);
 const CHART_PX: [f64; 2] = [430.0, 280.0];
 const LEGEND_PX: f64 = 26.0;
 
-/// Both errors against photographs and against the lab's time; a line is a spacing, its points have one to six exposures.
+/// Both errors against photographs and against the lab's time; a line is a spacing, its points have one to six
+/// exposures.
 fn plot(lines: &[Vec<Point>]) -> String {
     let abscissas: [Quantity; 2] = [("photographs", |p| p.photographs as f64), ("the lab's time, s", |p| p.lab_secs)];
     let errors: [Quantity; 2] = [("rel_rmse", |p| p.rel_rmse), ("log_rmse", |p| p.log_rmse)];
@@ -221,7 +225,8 @@ fn panel(lines: &[Vec<Point>], x: Quantity, y: Quantity) -> String {
         let values = || lines.iter().flatten().map(of).filter(|v| v.is_finite());
         let (min, max) = (0.85 * values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max) / 0.85);
         let mut axis = ChartAxis::decades(min, max, title);
-        // Ticks are at whole decades, the nearest to either end included: an end may move towards the data by less than half a decade.
+        // Ticks are at whole decades, the nearest to either end included: an end may move towards the data by less than
+        // half a decade.
         if min.log10().rem_euclid(1.0) > 0.5 {
             axis.min = min;
         }

@@ -1,9 +1,9 @@
 //! The transport solvers: photons per second, and diffusion against Monte Carlo.
 //!
 //! `cargo bench --bench transport` prints photons per second on one thread and on all, for the slabs that
-//! benches/peers/photons/ runs through other codes; medians of five.
-//! `cargo bench --bench transport -- materials [PHOTONS]` prints what diffusion costs in accuracy and saves in time, per
-//! material: the truth of a simulated capture by diffusion against that by Monte Carlo (2 × 2 points, 31 × 31 window).
+//! benches/peers/photons/ runs through other codes; medians of five. `cargo bench --bench transport -- materials
+//! [PHOTONS]` prints what diffusion costs in accuracy and saves in time, per material: the truth of a simulated capture
+//! by diffusion against that by Monte Carlo (2 × 2 points, 31 × 31 window).
 
 use acquire::evaluate::evaluate;
 use acquire::material::Source;

@@ -2,8 +2,8 @@
 //!
 //! `cargo run --example merge_bracket -- captures reference-white 80 70`: folder, shot, column and row.
 
-use acquire::capture::{Capture, Rect, ResponseCurve, Samples, compression_variance};
-use acquire::radiance::{Curve, Exposure, FileNoise, Sensor, merge};
+use acquire::capture::{Capture, Rect};
+use acquire::radiance::{Exposure, Sensor, merge};
 use acquire::{Error, Result};
 use std::path::Path;
 
@@ -23,23 +23,8 @@ pub fn radiance_at(folder: &Path, shot: &str, [x, y]: [usize; 2]) -> Result<([f6
         return Err(asked("pixel", &format!("within {} × {} px", rect.width, rect.height), &format!("({x}, {y})")));
     }
 
-    // The sensor: its noise and response curve from rig.toml, what 8 bits and JPEG add from the file.
-    let of_rig = |field: &str| Error::field(&capture.rig_path, field, "what is known of the camera", "none");
-    let noise = capture.rig.noise.as_ref().ok_or_else(|| of_rig("noise"))?;
-    let curve = match &capture.rig.camera.response_curve {
-        ResponseCurve::Linear => None,
-        ResponseCurve::Srgb => Some(Curve::srgb()),
-        ResponseCurve::File(name) => Some(Curve::read(&capture.rig_path.with_file_name(name))?),
-        // `acquire build-matrix` estimates it and saves it beside rig.toml.
-        ResponseCurve::Estimate => return Err(of_rig("camera.response")),
-    };
-    let bytes = std::fs::read(&photographs[0].path).map_err(Error::io("read", &photographs[0].path))?;
-    let file = FileNoise {
-        sixteen_bit: matches!(decoded[0].samples, Samples::U16(_)),
-        compression: compression_variance(&bytes, 1.0).unwrap_or_default(),
-    };
-    let sensor = Sensor::with_curve(noise, curve, file);
-
+    // Noise and response curve from rig.toml, what 8 bits and JPEG add from the files.
+    let sensor = Sensor::of_capture(&capture)?;
     let exposures = decoded.into_iter().zip(photographs);
     let exposures = exposures.map(|(pixels, p)| Exposure { samples: pixels.samples, secs: p.effective_secs });
     let merged = merge(&exposures.collect::<Vec<_>>(), rect, &sensor);

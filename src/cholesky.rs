@@ -1,4 +1,5 @@
-//! Symmetric positive definite systems, small enough that a matrix library would only cost time: thousands are solved for every shot.
+//! Symmetric positive definite systems, small enough that a matrix library would only cost time: thousands are solved
+//! for every shot.
 
 /// The lower triangular factor of a symmetric positive definite matrix.
 #[derive(Debug, Clone)]
@@ -8,13 +9,15 @@ pub(crate) struct Cholesky {
 }
 
 impl Cholesky {
-    /// From the lower half of a row-major \[k, k\] matrix; `None` where a pivot is not more than `least` of its diagonal.
+    /// From the lower half of a row-major \[k, k\] matrix; `None` where a pivot is not more than `least` of its
+    /// diagonal.
     pub(crate) fn strict(a: Vec<f64>, k: usize, least: f64) -> Option<Self> {
         let factor = Self::of(a, k, least);
         (0..k).all(|i| factor.lower[i * k + i].is_finite()).then_some(factor)
     }
 
-    /// The same, but a pivot that is no more than rounding, or not finite, drops its unknown: it is 0 in every solution.
+    /// The same, but a pivot that is no more than rounding, or not finite, drops its unknown: it is 0 in every
+    /// solution.
     pub(crate) fn dropping(a: Vec<f64>, k: usize) -> Self {
         Self::of(a, k, 1e-14)
     }
@@ -60,8 +63,8 @@ pub(crate) fn log_determinant(a: Vec<f64>, n: usize) -> Option<f64> {
     Cholesky::strict(a, n, 0.0).map(|factor| factor.log_determinant())
 }
 
-/// Solves a system of known size (lower triangle given); also the diagonal of the inverse. `None` where no more than a millionth of a
-/// millionth of a diagonal is left.
+/// Solves a system of known size (lower triangle given); also the diagonal of the inverse. `None` where no more than a
+/// millionth of a millionth of a diagonal is left.
 pub(crate) fn solve_small<const N: usize>(a: [[f64; N]; N], mut b: [f64; N]) -> Option<([f64; N], [f64; N])> {
     let factor = Cholesky::strict(a.as_flattened().to_vec(), N, 1e-12)?;
     factor.solve(&mut b);
@@ -114,7 +117,8 @@ mod tests {
 
     #[test]
     fn three_equations_are_solved_and_a_nearly_singular_matrix_is_refused_at_any_scale() {
-        // A = [[4, 2, 6], [2, 10, 0], [6, 0, 14]]: determinant 144, adjugate [[140, −28, −60], [−28, 20, 12], [−60, 12, 36]].
+        // A = [[4, 2, 6], [2, 10, 0], [6, 0, 14]]: determinant 144, adjugate [[140, −28, −60], [−28, 20, 12], [−60, 12,
+        // 36]].
         let a = [[4.0, 0.0, 0.0], [2.0, 10.0, 0.0], [6.0, 0.0, 14.0]];
         let (x, inverse) = solve_small(a, [1.0, -2.0, 5.0]).unwrap();
         let expected = [(140.0 + 56.0 - 300.0) / 144.0, (-28.0 - 40.0 + 60.0) / 144.0, (-60.0 - 24.0 + 180.0) / 144.0];

@@ -7,7 +7,8 @@ use std::path::Path;
 /// Opens a file for reading.
 ///
 /// # Errors
-/// Those of the system; `InvalidInput` for a pipe, a device or a folder: opening a pipe waits until somebody writes to it, and a device has no end.
+/// Those of the system; `InvalidInput` for a pipe, a device or a folder: opening a pipe waits until somebody writes to
+/// it, and a device has no end.
 pub(crate) fn open(path: &Path) -> Result<File> {
     let kind = std::fs::metadata(path)?;
     match kind.is_file() {

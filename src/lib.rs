@@ -1,4 +1,5 @@
-//! From bracketed photographs of a projector-lit slab to the subsurface-scattering matrix R_d(x_i, x_o) and a factored material.
+//! From bracketed photographs of a projector-lit slab to the subsurface-scattering matrix R_d(x_i, x_o) and a factored
+//! material.
 //!
 //! The modules stand in the order in which the photographs pass them; each depends only on those above it.
 

@@ -48,8 +48,8 @@ impl Progress {
         }
     }
 
-    /// Ends the work from another thread: the next step of a stage unwinds with [`Stopped`] through all that is at work, which removes unfinished
-    /// outputs. Whoever calls this catches it with `catch_unwind`.
+    /// Ends the work from another thread: the next step of a stage unwinds with [`Stopped`] through all that is at
+    /// work, which removes unfinished outputs. Whoever calls this catches it with `catch_unwind`.
     pub fn stop(&self) {
         self.stopped.store(true, Ordering::Relaxed);
     }
@@ -107,7 +107,8 @@ pub struct Stage<'a> {
 }
 
 impl Stage<'_> {
-    /// A step may begin. After [`Progress::stop`] none does: steps that wait for a core would otherwise be made in vain.
+    /// A step may begin. After [`Progress::stop`] none does: steps that wait for a core would otherwise be made in
+    /// vain.
     pub fn begin(&self) {
         self.progress.unwind_if_stopped();
     }

@@ -1,4 +1,5 @@
-//! Readers and files that nobody wrote: whatever they hold, the answer is what was read or an error. See `fuzz/README.md`.
+//! Readers and files that nobody wrote: whatever they hold, the answer is what was read or an error. See
+//! `fuzz/README.md`.
 
 mod common;
 

@@ -1,4 +1,5 @@
-//! What the program does as commands. Options are words as they are typed, so that both have one list; what is reported is JSON.
+//! What the program does as commands. Options are words as they are typed, so that both have one list; what is reported
+//! is JSON.
 
 use crate::errors::{internal, raised};
 use crate::material::NativeMaterial;

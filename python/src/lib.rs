@@ -1,5 +1,6 @@
-//! The part of the Python module `acquire` that is not Python: arrays go in and out as NumPy's, all else as text (paths, options as they are typed, JSON).
-//! `python/acquire/` is what people import; it has the documentation, the types and the warnings.
+//! The part of the Python module `acquire` that is not Python: arrays go in and out as NumPy's, all else as text
+//! (paths, options as they are typed, JSON). `python/acquire/` is what people import; it has the documentation, the
+//! types and the warnings.
 
 mod commands;
 mod errors;

@@ -14,7 +14,8 @@ use std::path::PathBuf;
 
 /// Pairs of points that a thread takes at a time: some hundred microseconds of work.
 const PAIRS: usize = 4096;
-/// Pixels of an image of light in a sample: what lies beside an edge of the image is told apart to a fourth of a sample.
+/// Pixels of an image of light in a sample: what lies beside an edge of the image is told apart to a fourth of a
+/// sample.
 const PIXELS: f64 = 4.0;
 /// The most pixels of such an image along an axis.
 const MOST_PIXELS: f64 = 16384.0;
@@ -207,7 +208,8 @@ impl NativeMaterial {
         [x[0], x[1], y[0], y[1]]
     }
 
-    /// Exitance under an irradiance over an extent (x from, x to, y from, y to, mm; none: the lit area), (y, x, 3), with the centre of its first sample, mm.
+    /// Exitance under an irradiance over an extent (x from, x to, y from, y to, mm; none: the lit area), (y, x, 3),
+    /// with the centre of its first sample, mm.
     fn relight<'py>(
         &self,
         py: Python<'py>,
@@ -285,12 +287,14 @@ impl NativeMaterial {
 }
 
 impl NativeMaterial {
-    /// An image over an extent as an image over the lit area, dark beyond the extent: means over pixels of a fourth of a sample.
+    /// An image over an extent as an image over the lit area, dark beyond the extent: means over pixels of a fourth of
+    /// a sample.
     fn placed(&self, image: &LightImage, [x, y]: [[f64; 2]; 2]) -> LightImage {
         let area = self.extent();
         let pitch = self.material.header.pitch_mm;
         let size = area.map(|[low, high]| (PIXELS * (high - low) / pitch).ceil().clamp(1.0, MOST_PIXELS) as usize);
-        // For each pixel over the lit area, the pixels of the image that lie in it, and the share of it that they cover.
+        // For each pixel over the lit area, the pixels of the image that lie in it, and the share of it that they
+        // cover.
         let overlaps = |a: usize, [low, high]: [f64; 2]| -> Vec<Vec<(usize, f32)>> {
             let (step, side) = ((area[a][1] - area[a][0]) / size[a] as f64, (high - low) / image.size[a] as f64);
             let of = |k: usize| {

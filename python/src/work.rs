@@ -10,7 +10,8 @@ use std::time::Duration;
 /// How often Python is asked for signals, and progress is told.
 const POLL: Duration = Duration::from_millis(50);
 
-/// Where progress goes: `None` nowhere, `True` to bars on stderr, else a callable that takes a stage's name, steps done, and steps in all.
+/// Where progress goes: `None` nowhere, `True` to bars on stderr, else a callable that takes a stage's name, steps
+/// done, and steps in all.
 pub(crate) type Report<'py> = Option<Bound<'py, PyAny>>;
 
 /// Does `work` on a thread of its own. Ctrl-C ends it at its next step, when nothing that looks whole has been written.

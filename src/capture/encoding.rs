@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-/// What a PNG file says of its code values, for people; `None` for a file of another format, or one that says nothing. Converters write it
-/// without thinking: it is a reason to look, and no proof.
+/// What a PNG file says of its code values, for people; `None` for a file of another format, or one that says nothing.
+/// Converters write it without thinking: it is a reason to look, and no proof.
 pub(crate) fn stated_encoding(path: &Path) -> Option<String> {
     let file = std::io::BufReader::new(crate::files::open(path).ok()?);
     let reader = super::rows::png_decoder(file).ok()??.read_info().ok()?;

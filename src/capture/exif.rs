@@ -39,8 +39,9 @@ const ISO_OVERFLOW: f64 = 65_535.0;
 
 /// Reads the EXIF block of a photograph, as an exposure and as settings; a file without one gives all `None`.
 ///
-/// Damaged blocks are read as far as they go, with a [`CaptureWarning::DamagedExif`]. A field whose value cannot be (0/0, 2^32 − 1, a time
-/// beyond 1e-9 to 1e6 s) is left out with a [`CaptureWarning::UnusableExif`]; 0, which EXIF writes for "unknown", is left out without.
+/// Damaged blocks are read as far as they go, with a [`CaptureWarning::DamagedExif`]. A field whose value cannot be
+/// (0/0, 2^32 − 1, a time beyond 1e-9 to 1e6 s) is left out with a [`CaptureWarning::UnusableExif`]; 0, which EXIF
+/// writes for "unknown", is left out without.
 pub(super) fn read(
     path: &Path,
     name: &str,
@@ -88,7 +89,8 @@ fn interpret(block: &Exif, name: &str, warnings: &mut Vec<CaptureWarning>) -> Ex
     ExifExposure { exposure_secs, apex_secs, f_number, iso }
 }
 
-/// The first number of a field; `None` when it is no number at all (x/0). All bits set is what writers leave of an overflow.
+/// The first number of a field; `None` when it is no number at all (x/0). All bits set is what writers leave of an
+/// overflow.
 fn first_number(value: &Value) -> Option<f64> {
     let ratio = |numerator: f64, denominator: f64| (denominator != 0.0).then(|| numerator / denominator);
     match value {

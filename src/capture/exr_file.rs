@@ -7,7 +7,8 @@ use std::result::Result;
 
 /// The largest picture that is decoded, px.
 const MOST_PIXELS: usize = 1 << 27;
-/// What a section of a DWA block may announce, over the bytes of the pixels that it is of: they are padded to blocks of 8.
+/// What a section of a DWA block may announce, over the bytes of the pixels that it is of: they are padded to blocks
+/// of 8.
 const DWA_SLACK: u64 = 4;
 
 /// Columns and rows of the display window, from the head.
@@ -158,7 +159,8 @@ fn check_dwa(file: &mut (impl BufRead + Seek)) -> Result<(), String> {
         };
         let pixels = (width.next_multiple_of(8) * rows.next_multiple_of(8)) as u64;
         let most = DWA_SLACK * pixels * 4 * header.channels.list.len() as u64;
-        // Version, then sizes: of the unknown, its compressed, AC, DC and RLE compressed, RLE inflated and raw, AC and DC counts.
+        // Version, then sizes: of the unknown, its compressed, AC, DC and RLE compressed, RLE inflated and raw, AC and
+        // DC counts.
         let announced = bytes.as_chunks::<8>().0.iter().map(|b| u64::from_le_bytes(*b)).take(10);
         if let Some(size) = announced.skip(1).find(|size| *size > most) {
             return Err(format!("a DWA block announces {size} of what its pixels have {most} of at the most"));

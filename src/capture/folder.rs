@@ -43,11 +43,13 @@ impl Capture {
         Self::open_with(dir, calibration, ExposureFrom::Exif)
     }
 
-    /// Reads and checks a capture: manifest, rig, presence, size and exposure of every photograph. No pixels are decoded.
+    /// Reads and checks a capture: manifest, rig, presence, size and exposure of every photograph. No pixels are
+    /// decoded.
     ///
     /// # Errors
-    /// Those of [`Manifest::read`], [`Rig::find`] and [`Rig::read`]; [`Error::MissingPhotograph`], [`Error::BrokenPhotograph`],
-    /// [`Error::NoExposure`], [`Error::SameExposure`]; [`Error::Field`] for a photograph of another size or a shot that is needed and not there.
+    /// Those of [`Manifest::read`], [`Rig::find`] and [`Rig::read`]; [`Error::MissingPhotograph`],
+    /// [`Error::BrokenPhotograph`], [`Error::NoExposure`], [`Error::SameExposure`]; [`Error::Field`] for a photograph
+    /// of another size or a shot that is needed and not there.
     pub fn open_with(dir: &Path, calibration: Option<&Path>, exposure_from: ExposureFrom) -> Result<Self> {
         if !dir.is_dir() {
             let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "there is no such folder");

@@ -2,11 +2,11 @@
 
 /// Variance of a decoded pixel's error, code values squared, R G B; `None` when the bytes are no JPEG with tables.
 ///
-/// A coefficient that is rounded to steps of q is off by q²/12. High ones are mostly rounded to nothing: what is lost then is the
-/// coefficient, and of what sensor noise leaves in it (variance `noise`, code values squared; 1 is about that of a good sensor's
-/// mid-greys in 8 bits) no more than that is lost. The mean over the
-/// 64 coefficients is the variance of a pixel; luma and chroma add up as the colour transform of JFIF mixes them, and the
-/// decoder rounds once more.
+/// A coefficient that is rounded to steps of q is off by q²/12. High ones are mostly rounded to nothing: what is lost
+/// then is the coefficient, and of what sensor noise leaves in it (variance `noise`, code values squared; 1 is about
+/// that of a good sensor's mid-greys in 8 bits) no more than that is lost. The mean over the 64 coefficients is the
+/// variance of a pixel; luma and chroma add up as the colour transform of JFIF mixes them, and the decoder rounds once
+/// more.
 ///
 /// Not modelled: that errors of neighbouring pixels depend on each other, subsampled chroma, edges (they lose more).
 pub fn compression_variance(bytes: &[u8], noise: f64) -> Option<[f64; 3]> {

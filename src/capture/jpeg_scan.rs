@@ -1,10 +1,12 @@
-//! Whether the data of a JPEG make the picture that its head announces: decoders fill what is missing with grey, and say nothing.
+//! Whether the data of a JPEG make the picture that its head announces: decoders fill what is missing with grey, and
+//! say nothing.
 
-/// Refuses a JPEG file whose data do not make its picture: one that does not reach its end-of-image marker, announces more blocks than its bytes can hold,
-/// or, when it is sequential, whose Huffman codes are not those of exactly as many blocks as it has (a stretch of zeros or of another file, an end
-/// that was put on too early). Other files pass.
+/// Refuses a JPEG file whose data do not make its picture: one that does not reach its end-of-image marker, announces
+/// more blocks than its bytes can hold, or, when it is sequential, whose Huffman codes are not those of exactly as many
+/// blocks as it has (a stretch of zeros or of another file, an end that was put on too early). Other files pass.
 ///
-/// Not detected: damage that changes no length of a code, and any in the scans of progressive files; JPEG has no checksum.
+/// Not detected: damage that changes no length of a code, and any in the scans of progressive files; JPEG has no
+/// checksum.
 pub(crate) fn check_jpeg(bytes: &[u8]) -> Result<(), String> {
     walk(bytes, true)
 }
@@ -89,7 +91,8 @@ impl Head {
         Some(())
     }
 
-    /// Follows the codes of a scan; returns how many bytes they take. Scans of progressive files are left to the decoder.
+    /// Follows the codes of a scan; returns how many bytes they take. Scans of progressive files are left to the
+    /// decoder.
     fn scan(&self, segment: &[u8], data: &[u8]) -> Result<usize, String> {
         let Some(frame) = self.frame.as_ref().filter(|f| f.sequential && f.size[1] > 0) else { return Ok(0) };
         let mut parts = Vec::new();

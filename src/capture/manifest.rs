@@ -41,7 +41,8 @@ pub struct Slab {
     pub size_mm: Point,
 }
 
-/// The lit points, laid out in projector pixels: the dot of grid index (i, j) is centred at `origin_projector_px + (i, j) · step_projector_px`.
+/// The lit points, laid out in projector pixels: the dot of grid index (i, j) is centred at `origin_projector_px + (i,
+/// j) · step_projector_px`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Grid {
@@ -115,7 +116,8 @@ pub enum Pattern {
     Board,
     /// The same chessboard anywhere in view, in any pose: for the lens only.
     CalibrationBoard,
-    /// The sample in its frame, projector white: the frame's marks of `rig.toml` give the plane. A second one tells movement.
+    /// The sample in its frame, projector white: the frame's marks of `rig.toml` give the plane. A second one tells
+    /// movement.
     Frame,
     /// The white reference in the slab's plane, projector white.
     ReferenceWhite,
@@ -127,7 +129,8 @@ pub enum Pattern {
     GrayCode {
         /// The projector axis that it encodes.
         axis: Axis,
-        /// Bit number j: the pattern is bit j of n XOR (n >> 1), n the projector column (or row); stripes are 2^(j+1) px wide.
+        /// Bit number j: the pattern is bit j of n XOR (n >> 1), n the projector column (or row); stripes are 2^(j+1)
+        /// px wide.
         bit: u32,
         /// Whether light and dark are exchanged.
         #[serde(default)]

@@ -51,7 +51,8 @@ impl Photograph {
         Ok(Pixels { width, height, samples, sampling: rows.sampling() })
     }
 
-    /// The code values in each of `rects`, which must lie in the picture of `size_px`, and where in its pixel each channel was measured.
+    /// The code values in each of `rects`, which must lie in the picture of `size_px`, and where in its pixel each
+    /// channel was measured.
     ///
     /// With `to_the_end` the file is read to its end, and damage behind the last of them found.
     ///

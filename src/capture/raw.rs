@@ -6,9 +6,9 @@ use rawler::rawsource::RawSource;
 
 /// Decodes a Bayer mosaic at half its size: R, the mean of the two G, and B of each 2 × 2 block, black subtracted.
 ///
-/// Black and white levels are the file's, those of each place in the mosaic. A photosite at or above its white level is +∞, and so
-/// is a mean of which one is. Where in its block each channel was sampled is in the [`Sampling`]. Nothing is demosaiced, scaled
-/// by the white balance or turned.
+/// Black and white levels are the file's, those of each place in the mosaic. A photosite at or above its white level is
+/// +∞, and so is a mean of which one is. Where in its block each channel was sampled is in the [`Sampling`]. Nothing is
+/// demosaiced, scaled by the white balance or turned.
 ///
 /// # Errors
 /// In words: a file that the reader does not know or that is damaged, a mosaic that is not 2 × 2 of R, G, G, B.
@@ -92,7 +92,8 @@ impl Mosaic {
         let (Some(r), Some(g), Some(b), Some(other)) = found else {
             return Err(format!("a mosaic of the colours {colors:?}: one R, two G and one B are needed"));
         };
-        // Levels repeat from the first photosite that sees light in DNG (1.7, BlackLevel), in other files from the sensor's first.
+        // Levels repeat from the first photosite that sees light in DNG (1.7, BlackLevel), in other files from the
+        // sensor's first.
         let from = if image.camera.mode == "dng" { [0, 0] } else { first };
         let (w, h) = (image.blacklevel.width.max(1), image.blacklevel.height.max(1));
         let levels = image.blacklevel.as_vec();

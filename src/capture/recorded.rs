@@ -1,10 +1,12 @@
-//! Checksums of a capture's photographs as they were when it was made: lines of a BLAKE3 and a name, as the program `b3sum` writes and checks them.
+//! Checksums of a capture's photographs as they were when it was made: lines of a BLAKE3 and a name, as the program
+//! `b3sum` writes and checks them.
 
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The file of checksums in a capture's folder. A capture without one is not checked, nor is a photograph that is not named.
+/// The file of checksums in a capture's folder. A capture without one is not checked, nor is a photograph that is not
+/// named.
 pub(crate) const CHECKSUMS: &str = "photographs.b3";
 
 /// BLAKE3 of a file, read piece by piece.

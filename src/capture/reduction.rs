@@ -142,7 +142,8 @@ struct Blocks {
     saturation_dn: f32,
     across: usize,
     row: Samples,
-    /// Of each column and channel, over the rows of the line: sum of whole code values, of others, and how many are saturated.
+    /// Of each column and channel, over the rows of the line: sum of whole code values, of others, and how many are
+    /// saturated.
     whole: Vec<u32>,
     float: Vec<f32>,
     full: Vec<u32>,
@@ -172,8 +173,8 @@ impl Blocks {
         }
     }
 
-    /// Appends the next line's means to `out`, which must be floating point. A block that is saturated in part measured nothing (NaN), one that is
-    /// saturated as a whole stays saturated.
+    /// Appends the next line's means to `out`, which must be floating point. A block that is saturated in part measured
+    /// nothing (NaN), one that is saturated as a whole stays saturated.
     fn line(&mut self, reader: &mut RowReader, out: &mut Samples) -> std::result::Result<(), String> {
         self.whole.fill(0);
         self.float.fill(0.0);
@@ -337,7 +338,8 @@ mod tests {
 
     #[test]
     fn photosites_that_are_left_out_leave_the_mean_of_the_others() {
-        // 7 × 5 pixels in blocks of two; one block saturates in a photosite that is known to be stuck, and in one that is not.
+        // 7 × 5 pixels in blocks of two; one block saturates in a photosite that is known to be stuck, and in one that
+        // is not.
         let code = |x: usize, y: usize, c: usize| (10 * x + 3 * y + 100 * c) as u16;
         let mut values: Vec<u16> = (0..105).map(|k| code(k / 3 % 7, k / 21, k % 3)).collect();
         for (x, y, c) in [(1, 2, 1), (4, 1, 0), (5, 1, 0)] {

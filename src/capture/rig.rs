@@ -1,4 +1,5 @@
-//! `calibration/rig.toml`: the camera, the projector, the board and the white reference. Field by field in `docs/captures.md`.
+//! `calibration/rig.toml`: the camera, the projector, the board and the white reference. Field by field in
+//! `docs/captures.md`.
 
 use crate::{Error, Result, geometry::Point};
 use serde::{Deserialize, Serialize};
@@ -91,8 +92,8 @@ impl From<ResponseCurve> for String {
     }
 }
 
-/// The noise of the sensor, in code values (DN) of the linear signal: at the photographs' own bit depth with a linear response curve, from 0 to
-/// 255 with the sRGB curve.
+/// The noise of the sensor, in code values (DN) of the linear signal: at the photographs' own bit depth with a linear
+/// response curve, from 0 to 255 with the sRGB curve.
 ///
 /// The variance of a linear value y is gain · (y − black) + (gain · read)² + 1/12 (Poisson, read-out, rounding), DN².
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -202,7 +203,8 @@ pub struct WhiteReference {
 }
 
 impl Rig {
-    /// Finds the rig of the capture in `capture_dir`: in `calibration` when given, else `capture_dir/calibration`, else `calibration` beside it.
+    /// Finds the rig of the capture in `capture_dir`: in `calibration` when given, else `capture_dir/calibration`, else
+    /// `calibration` beside it.
     ///
     /// # Errors
     /// [`Error::NoRig`] with the places that were tried.

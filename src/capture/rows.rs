@@ -11,8 +11,8 @@ use std::path::Path;
 
 /// Rows of a photograph from the first to the last, three channels each; grey is repeated in them, alpha dropped.
 ///
-/// PNG comes by rows, TIFF by strips or rows of tiles, and by rows where it is not compressed. JPEG, OpenEXR, raw files, interlaced PNG and
-/// compressed TIFF in one strip are decoded whole.
+/// PNG comes by rows, TIFF by strips or rows of tiles, and by rows where it is not compressed. JPEG, OpenEXR, raw
+/// files, interlaced PNG and compressed TIFF in one strip are decoded whole.
 pub(super) struct RowReader {
     /// Columns and rows.
     pub size_px: [usize; 2],
@@ -117,7 +117,8 @@ impl RowReader {
         Ok(())
     }
 
-    /// Leaves out the next `rows` rows, which must be there; what is in them is decoded only where the format asks for it.
+    /// Leaves out the next `rows` rows, which must be there; what is in them is decoded only where the format asks for
+    /// it.
     ///
     /// # Errors
     /// In words, what is wrong with the file.
@@ -172,7 +173,8 @@ impl RowReader {
     }
 }
 
-/// A decoder of PNG that leaves out colour profiles and texts, which small files may blow up to any size; `None` when the file is no PNG.
+/// A decoder of PNG that leaves out colour profiles and texts, which small files may blow up to any size; `None` when
+/// the file is no PNG.
 pub(super) fn png_decoder<R: std::io::BufRead + Seek>(mut file: R) -> std::io::Result<Option<png::Decoder<R>>> {
     let mut first = [0; 8];
     let is_png = file.read_exact(&mut first).is_ok() && first == *b"\x89PNG\r\n\x1a\n";

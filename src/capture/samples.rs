@@ -15,12 +15,14 @@ pub struct Pixels {
 
 /// Where in its pixel, and over how much of it, each channel (R, G, B) was measured.
 ///
-/// All of it, unless the photograph is a mosaic that was read at half size: then R and B were measured by one photosite of four.
+/// All of it, unless the photograph is a mosaic that was read at half size: then R and B were measured by one photosite
+/// of four.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sampling {
     /// Centre of the light that was measured, from the pixel's centre, px (x right, y down).
     pub offset_px: [[f64; 2]; 3],
-    /// Side of the square over which it was averaged, px. The two G of a block, corner to corner, count as the whole of it.
+    /// Side of the square over which it was averaged, px. The two G of a block, corner to corner, count as the whole of
+    /// it.
     pub aperture_px: [f64; 3],
     /// Variance over that of one photosite with the same code value: ½ for a mean of two.
     pub variance_share: [f32; 3],
@@ -109,7 +111,8 @@ impl Samples {
         }
     }
 
-    /// Appends some code values of `from`, whose type this becomes when it is empty; of another type than before nothing is kept.
+    /// Appends some code values of `from`, whose type this becomes when it is empty; of another type than before
+    /// nothing is kept.
     pub(crate) fn extend(&mut self, from: &Self, range: std::ops::Range<usize>) {
         match (&mut *self, from) {
             (Self::U8(to), Self::U8(from)) => to.extend_from_slice(&from[range]),
@@ -121,7 +124,8 @@ impl Samples {
         }
     }
 
-    /// Three planes, each of whose code values is there three times, as the colours of one picture; `None` when they differ in type or length.
+    /// Three planes, each of whose code values is there three times, as the colours of one picture; `None` when they
+    /// differ in type or length.
     pub(super) fn of_planes(planes: &[Self]) -> Option<Self> {
         fn of<T: Copy>([r, g, b]: [&[T]; 3]) -> Option<Vec<T>> {
             let all = r.iter().zip(g).zip(b).step_by(3).flat_map(|((&r, &g), &b)| [r, g, b]).collect();

@@ -57,7 +57,8 @@ fn look(photograph: &Photograph, file: &str, expected_px: [usize; 2]) -> Option<
     }
 }
 
-/// Refuses a PNG, JPEG or TIFF that lacks its end, as a copy that was stopped does. Other formats pass, and damage in the middle too.
+/// Refuses a PNG, JPEG or TIFF that lacks its end, as a copy that was stopped does. Other formats pass, and damage in
+/// the middle too.
 fn cut_short(path: &Path) -> Result<(), String> {
     let say = |e: std::io::Error| e.to_string();
     let mut file = crate::files::open(path).map_err(say)?;

@@ -1,10 +1,10 @@
 //! Check: everything that can be known about a capture before an hour of work, in seconds.
 //!
-//! Looks at every file's head, and takes a sample of the lattice shots the whole way that `build-matrix` goes, by the same code: what
-//! stops that at opening, at registration or at the sampled shots is found here.
+//! Looks at every file's head, and takes a sample of the lattice shots the whole way that `build-matrix` goes, by the
+//! same code: what stops that at opening, at registration or at the sampled shots is found here.
 //!
-//! Not found: what only an unsampled lattice shot shows (lost reference dots, saturated dots), damage in the middle of a file,
-//! and all that `docs/captures.md` lists as what the program does not find.
+//! Not found: what only an unsampled lattice shot shows (lost reference dots, saturated dots), damage in the middle of
+//! a file, and all that `docs/captures.md` lists as what the program does not find.
 
 mod heads;
 mod pixels;
@@ -137,7 +137,8 @@ impl CheckReport {
         }
     }
 
-    /// One object for programs: `would_build`, `reason`, `figures`, and `findings` as [`FindingRecord`]s with their own `figures`.
+    /// One object for programs: `would_build`, `reason`, `figures`, and `findings` as [`FindingRecord`]s with their own
+    /// `figures`.
     ///
     /// # Errors
     /// [`Error::Internal`].
@@ -210,7 +211,8 @@ impl CheckReport {
         };
     }
 
-    /// Warnings of the pipeline that were not found already. Of a sample, every other point is unlit: that is counted before.
+    /// Warnings of the pipeline that were not found already. Of a sample, every other point is unlit: that is counted
+    /// before.
     fn warned(&mut self, warnings: impl IntoIterator<Item = Warning>) {
         for warning in warnings {
             let of_sample = matches!(warning, Warning::Response(ResponseWarning::UnlitPoints { .. }));
@@ -228,14 +230,13 @@ impl CheckReport {
         progress: &Progress,
     ) -> Result<()> {
         let stage = progress.stage("light", 3);
-        // What code values mean may itself have to be found by the build: guessed, all might look black.
-        let known = matches!(sample.rig.camera.response_curve, ResponseCurve::Linear | ResponseCurve::Srgb);
-        // Photographs are averaged as the registration did. Without one, they are averaged to about [`LOOK_PX`] pixels a side, if code values
-        // are linear in light: only then is their mean the mean of the light.
+        // Photographs are averaged as the registration did. Without one, they are averaged to about [`LOOK_PX`] pixels
+        // a side, if code values are linear in light: only then is their mean the mean of the light.
         let longer = sample.rig.camera.size_px.into_iter().max().unwrap_or(0);
         let linear = sample.rig.camera.response_curve == ResponseCurve::Linear;
         let factor = tried.map_or(if linear { (longer / LOOK_PX).max(1) } else { 1 }, |t| t.working.factor);
-        let of_rig = || Sensor::of_rig(&sample.rig).filter(|_| known).map(|s| s.averaged(factor));
+        // What code values mean may itself have to be found by the build: guessed, all might look black.
+        let of_rig = || Some(Sensor::of_capture(sample).ok()?.averaged(factor));
         let sensor = tried.map(|t| t.sensor.clone()).or_else(of_rig);
         let Some(sensor) = sensor else { return Ok(()) };
         let saturation_dn =

@@ -7,8 +7,9 @@ use std::path::PathBuf;
 
 /// Check in seconds whether a capture would build, and list what is unusual.
 ///
-/// Reads every photograph's head, and takes a few of the lattice shots the whole way of build-matrix. Looks at missing and broken
-/// files, exposures, settings that changed or were automatic, the order of shooting, saturation, focus, registration, drift and dots.
+/// Reads every photograph's head, and takes a few of the lattice shots the whole way of build-matrix. Looks at missing
+/// and broken files, exposures, settings that changed or were automatic, the order of shooting, saturation, focus,
+/// registration, drift and dots.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

@@ -6,9 +6,9 @@ use std::path::PathBuf;
 
 /// Remove what runs have left that were killed, or lost their power or disk.
 ///
-/// That is folders `.acquire-new-…`; those of runs that still work stay, and every file that is not of this program. A run removes what it finds
-/// beside its output by itself, but for the work that another run had finished: the command that was killed goes on from there when it is given again.
-/// `acquire clean` removes that, too.
+/// That is folders `.acquire-new-…`; those of runs that still work stay, and every file that is not of this program. A
+/// run removes what it finds beside its output by itself, but for the work that another run had finished: the command
+/// that was killed goes on from there when it is given again. `acquire clean` removes that, too.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

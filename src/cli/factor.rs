@@ -35,7 +35,8 @@ pub(super) struct Args {
 /// All that can be asked of a factorization.
 #[derive(Debug, clap::Args)]
 pub(super) struct Options {
-    /// What the material is [default: tucker when --degree is given, else joint; with a target whichever serves it better].
+    /// What the material is [default: tucker when --degree is given, else joint; with a target whichever serves it
+    /// better].
     #[arg(long, value_parser = model())]
     model: Option<Model>,
     /// Number of terms [default: as many as exceed the measured noise].
@@ -47,16 +48,19 @@ pub(super) struct Options {
     /// Choose the fewest bytes that reach this psnr_db against the matrix.
     #[arg(long, value_name = "DB", allow_negative_numbers = true, conflicts_with = "terms")]
     target_psnr: Option<f64>,
-    /// Choose the best material of at most this size (bytes_f32, half of it for f16, the whole file when coded): 250kB, 1.5MiB, or plain bytes.
+    /// Choose the best material of at most this size (bytes_f32, half of it for f16, the whole file when coded): 250kB,
+    /// 1.5MiB, or plain bytes.
     #[arg(long, value_name = "BYTES", value_parser = bytes, conflicts_with_all = ["terms", "target_psnr"])]
     max_bytes: Option<u64>,
     /// With --model peers2006: factor the intensity, and make colour a polynomial of it as tucker does.
     #[arg(long)]
     color_regression: bool,
-    /// How numbers are stored: f32 or f16 in a .safetensors, or coded in a .acq [default: f32, coded when --out ends in .acq].
+    /// How numbers are stored: f32 or f16 in a .safetensors, or coded in a .acq [default: f32, coded when --out ends in
+    /// .acq].
     #[arg(long, value_parser = precision())]
     precision: Option<Precision>,
-    /// With --precision coded: the error that coding may add, relative to the material [default: 0.003; a target decides it].
+    /// With --precision coded: the error that coding may add, relative to the material [default: 0.003; a target
+    /// decides it].
     #[arg(long, value_name = "SHARE", allow_negative_numbers = true, conflicts_with_all = ["target_psnr", "max_bytes"])]
     added_error: Option<f64>,
     /// How singular values are computed [default: the quickest for the size that reaches --accuracy].
@@ -65,11 +69,12 @@ pub(super) struct Options {
     /// Largest error of singular values, relative to the largest of them.
     #[arg(long, value_name = "SHARE", allow_negative_numbers = true, default_value_t = FactorOptions::default().accuracy)]
     accuracy: f64,
-    /// Memory for the rows, such as 2GiB; rows beyond it are read from the store at every pass [default: half of the machine's].
+    /// Memory for the rows, such as 2GiB; rows beyond it are read from the store at every pass [default: half of the
+    /// machine's].
     #[arg(long, value_name = "BYTES", value_parser = bytes)]
     memory: Option<u64>,
-    /// Entry and exit maps, so that every row has its albedo and the slab under even light its exitance: yes or no [default: for joint, where they
-    /// differ from one by more than noise, unless a target is given].
+    /// Entry and exit maps, so that every row has its albedo and the slab under even light its exitance: yes or no
+    /// [default: for joint, where they differ from one by more than noise, unless a target is given].
     #[arg(long, value_name = "yes|no", value_parser = yes_or_no)]
     maps: Option<bool>,
     /// For joint: the power of the mean profile by which errors are divided: 0 for peaks, 0.5 for tails.

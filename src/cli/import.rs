@@ -6,8 +6,9 @@ use std::path::PathBuf;
 
 /// Sort a camera's folder of photographs into the shots of a plan.
 ///
-/// Photographs are taken in the order of their EXIF times (and of the numbers in their names), and must repeat the exposures that the plan's
-/// shots ask for. What does not fit is refused with the name of the first such photograph, and nothing is written then.
+/// Photographs are taken in the order of their EXIF times (and of the numbers in their names), and must repeat the
+/// exposures that the plan's shots ask for. What does not fit is refused with the name of the first such photograph,
+/// and nothing is written then.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 
 /// Make a matrix store from arrays of NumPy, xarray or another program.
 ///
-/// The input is an .npy (the response), an .npz or a Zarr group with arrays by name: `response` in mm⁻² suffices; `variance`, `valid`, `x_i_mm`, `y_i_mm`,
-/// `position_sd_mm`, `pitch_mm` and `lit_pitch_mm` are taken when they are there. docs/matrix-format.md has shapes, units and defaults.
+/// The input is an .npy (the response), an .npz or a Zarr group with arrays by name: `response` in mm⁻² suffices;
+/// `variance`, `valid`, `x_i_mm`, `y_i_mm`, `position_sd_mm`, `pitch_mm` and `lit_pitch_mm` are taken when they are
+/// there. docs/matrix-format.md has shapes, units and defaults.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -36,8 +37,8 @@ pub(super) struct Args {
     /// Points along x and y of a full matrix [default: as many along both].
     #[arg(long, value_name = "NxN", value_parser = pair_of::<usize>)]
     points: Option<[usize; 2]>,
-    /// Samples along x and y of the windows that are cut out of a full matrix, odd [default: the smallest with as many to all sides that leave out
-    /// a thousandth of the light at most].
+    /// Samples along x and y of the windows that are cut out of a full matrix, odd [default: the smallest with as many
+    /// to all sides that leave out a thousandth of the light at most].
     #[arg(long, value_name = "N[xN]", value_parser = pair_of::<usize>)]
     window: Option<[usize; 2]>,
     /// The last axes are outgoing points, not offsets.

@@ -1,4 +1,5 @@
-//! Options of stages from words as they are typed, for front ends that are no terminal: Python has one list of options with this program.
+//! Options of stages from words as they are typed, for front ends that are no terminal: Python has one list of options
+//! with this program.
 
 use super::{build_matrix, factor, one_line, simulate};
 use crate::factor::{FactorOptions, Storage};
@@ -42,7 +43,8 @@ pub fn build_options(words: &[String]) -> Result<BuildOptions> {
     Ok(parse::<build_matrix::Options>("build-matrix", words)?.into())
 }
 
-/// Options of [`crate::factor::factor_and_store`]; `words` are those of `acquire factor` behind the matrix, but for `--out`.
+/// Options of [`crate::factor::factor_and_store`]; `words` are those of `acquire factor` behind the matrix, but for
+/// `--out`.
 ///
 /// # Errors
 /// [`Error::Setting`].

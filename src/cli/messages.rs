@@ -139,7 +139,8 @@ fn of_the_input(error: &Error) -> Option<String> {
     }
 }
 
-/// Findings in one line each, worst first. Many of one kind are one line, which says the first and how many more there are.
+/// Findings in one line each, worst first. Many of one kind are one line, which says the first and how many more there
+/// are.
 pub(super) fn told(findings: &[Warning]) -> Vec<(Severity, String)> {
     let mut kinds: Vec<(&Warning, usize)> = Vec::new();
     for finding in findings {

@@ -32,7 +32,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Measure translucent materials: photographs of a projector-lit slab to the matrix R_d(x_i, x_o) and a factored material.
+/// Measure translucent materials: photographs of a projector-lit slab to the matrix R_d(x_i, x_o) and a factored
+/// material.
 #[derive(Debug, Parser)]
 #[command(name = "acquire", version, after_help = EXAMPLES, max_term_width = 100)]
 struct Cli {
@@ -146,7 +147,8 @@ fn message(line: impl std::fmt::Display) {
     let _ = writeln!(std::io::stderr(), "{}", neutral(&line.to_string()));
 }
 
-/// Text in which names of files cannot make a terminal do anything: control characters, and those that turn the direction of writing, are spelled out.
+/// Text in which names of files cannot make a terminal do anything: control characters, and those that turn the
+/// direction of writing, are spelled out.
 fn neutral(text: &str) -> String {
     let obeyed = |c: char| {
         c.is_control() && c != '\n' && c != '\t'
@@ -166,9 +168,9 @@ fn print(text: &str) -> Result<()> {
 /// Endings of material files.
 const MATERIALS: [&str; 2] = ["safetensors", "acq"];
 
-/// Refuses an output file that would fail or harm only after the work: a folder, a device, a file without a folder, a place that is not apart from
-/// `inputs`, a name that ends in none of `endings`, an existing file unless `force`, and one that this program has not made. `setting` is the option that
-/// names it.
+/// Refuses an output file that would fail or harm only after the work: a folder, a device, a file without a folder, a
+/// place that is not apart from `inputs`, a name that ends in none of `endings`, an existing file unless `force`, and
+/// one that this program has not made. `setting` is the option that names it.
 ///
 /// # Errors
 /// [`Error::Setting`], [`Error::Exists`], [`Error::NotOurs`], [`Error::Io`].
@@ -215,8 +217,8 @@ const FILES: [&str; 22] = [
     "txt",
 ];
 
-/// Refuses a matrix to write that is not apart from `inputs`, whose name ends like that of a file, an existing one unless `force`, and what this program has
-/// not made. `setting` is the option that names it.
+/// Refuses a matrix to write that is not apart from `inputs`, whose name ends like that of a file, an existing one
+/// unless `force`, and what this program has not made. `setting` is the option that names it.
 ///
 /// # Errors
 /// [`Error::Setting`], [`Error::NotEmpty`], [`Error::NotOurs`], [`Error::Changed`], [`Error::Io`].
@@ -225,7 +227,8 @@ pub fn check_matrix_output<P: AsRef<Path>>(setting: &'static str, out: &Path, in
     check_matrix(out, force).map(|_| ())
 }
 
-/// Refuses an output folder that is not apart from `inputs`, or whose name ends like that of a file, or of a matrix (`.zarr`) that it is not.
+/// Refuses an output folder that is not apart from `inputs`, or whose name ends like that of a file, or of a matrix
+/// (`.zarr`) that it is not.
 ///
 /// # Errors
 /// [`Error::Setting`], [`Error::Io`].
@@ -239,7 +242,8 @@ pub fn check_folder<P: AsRef<Path>>(setting: &'static str, out: &Path, inputs: &
     Ok(())
 }
 
-/// What a build reads, and what an evaluation of it needs: an output may lie beside these in the capture's folder, and may not hold one of them.
+/// What a build reads, and what an evaluation of it needs: an output may lie beside these in the capture's folder, and
+/// may not hold one of them.
 pub fn inputs_of(capture: &Path, calibration: Option<&Path>) -> Vec<PathBuf> {
     // A manifest that cannot be read is told of when it is needed.
     let Ok(manifest) = Manifest::read(capture) else { return vec![capture.to_path_buf()] };

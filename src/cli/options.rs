@@ -33,18 +33,19 @@ typed!(Build => crate::pipeline::BuildOptions {
     /// Leave the light of a shot's other dots in the rows, to see what it does.
     #[arg(long)]
     keep_crosstalk: bool,
-    /// Photographs are reduced while they are decoded: `auto`, to 8 camera pixels or more across an outgoing sample, as few as the windows require;
-    /// `full`, not at all; or the least number of pixels across a sample.
+    /// Photographs are reduced while they are decoded: `auto`, to 8 camera pixels or more across an outgoing sample, as
+    /// few as the windows require; `full`, not at all; or the least number of pixels across a sample.
     #[arg(long, value_name = "PX", default_value = "auto", value_parser = resolution)]
     resolution: Resolution,
     /// Memory for the photographs at work, 2GiB say: as many threads as fit into it [default: all threads].
     #[arg(long = "memory", value_name = "BYTES", value_parser = bytes)]
     memory_bytes: Option<u64>,
-    /// Where exposure times come from. capture.toml comes before all; `estimate` measures the actual times behind EXIF's from the
-    /// photographs.
+    /// Where exposure times come from. capture.toml comes before all; `estimate` measures the actual times behind
+    /// EXIF's from the photographs.
     #[arg(long, value_enum, default_value = "exif", value_name = "SOURCE")]
     exposure_from: ExposureFrom,
-    /// Go on where a capture contradicts itself in this way; the name is that of the message's hint. May be given again.
+    /// Go on where a capture contradicts itself in this way; the name is that of the message's hint. May be given
+    /// again.
     #[arg(long, value_name = "FINDING", value_parser = finding)]
     accept: Vec<String>,
 });
@@ -62,7 +63,8 @@ typed!(Import => crate::import::ImportOptions {
     /// Link the photographs (hard links, on the same disk) instead of copying them.
     #[arg(long)]
     link: bool,
-    /// Ending of the photographs to take, of a camera that wrote two of each [default: the one with most files; of equals RAW, TIFF, PNG, EXR, JPEG].
+    /// Ending of the photographs to take, of a camera that wrote two of each [default: the one with most files; of
+    /// equals RAW, TIFF, PNG, EXR, JPEG].
     #[arg(long, value_name = "ENDING")]
     take: Option<String>,
     /// Folder of rig.toml, copied into the capture [default: calibration/ of the plan].
@@ -89,7 +91,8 @@ typed!(Patterns => PatternsOptions {
     /// Projector pixels in a mm of the slab [default with --probe: as registered].
     #[arg(long, value_name = "PX")]
     projector_px_per_mm: Option<f64>,
-    /// Projector pixel that falls on the middle of the slab [default: the projector's middle; with --probe: as registered].
+    /// Projector pixel that falls on the middle of the slab [default: the projector's middle; with --probe: as
+    /// registered].
     #[arg(long, value_name = "XxY", value_parser = pair_of::<f64>)]
     center_px: Option<Point>,
     /// Lit points: 32 or 40x30 [default: as many as --lit-pitch-mm makes].
@@ -107,10 +110,12 @@ typed!(Patterns => PatternsOptions {
     /// Side of a dot, projector pixels. 3: a dark pixel between neighbours four pixels apart.
     #[arg(long, value_name = "PX", default_value_t = 3)]
     dot_px: usize,
-    /// Distance of the dots of one shot, mm [default: one and a half windows; with --probe: the smallest that the tails permit].
+    /// Distance of the dots of one shot, mm [default: one and a half windows; with --probe: the smallest that the tails
+    /// permit].
     #[arg(long, value_name = "MM")]
     spacing_mm: Option<f64>,
-    /// Least distance of the lit points from the slab's rim, mm [default: half a window, or a quarter of the slab when that is less].
+    /// Least distance of the lit points from the slab's rim, mm [default: half a window, or a quarter of the slab when
+    /// that is less].
     #[arg(long, value_name = "MM")]
     margin_mm: Option<f64>,
     /// Width of the opaque frame, mm: the reference dots lie in its middle.
@@ -125,10 +130,12 @@ typed!(Patterns => PatternsOptions {
     /// Stops between exposures.
     #[arg(long, value_name = "STOPS", default_value_t = 2.0)]
     stops: f64,
-    /// Shortest exposure of a lattice shot, s, as 0.004 or 1/250: the brightest dot must not saturate in it [default: 1/256; with --probe: as measured].
+    /// Shortest exposure of a lattice shot, s, as 0.004 or 1/250: the brightest dot must not saturate in it [default:
+    /// 1/256; with --probe: as measured].
     #[arg(long, value_name = "S", value_parser = secs)]
     shortest_secs: Option<f64>,
-    /// Shorter of the two exposures of board, white reference and Gray code, s [default: --shortest-secs; with --probe: the probe's].
+    /// Shorter of the two exposures of board, white reference and Gray code, s [default: --shortest-secs; with --probe:
+    /// the probe's].
     #[arg(long, value_name = "S", value_parser = secs)]
     white_secs: Option<f64>,
     /// Time that the camera takes per photograph besides its exposure, s, to estimate the time of shooting.
@@ -174,8 +181,8 @@ typed!(Simulate => SimulateOptions {
     /// Side of an outgoing cell, mm. 0.5: responses of most materials fall by 3 to 4 decades within a window of 31.
     #[arg(long, value_name = "MM", default_value_t = SimulateOptions::default().pitch_mm, help_heading = "Capture")]
     pitch_mm: f64,
-    /// Distance of lit points along the projector's axes, mm: 1 or 1x1.5 [default: the pitch along x, and along y what makes the
-    /// projector's pixels square]
+    /// Distance of lit points along the projector's axes, mm: 1 or 1x1.5 [default: the pitch along x, and along y what
+    /// makes the projector's pixels square]
     #[arg(long, value_name = "MM[xMM]", value_parser = pair_of::<f64>, help_heading = "Capture")]
     lit_pitch_mm: Option<Point>,
     /// Distance of the dots of one shot, in lit points: 8 or 8x6 [default: one and a half windows]
@@ -205,8 +212,8 @@ typed!(Simulate => SimulateOptions {
     /// Leave `[noise]` out of the rig file: it is to be estimated from the photographs.
     #[arg(long, help_heading = "Camera")]
     rig_without_noise: bool,
-    /// The board is shot at the lattice's shortest exposure too: its black squares link the exposures of the references to those of
-    /// the lattice.
+    /// The board is shot at the lattice's shortest exposure too: its black squares link the exposures of the references
+    /// to those of the lattice.
     #[arg(long, help_heading = "Capture")]
     link_exposures: bool,
     /// What the rig file says of the response curve [default: linear, or srgb for srgb and film]
@@ -221,8 +228,8 @@ typed!(Simulate => SimulateOptions {
     /// Camera pixels across an outgoing cell, 1 to 200. 3: enough for sub-cell registration.
     #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().camera_px_per_sample, help_heading = "Camera")]
     camera_px_per_sample: f64,
-    /// The camera's pixels: 6000x4000. Slab and frame fill them as far as their shape allows, which decides the pixels across a cell
-    /// [default: as many as slab and frame need]
+    /// The camera's pixels: 6000x4000. Slab and frame fill them as far as their shape allows, which decides the pixels
+    /// across a cell [default: as many as slab and frame need]
     #[arg(long, value_name = "WxH", value_parser = pair_of::<usize>, conflicts_with = "camera_px_per_sample", help_heading = "Camera")]
     camera_size: Option<[usize; 2]>,
     /// Lens distortion, Brown's k1. −0.05: a good lens, 3 px at the corner of a picture of 1000; k2 is −k1/5.
@@ -264,7 +271,8 @@ typed!(Simulate => SimulateOptions {
     /// Blur of a projector pixel (standard deviation), projector pixels.
     #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().projector_blur_px, help_heading = "Projector")]
     projector_blur_px: f64,
-    /// Distortion of its lens, Brown's k1 with the image's width for focal length. Usual: 0.01, 1 px at the corner of a picture of 300.
+    /// Distortion of its lens, Brown's k1 with the image's width for focal length. Usual: 0.01, 1 px at the corner of a
+    /// picture of 300.
     #[arg(long, value_name = "K1", allow_negative_numbers = true, default_value_t = SimulateOptions::default().projector_distortion, help_heading = "Projector")]
     projector_distortion: f64,
     /// Standard deviation per axis by which the projector moves between the pictures of the Gray code, projector px.
@@ -276,7 +284,8 @@ typed!(Simulate => SimulateOptions {
     /// Photographs of the board in other poses, for the lens.
     #[arg(long, value_name = "N", default_value_t = SimulateOptions::default().calibration_boards, help_heading = "Capture")]
     calibration_boards: usize,
-    /// Print dark discs on the frame, photograph them before and after the lattice shots, and list them in the rig file.
+    /// Print dark discs on the frame, photograph them before and after the lattice shots, and list them in the rig
+    /// file.
     #[arg(long, help_heading = "Capture")]
     frame_marks: bool,
     /// A lab without a board: the frame's marks alone tell where the slab is.

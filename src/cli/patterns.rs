@@ -8,9 +8,10 @@ use std::path::PathBuf;
 
 /// Write the projector's pictures for a capture, and the plan by which its photographs are sorted.
 ///
-/// White, black, Gray code with inverses for both axes, and the sweep of dots with the reference dots on the frame, as PNG of the
-/// projector's size, numbered in the order of shooting; plan.toml for `acquire import`; how-to-shoot.txt to lay beside the camera.
-/// With --probe, a quick capture of a few single dots, window, spacing and exposures are those that the material requires.
+/// White, black, Gray code with inverses for both axes, and the sweep of dots with the reference dots on the frame, as
+/// PNG of the projector's size, numbered in the order of shooting; plan.toml for `acquire import`; how-to-shoot.txt to
+/// lay beside the camera. With --probe, a quick capture of a few single dots, window, spacing and exposures are those
+/// that the material requires.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

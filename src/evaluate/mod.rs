@@ -173,7 +173,8 @@ fn check(candidate: &Source, reference: &MatrixReader) -> Result<()> {
     Ok(())
 }
 
-/// What a material says where the reference was not measured: that is no error, so it is the reference's, too. `None` for a matrix.
+/// What a material says where the reference was not measured: that is no error, so it is the reference's, too. `None`
+/// for a matrix.
 fn unmeasured(candidate: &Source, a: &RowBlock, b: &RowBlock) -> Option<RowBlock> {
     let Source::Material(..) = candidate else { return None };
     let valid = b.valid.iter().map(|&v| 1 - v).collect();

@@ -204,7 +204,8 @@ mod tests {
         let mut reciprocity = Reciprocity::new(&shape);
         // In a row 5 and 4 pairs, one and two points away; between rows 6 straight, 2 · 5 and 2 · 4 aslant.
         assert_eq!(reciprocity.values.len(), 4 * (5 + 4) + 3 * (6 + 10 + 8));
-        // Only the samples two points to the right differ from those two to the left, by 0.2 around 1; everything else is dark.
+        // Only the samples two points to the right differ from those two to the left, by 0.2 around 1; everything else
+        // is dark.
         let value = |_: usize, [dx, dy]: [isize; 2]| match (dx, dy) {
             (4, 0) => 1.1,
             (-4, 0) => 0.9,

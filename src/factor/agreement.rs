@@ -12,8 +12,8 @@ const ROWS: usize = 2048;
 /// Differences of a material from its matrix in units of the matrix's standard deviations.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Agreement {
-    /// Mean of (R̂ − R)² over the variance of R. One: the material is as far from the matrix as the truth is. Less: some of the noise was
-    /// taken for the material.
+    /// Mean of (R̂ − R)² over the variance of R. One: the material is as far from the matrix as the truth is. Less:
+    /// some of the noise was taken for the material.
     pub chi_squared: f64,
     /// Share of entries further than two standard deviations from the matrix; 0.046 of a normal error.
     pub beyond_2sd: f64,

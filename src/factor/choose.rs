@@ -21,8 +21,9 @@ const SAMPLE_ROWS: usize = 1024;
 /// Those of h are common to all rows and do not average out, so that they must stay well below it.
 const STORED_ROUNDINGS: f64 = 4.0;
 
-/// Condition numbers of the colour fits of a `tucker` material, up to each degree: the median and the largest over sampled rows, as the
-/// ratio of the pivots of the Legendre columns' triangular factor (a lower bound of the 2-norm's, of its size).
+/// Condition numbers of the colour fits of a `tucker` material, up to each degree: the median and the largest over
+/// sampled rows, as the ratio of the pivots of the Legendre columns' triangular factor (a lower bound of the 2-norm's,
+/// of its size).
 ///
 /// # Errors
 /// Those of the reader.
@@ -189,7 +190,8 @@ pub(super) struct Chosen {
     pub short: bool,
 }
 
-/// Chooses T and P of a `tucker` material for a goal, from the errors that sampled rows have at every T and P up to those of `material`.
+/// Chooses T and P of a `tucker` material for a goal, from the errors that sampled rows have at every T and P up to
+/// those of `material`.
 pub(super) fn terms_and_degree(
     reader: &MatrixReader,
     material: &Material,

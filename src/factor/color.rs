@@ -1,14 +1,16 @@
 //! Colour: every channel of a row as a polynomial of the row's normalized intensity (`Kurt2013`, eqs. (2)–(4)).
 //!
-//! Least squares in polynomials that are orthonormal over the row's own samples, made by the Arnoldi process (`Brubeck2021`): the next one is
-//! the argument times the last, less what lies along all earlier ones. Degree after degree, so that the fit of every lower degree is
-//! contained in it, and as accurate as a Householder QR of the Legendre columns, whose condition reaches 1e8 for a steep row at degree 15.
-//! A polynomial that the earlier ones already span (a constant row, fewer distinct intensities than P+1) ends the row's fit there; the
-//! coefficients above are zero.
+//! Least squares in polynomials that are orthonormal over the row's own samples, made by the Arnoldi process
+//! (`Brubeck2021`): the next one is the argument times the last, less what lies along all earlier ones. Degree after
+//! degree, so that the fit of every lower degree is contained in it, and as accurate as a Householder QR of the
+//! Legendre columns, whose condition reaches 1e8 for a steep row at degree 15. A polynomial that the earlier ones
+//! already span (a constant row, fewer distinct intensities than P+1) ends the row's fit there; the coefficients above
+//! are zero.
 //!
 //! Most of a steep row's intensities lie close together, and polynomials of high degree then differ by little:
-//! coefficients of 1e8 that cancel to 1 fit well in f64 and are useless as f32. What rounding a coefficient to f32 will add is therefore
-//! part of the least squares, as a ridge: rounding is uniform within half a unit in the last place, and |L_p| ≤ 1.
+//! coefficients of 1e8 that cancel to 1 fit well in f64 and are useless as f32. What rounding a coefficient to f32 will
+//! add is therefore part of the least squares, as a ridge: rounding is uniform within half a unit in the last place,
+//! and |L_p| ≤ 1.
 
 use super::noise::F32_ROUNDING;
 use super::vector::{axpy_in, dot, dot_in};
@@ -121,8 +123,9 @@ impl PolynomialBasis {
         sum
     }
 
-    /// Ratio of the largest to the smallest pivot of the Legendre columns' triangular factor: their condition number or less.
-    /// Of the columns up to each degree up to `most`; degrees that the row cannot support repeat the last one that it can.
+    /// Ratio of the largest to the smallest pivot of the Legendre columns' triangular factor: their condition number or
+    /// less. Of the columns up to each degree up to `most`; degrees that the row cannot support repeat the last one
+    /// that it can.
     pub(super) fn conditions(&self, most: usize) -> Vec<f64> {
         let (mut low, mut high) = (f64::INFINITY, 0.0_f64);
         let up_to = |p: usize| {

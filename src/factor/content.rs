@@ -32,7 +32,8 @@ impl Content {
         if self == Self::Intensity || !(peak > 0.0) { 1.0 } else { peak }
     }
 
-    /// Planes `[plane][dy][dx]` of a row over `scale`, 0 where not measured; where they were measured, `None` when everywhere.
+    /// Planes `[plane][dy][dx]` of a row over `scale`, 0 where not measured; where they were measured, `None` when
+    /// everywhere.
     pub(super) fn extract(self, row: RowView<'_>, scale: f64, out: &mut [f32]) -> Option<Box<[bool]>> {
         let samples = row.valid.len() / 3;
         let complete = row.valid.iter().all(|&v| v != 0);

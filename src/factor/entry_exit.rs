@@ -1,8 +1,9 @@
-//! Entry and exit maps: what a material's rows and its slab under even light lack, put into two maps by iterative proportional fitting
-//! (`DemingStephan1940`, `SinkhornKnopp1967`).
+//! Entry and exit maps: what a material's rows and its slab under even light lack, put into two maps by iterative
+//! proportional fitting (`DemingStephan1940`, `SinkhornKnopp1967`).
 //!
-//! R̂_c(x_i, x_o) = a_c(x_i) e_c(x_o) M_c(x_i, x_o − x_i). For every x_i the sum over the window is to be that of the matrix (the row's albedo),
-//! and at every x_o the exitance under even light. Entries that were not measured count as what the material says there.
+//! R̂_c(x_i, x_o) = a_c(x_i) e_c(x_o) M_c(x_i, x_o − x_i). For every x_i the sum over the window is to be that of the
+//! matrix (the row's albedo), and at every x_o the exitance under even light. Entries that were not measured count as
+//! what the material says there.
 
 use crate::Result;
 use crate::material::{ExitGrid, Exitance, Light, Material, Quadrature, Responses, lit_area_of, splat, splat_entries};
@@ -13,9 +14,10 @@ use rayon::prelude::*;
 pub(super) const ROUNDS: usize = 6;
 /// The same where terms are to be fitted anew.
 pub(super) const ROUNDS_BETWEEN: usize = 2;
-/// Where this share of the largest exitance leaves, or of the largest albedo enters, a map is half way to its value from one: the terms say so
-/// little there that their ratio to what was measured is noise. What that leaves of the exitance's misfit is a millionth of it where the slab is
-/// bright, and less than this share of the largest where it is dark.
+/// Where this share of the largest exitance leaves, or of the largest albedo enters, a map is half way to its value
+/// from one: the terms say so little there that their ratio to what was measured is noise. What that leaves of the
+/// exitance's misfit is a millionth of it where the slab is bright, and less than this share of the largest where it is
+/// dark.
 const DIM: f64 = 1e-3;
 /// Differences below this share of the largest exitance are not seen: 80 dB.
 const UNSEEN: f64 = 1e-4;
@@ -73,7 +75,8 @@ impl Marginals {
     pub(super) fn add(&mut self, block: &RowBlock, window: [usize; 2]) {
         splat(std::slice::from_mut(&mut self.exitance), block, window, &self.quadrature, &self.flux);
         if !block.variance.is_empty() {
-            // Shares of a cell's light are squared by no more than themselves: rather too large a variance than too small a one.
+            // Shares of a cell's light are squared by no more than themselves: rather too large a variance than too
+            // small a one.
             let image = std::slice::from_mut(&mut self.exitance_variance);
             splat_entries(image, block, &block.variance, window, &self.quadrature, &self.squared_flux);
         }
@@ -118,8 +121,8 @@ impl Marginals {
         ExitGrid { origin_mm: canvas.origin_mm, size: canvas.size, planes }
     }
 
-    /// Whether the rows' sums, or the exitance under even light, differ from those of a material without maps by more than noise, and by more
-    /// than can be seen.
+    /// Whether the rows' sums, or the exitance under even light, differ from those of a material without maps by more
+    /// than noise, and by more than can be seen.
     ///
     /// # Errors
     /// Those of relighting.
@@ -238,7 +241,8 @@ mod tests {
     use crate::progress::Progress;
     use crate::transport::Row;
 
-    /// What enters and leaves, point by point, of equal rows with a step between two media; samples with `gap` were not measured.
+    /// What enters and leaves, point by point, of equal rows with a step between two media; samples with `gap` were not
+    /// measured.
     fn value(i: usize, e: usize, c: usize) -> f64 {
         let (x, y) = ((i % 9) as f64 + (e % 7) as f64 / 2.0, (i / 9) as f64 + (e / 7) as f64 / 3.0);
         let d2 = ((e % 7) as f64 - 3.0).powi(2) + ((e / 7) as f64 - 2.0).powi(2);

@@ -111,7 +111,8 @@ impl PreparedBasis<'_> {
         Cholesky::dropping(normal, k)
     }
 
-    /// Replaces the samples that were not measured in a block of rows; a row without any measured sample stays as it is.
+    /// Replaces the samples that were not measured in a block of rows; a row without any measured sample stays as it
+    /// is.
     pub(super) fn fill(&self, values: &mut [f32], missing: &[Missing]) {
         let (columns, k) = (self.basis.columns.max(1), self.basis.ridge.len());
         if missing.iter().all(|m| *m == Missing::Nothing) {
@@ -240,8 +241,8 @@ mod tests {
         assert_eq!(filled(&Basis::mean(&[1.0, 2.0]), &[0.0, 0.0], &[0, 1]), [0.0, 0.0]);
     }
 
-    /// What a Gaussian prior expects of the missing samples: rows are Σ a_j h_j plus noise, the a_j independent with variances σ_j²/rows.
-    /// Solved over the measured samples instead of the profiles.
+    /// What a Gaussian prior expects of the missing samples: rows are Σ a_j h_j plus noise, the a_j independent with
+    /// variances σ_j²/rows. Solved over the measured samples instead of the profiles.
     fn expected(low: &LowRank, rows: usize, noise: f64, row: &[f32], missing: &[usize]) -> Vec<f64> {
         let columns = row.len();
         let covariance = |a: usize, b: usize| -> f64 {

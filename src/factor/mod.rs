@@ -1,7 +1,8 @@
 //! Factor: the matrix, streamed, to a compact material.
 //!
-//! All models go the same way: a survey places the rows, what is factored of them (intensity, grey, three channels) is decomposed into
-//! terms (singular triplets or a non-negative product), and where the model has one a colour polynomial is fitted to every row.
+//! All models go the same way: a survey places the rows, what is factored of them (intensity, grey, three channels) is
+//! decomposed into terms (singular triplets or a non-negative product), and where the model has one a colour polynomial
+//! is fitted to every row.
 
 mod agreement;
 mod backend;
@@ -41,7 +42,8 @@ use prepared_rows::PreparedRows;
 /// How to factor.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct FactorOptions {
-    /// The model; `None`: `tucker` when a degree is asked for, else `joint`, or with a goal whichever of the two serves it better.
+    /// The model; `None`: `tucker` when a degree is asked for, else `joint`, or with a goal whichever of the two serves
+    /// it better.
     pub model: Option<Model>,
     /// For `peers2006`: the intensity is factored and the colour of each row a polynomial of it, as in `tucker`.
     pub color_regression: bool,
@@ -51,19 +53,21 @@ pub struct FactorOptions {
     pub degree: Option<usize>,
     /// What decides on T, P and the model where they are not given.
     pub goal: Goal,
-    /// Whether entry and exit maps multiply the terms, so that every row has its albedo and the slab under even light its exitance (not with a
-    /// colour polynomial). `None`: for `joint`, where they differ from one by more than noise, unless a `psnr_db` or bytes are the goal: of
-    /// entries, `psnr_db` is better without in the same bytes.
+    /// Whether entry and exit maps multiply the terms, so that every row has its albedo and the slab under even light
+    /// its exitance (not with a colour polynomial). `None`: for `joint`, where they differ from one by more than noise,
+    /// unless a `psnr_db` or bytes are the goal: of entries, `psnr_db` is better without in the same bytes.
     pub maps: Option<bool>,
-    /// For `joint`: the power of the mean profile by which errors are divided before their squares are summed, 0 to 1. 0.25: tails' logarithms
-    /// are off by a third to a half less than with 0, and `rel_rmse` is a tenth larger; 0.5 is the weight of photon noise.
+    /// For `joint`: the power of the mean profile by which errors are divided before their squares are summed, 0 to 1.
+    /// 0.25: tails' logarithms are off by a third to a half less than with 0, and `rel_rmse` is a tenth larger; 0.5 is
+    /// the weight of photon noise.
     pub profile_power: f64,
     /// Whether rows are moved so that their peaks coincide; the paper does.
     pub peak_shift: bool,
     /// How far a peak may be from its lit point, in samples; `None`: a quarter of the window. Beyond it the brightest
     /// sample is rather another dot or noise than where this dot's light leaves.
     pub max_shift: Option<usize>,
-    /// The most terms that the noise may choose; 40, well above the paper's 15. A goal may choose up to four times as many.
+    /// The most terms that the noise may choose; 40, well above the paper's 15. A goal may choose up to four times as
+    /// many.
     pub max_terms: usize,
     /// The highest degree that is chosen when not given; 15, twice the paper's 7.
     pub max_degree: usize,
@@ -72,9 +76,11 @@ pub struct FactorOptions {
     pub fill_rounds: usize,
     /// How the truncated SVD is computed; `None`: by size and `accuracy`.
     pub backend: Option<Backend>,
-    /// What singular values may be off by, relative to the largest; 1e-5, a tenth of what the most careful capture can tell.
+    /// What singular values may be off by, relative to the largest; 1e-5, a tenth of what the most careful capture can
+    /// tell.
     pub accuracy: f64,
-    /// Bytes that the rows may take in memory; beyond it they are read from the store at every pass. `None`: half of the machine's.
+    /// Bytes that the rows may take in memory; beyond it they are read from the store at every pass. `None`: half of
+    /// the machine's.
     pub memory_bytes: Option<u64>,
 }
 
@@ -143,16 +149,17 @@ impl Misfit {
 
 /// Factors a matrix.
 ///
-/// Reads the store twice where its rows (as they are factored) fit into `memory_bytes`; otherwise once for the survey and once for each
-/// pass of the back end, so that memory is bounded by a block of rows, the factors, and what the back end keeps of columns (their square
-/// with [`Backend::Gram`], all rows with [`Backend::Full`]).
+/// Reads the store twice where its rows (as they are factored) fit into `memory_bytes`; otherwise once for the survey
+/// and once for each pass of the back end, so that memory is bounded by a block of rows, the factors, and what the back
+/// end keeps of columns (their square with [`Backend::Gram`], all rows with [`Backend::Full`]).
 ///
 /// # Errors
 /// [`Error::Setting`] for options out of range; those of the reader; [`Error::NotFinite`] when a response is so
 /// large that a coefficient does not fit an f32.
 pub fn factor(reader: &MatrixReader, options: &FactorOptions, progress: &Progress) -> Result<Factored> {
     options.check()?;
-    // Its own threads divide sums among themselves: the last digits would depend on their number. What takes long is in `products`.
+    // Its own threads divide sums among themselves: the last digits would depend on their number. What takes long is in
+    // `products`.
     faer::set_global_parallelism(faer::Par::Seq);
     let one = |model| factor_as(reader, model, options, progress);
     match (options.model, options.degree, options.goal) {

@@ -8,11 +8,11 @@ use rayon::prelude::*;
 /// Half a unit in the last place of an f32, relative: what storing the rows as f32 leaves undetermined.
 pub(super) const F32_ROUNDING: f64 = 1.0 / (1 << 24) as f64;
 
-/// Variance of a row that is independent from sample to sample (photons, read noise, rounding), in the unit of the factored rows over `scale`,
-/// \[plane, window\].
+/// Variance of a row that is independent from sample to sample (photons, read noise, rounding), in the unit of the
+/// factored rows over `scale`, \[plane, window\].
 ///
-/// The matrix's `variance` also holds what the uncertain place of the lit point causes, sd² |∇R|²: it is subtracted here, channel by channel,
-/// because channels share it, whereas their photon noise averages out.
+/// The matrix's `variance` also holds what the uncertain place of the lit point causes, sd² |∇R|²: it is subtracted
+/// here, channel by channel, because channels share it, whereas their photon noise averages out.
 pub(super) fn independent(
     row: RowView<'_>,
     content: Content,
@@ -57,8 +57,8 @@ pub(super) fn independent(
     independent
 }
 
-/// Beside the peak 60 to 80 % of entries are within two stated standard deviations of the truth (docs/accuracy.md): at 60 %, errors there are 2.4
-/// times those stated. They follow the slope of the row, as an error of the place does.
+/// Beside the peak 60 to 80 % of entries are within two stated standard deviations of the truth (docs/accuracy.md): at
+/// 60 %, errors there are 2.4 times those stated. They follow the slope of the row, as an error of the place does.
 const BESIDE_PEAK: f64 = 2.4;
 
 /// Sums of the noise over rows and over columns.
@@ -117,12 +117,14 @@ impl NoiseSums {
 
     /// The noise of each of these terms.
     ///
-    /// Independent entries of variance v_id give a pair of directions u, v the norm √(Σ u_i² Σ_d v_id) + √(Σ v_d² Σ_i v_id): of even noise √n + √m,
-    /// the edge of Marchenko and Pastur; where noise is uneven, that of the part in which the pair lies. The uncertain place of lit point i adds
-    /// δ_i · ∇R_i to its row, and to second order ½ δ_i² ∇²R_i: what of that lies along v has the expected square Σ_i sd_i² (∇R_i · v)² and so
-    /// on, which k shots scatter by √(2/k) of itself: two of those are added. Errors of a dot's edge look like such of its place, and are
-    /// larger than stated by [`BESIDE_PEAK`]. The two are independent: a term of norm θ in noise of norm s shows a singular value below √(θ² + s²) (`BenaychGeorges2012`), hence
-    /// the quadrature. Rows are taken to be what the terms say; `metric` is what columns were multiplied by.
+    /// Independent entries of variance v_id give a pair of directions u, v the norm √(Σ u_i² Σ_d v_id) + √(Σ v_d² Σ_i
+    /// v_id): of even noise √n + √m, the edge of Marchenko and Pastur; where noise is uneven, that of the part in which
+    /// the pair lies. The uncertain place of lit point i adds δ_i · ∇R_i to its row, and to second order ½ δ_i² ∇²R_i:
+    /// what of that lies along v has the expected square Σ_i sd_i² (∇R_i · v)² and so on, which k shots scatter by
+    /// √(2/k) of itself: two of those are added. Errors of a dot's edge look like such of its place, and are larger
+    /// than stated by [`BESIDE_PEAK`]. The two are independent: a term of norm θ in noise of norm s shows a singular
+    /// value below √(θ² + s²) (`BenaychGeorges2012`), hence the quadrature. Rows are taken to be what the terms say;
+    /// `metric` is what columns were multiplied by.
     pub(super) fn of_terms(&self, all: &Triplets, metric: &[f32], size: [usize; 2]) -> Vec<TermNoise> {
         let (terms, largest) = (all.weights.len(), all.weights.first().copied().unwrap_or(0.0));
         let columns = all.right.len() / terms.max(1);
@@ -166,7 +168,8 @@ impl NoiseSums {
                 along
             })
             .collect();
-        // Σ_i sd_i² (Σ_k a_ik D_kj)² = Σ_kl D_kj D_lj Σ_i sd_i² a_ik a_il: the rows are gone through once for each power of sd.
+        // Σ_i sd_i² (Σ_k a_ik D_kj)² = Σ_kl D_kj D_lj Σ_i sd_i² a_ik a_il: the rows are gone through once for each
+        // power of sd.
         let amounts = |i: usize, k: usize| all.weights[k] * all.left[i * terms + k];
         let [first, second] = [2, 4].map(|power| {
             let mut gram = vec![0.0; terms * terms];
@@ -192,8 +195,8 @@ impl NoiseSums {
     }
 }
 
-/// Derivative of a map along an axis, by differences of the sixth order, of lower ones near the rim: central differences of a peak that is
-/// two samples wide are a third too small.
+/// Derivative of a map along an axis, by differences of the sixth order, of lower ones near the rim: central
+/// differences of a peak that is two samples wide are a third too small.
 fn derivative(map: &[f64], size: [usize; 2], axis: usize) -> Vec<f64> {
     const ORDERS: [&[f64]; 4] =
         [&[], &[1.0 / 2.0], &[8.0 / 12.0, -1.0 / 12.0], &[45.0 / 60.0, -9.0 / 60.0, 1.0 / 60.0]];
@@ -228,8 +231,8 @@ impl TermNoise {
         (independent * independent + self.place).sqrt().max(self.rounding)
     }
 
-    /// The share of a singular value that is nearest to the truth in the mean (`GavishDonoho2017`, for the Frobenius norm, with the noise of
-    /// the term's own directions); of what uncertain places add, the share of its square.
+    /// The share of a singular value that is nearest to the truth in the mean (`GavishDonoho2017`, for the Frobenius
+    /// norm, with the noise of the term's own directions); of what uncertain places add, the share of its square.
     pub(super) fn kept(&self, singular_value: f64) -> f64 {
         let square = singular_value * singular_value;
         if !(square > 0.0) {
@@ -324,7 +327,8 @@ mod tests {
         let known =
             NoiseSums { rows: vec![0.0; n], columns: vec![0.0; 357], position_sd_px: vec![sd; n], shots: n, mean: 0.0 };
         let levels = known.of_terms(&all, &[], size);
-        // Slopes along x and y: 150 draws scatter by 6 %; two standard deviations of their squares, 23 %, and the dots' edges are in the level.
+        // Slopes along x and y: 150 draws scatter by 6 %; two standard deviations of their squares, 23 %, and the dots'
+        // edges are in the level.
         for j in [1, 2] {
             let ratio = all.weights[j] / levels[j].level();
             assert!((0.75..1.0).contains(&(ratio * BESIDE_PEAK)), "term {j}: {ratio}");

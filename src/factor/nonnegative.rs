@@ -1,9 +1,10 @@
 //! Non-negative factorization (`Peers2006`): rows ≈ m ∘ (F H) with F, H ≥ 0, m the mean profile.
 //!
-//! Weights are m²: the error of R / m counts as what it is in R, so the sum that falls is that of least squares in R, as for the other models
-//! (the paper does not give its weights). Hierarchical alternating least squares (`Cichocki2009`): one factor at a
-//! time has a closed solution. The rows are first projected to many more singular triplets than there are terms: what that leaves out is
-//! small beside what a non-negative factorization leaves, and an iteration then costs nothing of the rows' length.
+//! Weights are m²: the error of R / m counts as what it is in R, so the sum that falls is that of least squares in R,
+//! as for the other models (the paper does not give its weights). Hierarchical alternating least squares
+//! (`Cichocki2009`): one factor at a time has a closed solution. The rows are first projected to many more singular
+//! triplets than there are terms: what that leaves out is small beside what a non-negative factorization leaves, and an
+//! iteration then costs nothing of the rows' length.
 
 use super::backend::Triplets;
 use super::products;
@@ -62,8 +63,8 @@ pub(super) fn factorize(
     }
 }
 
-/// A start from the singular triplets (`Boutsidis2008`): of each, the positive parts of both sides or the negative ones, whichever are
-/// larger. Zeros become small: they could not grow otherwise.
+/// A start from the singular triplets (`Boutsidis2008`): of each, the positive parts of both sides or the negative
+/// ones, whichever are larger. Zeros become small: they could not grow otherwise.
 fn start(y: &Mat<f64>, v: &Mat<f64>, profile: &[f64], terms: usize) -> (Mat<f64>, Mat<f64>) {
     let part = |m: &Mat<f64>, j: usize, sign: f64| -> Vec<f64> {
         (0..m.nrows()).map(|i| if j < m.ncols() { (sign * m[(i, j)]).max(0.0) } else { 0.0 }).collect()
@@ -101,8 +102,8 @@ fn squared(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
     (0..a.ncols()).map(|j| (0..a.nrows()).map(|i| a[(i, j)] * b[(i, j)]).sum::<f64>()).sum()
 }
 
-/// One sweep: every column in turn takes its best non-negative values, given the others. `products` is the data times the other
-/// side, `gram` the other side's products with itself.
+/// One sweep: every column in turn takes its best non-negative values, given the others. `products` is the data times
+/// the other side, `gram` the other side's products with itself.
 fn update(factor: &mut Mat<f64>, products: &Mat<f64>, gram: &Mat<f64>) {
     for j in 0..factor.ncols() {
         let own = gram[(j, j)];
@@ -159,7 +160,8 @@ mod tests {
         let products = Mat::from_fn(3, 2, |i, j| [[9.0, 4.0], [1.0, 7.0], [8.0, 11.0]][i][j]);
         let gram = Mat::from_fn(2, 2, |i, j| [[4.0, 1.0], [1.0, 2.0]][i][j]);
         update(&mut factor, &products, &gram);
-        // First column (p − gram₁₀ other) / gram₀₀: 7/4, −3/4 → 0, 8/4; the second with these: (4 − 7/4)/2, 7/2, (11 − 2)/2.
+        // First column (p − gram₁₀ other) / gram₀₀: 7/4, −3/4 → 0, 8/4; the second with these: (4 − 7/4)/2, 7/2, (11 −
+        // 2)/2.
         let expected = [[1.75, 1.125], [0.0, 3.5], [2.0, 4.5]];
         for i in 0..3 {
             assert!((0..2).all(|j| (factor[(i, j)] - expected[i][j]).abs() < 1e-15), "rounding: {factor:?}");
@@ -196,7 +198,8 @@ mod tests {
 
     #[test]
     fn a_start_is_the_larger_part_of_one_sign_of_each_triplet_and_a_hundredth_of_chance() {
-        // Three terms from two singular triplets y_j v_j': the second's negative parts are the larger, the third term has no triplet.
+        // Three terms from two singular triplets y_j v_j': the second's negative parts are the larger, the third term
+        // has no triplet.
         let (rows, samples) = (4, 5);
         let left = [[3.0, 0.5], [1.0, -2.0], [2.0, -1.0], [4.0, 0.25]];
         let right = [[0.5, 0.2], [0.4, -0.6], [0.3, -0.3], [0.2, 0.5], [0.1, 0.0]];

@@ -1,5 +1,5 @@
-//! The rows that are factored, as often as they are wanted: shifted, scaled, their gaps filled; kept in memory when they fit, else read
-//! from the store again.
+//! The rows that are factored, as often as they are wanted: shifted, scaled, their gaps filled; kept in memory when
+//! they fit, else read from the store again.
 
 use super::backend::Rows;
 use super::content::{Content, RawRows};
@@ -47,8 +47,9 @@ pub(super) struct PreparedRows<'a> {
 }
 
 impl<'a> PreparedRows<'a> {
-    /// Reads the matrix once: places rows, keeps them when they take at most `memory` bytes, and fills gaps with the mean profile. Columns are
-    /// multiplied by the mean profile to the power −`profile_power`; `each` sees every block as it is read.
+    /// Reads the matrix once: places rows, keeps them when they take at most `memory` bytes, and fills gaps with the
+    /// mean profile. Columns are multiplied by the mean profile to the power −`profile_power`; `each` sees every block
+    /// as it is read.
     ///
     /// # Errors
     /// Those of the reader.
@@ -138,7 +139,8 @@ impl<'a> PreparedRows<'a> {
         self.refill(self.basis.clone());
     }
 
-    /// What row `index` was before it was divided and its columns were multiplied, on its measured window `[plane][dy][dx]`.
+    /// What row `index` was before it was divided and its columns were multiplied, on its measured window
+    /// `[plane][dy][dx]`.
     pub(super) fn measured(&self, index: usize, row: &[f32]) -> Vec<f64> {
         let layout = &self.survey.layout;
         let (samples, window) = (layout.len(), layout.window[0] * layout.window[1]);

@@ -1,5 +1,5 @@
-//! Products of matrices on all cores, whose digits do not depend on how many there are: each core takes whole blocks of the result, which have the same
-//! size everywhere. (faer's own threads divide sums among themselves.)
+//! Products of matrices on all cores, whose digits do not depend on how many there are: each core takes whole blocks of
+//! the result, which have the same size everywhere. (faer's own threads divide sums among themselves.)
 
 use faer::linalg::matmul::matmul;
 use faer::traits::ComplexField;

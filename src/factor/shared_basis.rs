@@ -1,7 +1,9 @@
-//! Offset factors of the three channels in terms of fewer maps: the third side of the Tucker decomposition (`DeLathauwer2000`).
+//! Offset factors of the three channels in terms of fewer maps: the third side of the Tucker decomposition
+//! (`DeLathauwer2000`).
 //!
-//! h_{k,j} = Σ_l c_{k,j,l} b_l: channels scatter alike, so 3 T maps are well described by K < 3 T. Because the f_j are orthonormal, what
-//! the truncation changes in R is Σ of the discarded squared singular values of the g_j h_{k,j}, exactly.
+//! h_{k,j} = Σ_l c_{k,j,l} b_l: channels scatter alike, so 3 T maps are well described by K < 3 T. Because the f_j are
+//! orthonormal, what the truncation changes in R is Σ of the discarded squared singular values of the g_j h_{k,j},
+//! exactly.
 
 use super::backend::{Triplets, eigenpairs};
 use crate::Result;

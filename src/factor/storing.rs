@@ -7,8 +7,8 @@ use crate::progress::Progress;
 use crate::transport::MatrixReader;
 use crate::{Error, Result};
 
-/// How much better than a target the factors are before they are coded, dB: a fifth of the squared error is then theirs, the rest the
-/// coder's, which is about the best split (docs/materials.md).
+/// How much better than a target the factors are before they are coded, dB: a fifth of the squared error is then
+/// theirs, the rest the coder's, which is about the best split (docs/materials.md).
 pub const ROOM_DB: f64 = 7.0;
 /// Bytes of f32 for each byte of a coded budget: what is tried, from more to fewer terms.
 const CODED_RATIOS: [u64; 3] = [60, 15, 4];
@@ -86,7 +86,8 @@ fn coded(reader: &MatrixReader, options: &FactorOptions, storage: &Storage, prog
     let goals = match options.goal {
         // Coding needs room of its own.
         Goal::Psnr(db) => vec![Goal::Psnr(db + ROOM_DB)],
-        // The coder decides what each of more terms than it can keep is worth; even the maps that are nothing take some bits.
+        // The coder decides what each of more terms than it can keep is worth; even the maps that are nothing take some
+        // bits.
         Goal::Bytes(bytes) if options.terms.is_none() => {
             CODED_RATIOS.iter().map(|&ratio| Goal::Bytes(bytes.saturating_mul(ratio))).collect()
         }

@@ -19,7 +19,8 @@ use rayon::prelude::*;
 
 /// Singular values computed beyond those that may be used: the report's plot shows how they go on.
 const BEYOND: usize = 5;
-/// Singular values below this share of the largest do not estimate missing samples: back ends that multiply in f32 cannot tell them yet.
+/// Singular values below this share of the largest do not estimate missing samples: back ends that multiply in f32
+/// cannot tell them yet.
 const FILL_ABOVE: f64 = 1e-3;
 
 /// What singular values may be off by while missing samples are estimated.
@@ -39,12 +40,12 @@ pub(super) struct TermsFit {
 
 /// Times that terms are fitted anew to what entry and exit maps leave.
 ///
-/// `rel_rmse` of the chessboard and of marble falls by 6 to 20 % with the first, 3 to 15 % with the second, 2 to 8 % with the third
-/// (docs/materials.md); each costs a decomposition.
+/// `rel_rmse` of the chessboard and of marble falls by 6 to 20 % with the first, 3 to 15 % with the second, 2 to 8 %
+/// with the third (docs/materials.md); each costs a decomposition.
 const REFITS: usize = 2;
 
-/// Maps that make `rel_rmse` so many times larger are not kept: three times what they cost at the same terms on the materials of
-/// docs/materials.md.
+/// Maps that make `rel_rmse` so many times larger are not kept: three times what they cost at the same terms on the
+/// materials of docs/materials.md.
 const WORSE: f64 = 4.0;
 
 /// A decomposition of the rows.

@@ -84,8 +84,8 @@ impl CameraView {
 
     /// Where the camera is, slab mm, z negative above the slab's top; `None` for a view that no camera has.
     ///
-    /// The homography is K (r₁ r₂ t) with the lens's centre and focal length in K (Zhang 2000). As good as these: an error of 1 % in
-    /// the focal length is 1 % of the height.
+    /// The homography is K (r₁ r₂ t) with the lens's centre and focal length in K (Zhang 2000). As good as these: an
+    /// error of 1 % in the focal length is 1 % of the height.
     pub fn eye_mm(&self) -> Option<[f64; 3]> {
         let m = &self.ideal_from_slab.matrix;
         let (c, f) = (self.lens.center_px, self.lens.focal_px);

@@ -50,8 +50,8 @@ const KINDS: [&[&str]; 15] = [
     &["heic", "heif"],
 ];
 
-/// Lists the photographs in `folder` and its folders. Of several kinds the one with most files is taken, of equals the first that this program
-/// reads in the order RAW, TIFF, PNG, EXR, JPEG; `take` (an ending) names another.
+/// Lists the photographs in `folder` and its folders. Of several kinds the one with most files is taken, of equals the
+/// first that this program reads in the order RAW, TIFF, PNG, EXR, JPEG; `take` (an ending) names another.
 ///
 /// # Errors
 /// [`Error::Io`]; [`Error::Setting`] when there is no photograph, or none of the kind that was named.
@@ -144,7 +144,8 @@ fn names<'a>(kinds: impl Iterator<Item = &'a usize>) -> String {
     kinds.map(|&k| KINDS[k][0]).collect::<Vec<_>>().join(", ")
 }
 
-/// The order of shooting by the numbers in the names: folder by folder, 2 before 10, and 9999 before 0001 where the counter began anew.
+/// The order of shooting by the numbers in the names: folder by folder, 2 before 10, and 9999 before 0001 where the
+/// counter began anew.
 pub fn by_number(mut photographs: Vec<Found>) -> Vec<Found> {
     let wraps: Vec<(PathBuf, u64)> = wraps(&photographs);
     photographs.sort_by_cached_key(|p| {
@@ -158,7 +159,8 @@ pub fn by_number(mut photographs: Vec<Found>) -> Vec<Found> {
     photographs
 }
 
-/// The order of shooting by the camera's clock, and by number where it stood still; `None` when a photograph has no time.
+/// The order of shooting by the camera's clock, and by number where it stood still; `None` when a photograph has no
+/// time.
 pub fn by_time(photographs: Vec<Found>) -> Option<Vec<Found>> {
     if photographs.iter().any(|p| p.settings.taken_secs.is_none()) {
         return None;
@@ -170,7 +172,8 @@ pub fn by_time(photographs: Vec<Found>) -> Option<Vec<Found>> {
     Some(photographs)
 }
 
-/// Folders in which the camera's counter began anew, with the number after its last: both its last and its first number are there, and a gap between.
+/// Folders in which the camera's counter began anew, with the number after its last: both its last and its first number
+/// are there, and a gap between.
 fn wraps(photographs: &[Found]) -> Vec<(PathBuf, u64)> {
     let mut folders: BTreeMap<PathBuf, Vec<(u64, usize)>> = BTreeMap::new();
     for p in photographs {

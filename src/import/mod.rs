@@ -1,7 +1,8 @@
 //! Import: a folder straight from a camera, sorted into the shots of a plan.
 //!
-//! The order is that of the camera's clock, and of the numbers in the names within a second; where the clock jumped (its hour was set, say) and only the
-//! numbers fit the plan, they rule. Exposure times from EXIF must repeat the plan's brackets; nothing is guessed, nothing is left out.
+//! The order is that of the camera's clock, and of the numbers in the names within a second; where the clock jumped
+//! (its hour was set, say) and only the numbers fit the plan, they rule. Exposure times from EXIF must repeat the
+//! plan's brackets; nothing is guessed, nothing is left out.
 
 mod files;
 mod fit;
@@ -23,7 +24,8 @@ use std::path::{Path, PathBuf};
 pub struct ImportOptions {
     /// Link the photographs (hard links, on the same disk) instead of copying them.
     pub link: bool,
-    /// Ending of the photographs to take, of a camera that wrote two of each [default: the one with most files; of equals RAW, TIFF, PNG, EXR, JPEG].
+    /// Ending of the photographs to take, of a camera that wrote two of each [default: the one with most files; of
+    /// equals RAW, TIFF, PNG, EXR, JPEG].
     pub take: Option<String>,
     /// Folder of rig.toml, copied into the capture [default: calibration/ of the plan].
     pub calibration: Option<PathBuf>,
@@ -52,12 +54,13 @@ pub struct Imported {
     pub by_number: bool,
 }
 
-/// Sorts the photographs in `folder` into the shots of the plan in `plan_dir`, and writes the capture `out`: photographs, `capture.toml`, the rig.
-/// Nothing appears at `out` when anything does not fit.
+/// Sorts the photographs in `folder` into the shots of the plan in `plan_dir`, and writes the capture `out`:
+/// photographs, `capture.toml`, the rig. Nothing appears at `out` when anything does not fit.
 ///
 /// # Errors
-/// Those of [`Plan::read`], [`Rig::find`], [`list`] and [`Capture::open`]; [`Error::DoesNotFit`] for the first photograph that is missing, doubled, or
-/// differs in exposure or settings; [`Error::Setting`] when `out` is in use; [`Error::Io`].
+/// Those of [`Plan::read`], [`Rig::find`], [`list`] and [`Capture::open`]; [`Error::DoesNotFit`] for the first
+/// photograph that is missing, doubled, or differs in exposure or settings; [`Error::Setting`] when `out` is in use;
+/// [`Error::Io`].
 pub fn import(
     folder: &Path,
     plan_dir: &Path,
@@ -134,7 +137,8 @@ fn entries(plan: &Plan, shot: usize, believed: bool, file: impl Fn(usize) -> Str
     times.map(|(n, &t)| PhotographEntry { file: file(n), exposure_secs: believed.then_some(t) }).collect()
 }
 
-/// Opens the capture that it will be while the photographs still lie where the camera put them: messages name them there.
+/// Opens the capture that it will be while the photographs still lie where the camera put them: messages name them
+/// there.
 fn try_open(plan: &Plan, sources: &[Vec<PathBuf>], rig_path: &Path, believed: bool) -> Result<()> {
     let temporary = std::env::temp_dir();
     let scratch = ScratchFolder::new(&temporary, &temporary)?;

@@ -11,8 +11,9 @@ use std::path::Path;
 
 type FlatLayer = Layer<AnyChannels<FlatSamples>>;
 
-/// Writes one part per map: `f_j` (points; the weight g_j is multiplied into it), `h_j` (offsets), `profile` (offsets), `color_p` (RGB,
-/// powers of the intensity, points), `entry` (points) and `exit` (the exit map's grid) where there are such maps, and `shift` (X, Y, points). Maps that the channels share are Y, others RGB.
+/// Writes one part per map: `f_j` (points; the weight g_j is multiplied into it), `h_j` (offsets), `profile` (offsets),
+/// `color_p` (RGB, powers of the intensity, points), `entry` (points) and `exit` (the exit map's grid) where there are
+/// such maps, and `shift` (X, Y, points). Maps that the channels share are Y, others RGB.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Internal`].

@@ -1,5 +1,5 @@
-//! The factored material, see [`acquire_material`], with what a person does with its files: read and write them, light a matrix or a
-//! material with an image, export.
+//! The factored material, see [`acquire_material`], with what a person does with its files: read and write them, light
+//! a matrix or a material with an image, export.
 
 mod exr_layers;
 mod light_file;
@@ -40,8 +40,8 @@ pub fn load(path: &Path) -> Result<Material> {
 /// Writes a plain material under a temporary name, and renames it when complete.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Setting`] for half precision where colour is a polynomial; [`Error::Internal`] when the material's arrays do
-/// not have the lengths that its header says.
+/// [`Error::Io`]; [`Error::Setting`] for half precision where colour is a polynomial; [`Error::Internal`] when the
+/// material's arrays do not have the lengths that its header says.
 pub fn save(material: &Material, precision: Precision, path: &Path) -> Result<()> {
     let bytes = match precision {
         Precision::F32 => material.to_bytes()?,

@@ -3,7 +3,8 @@
 use crate::{Error, Result};
 use std::path::{Component, Path, PathBuf};
 
-/// Refuses an output that is one of `inputs`, lies in one, or has one in it. `setting` is the option that names the output.
+/// Refuses an output that is one of `inputs`, lies in one, or has one in it. `setting` is the option that names the
+/// output.
 ///
 /// # Errors
 /// [`Error::Setting`], [`Error::Io`].

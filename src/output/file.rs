@@ -4,7 +4,8 @@ use super::{ScratchFolder, put, seal};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
-/// Writes a file whole, in the place of an earlier one only if this program has made that. `bytes` are sealed on the way (see [`super::seal`]).
+/// Writes a file whole, in the place of an earlier one only if this program has made that. `bytes` are sealed on the
+/// way (see [`super::seal`]).
 ///
 /// # Errors
 /// [`Error::Changed`], [`Error::NotOurs`], [`Error::Io`].

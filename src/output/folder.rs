@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 /// What a folder that this program has made holds: what of it may be replaced.
 const RECORD: &str = ".acquire-output.json";
 pub(super) const PROGRAM: &str = concat!("acquire ", env!("CARGO_PKG_VERSION"));
-/// Files up to this length are recorded with their checksum: those that people edit. Of photographs and chunks of matrices the length will do.
+/// Files up to this length are recorded with their checksum: those that people edit. Of photographs and chunks of
+/// matrices the length will do.
 const HASHED_BYTES: u64 = 1 << 20;
 
 #[derive(Serialize, Deserialize)]
@@ -35,7 +36,8 @@ pub(crate) struct NewFolder {
 }
 
 impl NewFolder {
-    /// Checks that `target` may be made, before any work: a new or empty folder or, with `force`, an earlier output that holds nothing else.
+    /// Checks that `target` may be made, before any work: a new or empty folder or, with `force`, an earlier output
+    /// that holds nothing else.
     ///
     /// # Errors
     /// [`Error::NotEmpty`], [`Error::NotOurs`], [`Error::Changed`], [`Error::Io`].
@@ -43,8 +45,8 @@ impl NewFolder {
         Self::new(target, force, ScratchFolder::new)
     }
 
-    /// [`Self::create`], with all that a stopped run for the same `target` had made, if that was with the same `key`; what it made with
-    /// another one is removed.
+    /// [`Self::create`], with all that a stopped run for the same `target` had made, if that was with the same `key`;
+    /// what it made with another one is removed.
     ///
     /// # Errors
     /// Those of [`Self::create`].
@@ -113,7 +115,8 @@ impl NewFolder {
         self.replaces
     }
 
-    /// Lists the folder's files in [`RECORD`] and puts it into its place; an earlier one leaves with the scratch folder.
+    /// Lists the folder's files in [`RECORD`] and puts it into its place; an earlier one leaves with the scratch
+    /// folder.
     ///
     /// # Errors
     /// [`Error::Io`]; those of [`Self::create`] when somebody has put something there meanwhile.

@@ -15,10 +15,11 @@ static REMOVED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 /// Folders with work for a next run that this process has left, and not told yet.
 static KEPT: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// Removes what stopped runs have left in `folder`; of `deep`, in the folders in it, too, and with the work that they had finished. Returns what was
-/// removed.
+/// Removes what stopped runs have left in `folder`; of `deep`, in the folders in it, too, and with the work that they
+/// had finished. Returns what was removed.
 ///
-/// A scratch folder is a stopped run's when its lock is ours and nobody holds it; any other file or folder stays, whatever its name.
+/// A scratch folder is a stopped run's when its lock is ours and nobody holds it; any other file or folder stays,
+/// whatever its name.
 ///
 /// # Errors
 /// [`Error::Io`] when the folder cannot be read.

@@ -1,12 +1,14 @@
 //! Outputs, by one rule for all of them.
 //!
-//! - An output is made under a temporary name beside its place and put there in one step when it is whole and on the disk ([`place`]): at every instant
-//!   the earlier or the new one is there.
-//! - Nothing is replaced but what this program has made and nobody has changed since: a folder by its record ([`NewFolder`]), a file by the seal in
-//!   it ([`seal`]), a matrix by its own checksum. Whether it *may* be replaced (`--force`) is the caller's to ask.
+//! - An output is made under a temporary name beside its place and put there in one step when it is whole and on the
+//!   disk ([`place`]): at every instant the earlier or the new one is there.
+//! - Nothing is replaced but what this program has made and nobody has changed since: a folder by its record
+//!   ([`NewFolder`]), a file by the seal in it ([`seal`]), a matrix by its own checksum. Whether it *may* be replaced
+//!   (`--force`) is the caller's to ask.
 //! - No output lies in an input, or has one in it ([`check_apart`]).
-//! - What a stopped run has left is removed: at once on signals ([`remove_on_signals`]), else by the next run that writes beside it, or by
-//!   `acquire clean` ([`remove_leftovers`]); but for work that can be gone on with ([`WorkLog`]), which waits for the next run for the same output.
+//! - What a stopped run has left is removed: at once on signals ([`remove_on_signals`]), else by the next run that
+//!   writes beside it, or by `acquire clean` ([`remove_leftovers`]); but for work that can be gone on with
+//!   ([`WorkLog`]), which waits for the next run for the same output.
 
 mod apart;
 mod file;

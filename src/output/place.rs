@@ -1,4 +1,5 @@
-//! Putting an output into its place, so that at every instant the earlier or the new one is there, whatever ends the program.
+//! Putting an output into its place, so that at every instant the earlier or the new one is there, whatever ends the
+//! program.
 
 use super::scratch::OLD;
 use super::{ScratchFolder, signals};
@@ -7,8 +8,8 @@ use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Writes all of `scratch`'s output to the disk and puts it at `target`; what was there leaves with the scratch folder. With `replaces` false nothing may be
-/// there: what has appeared meanwhile stays.
+/// Writes all of `scratch`'s output to the disk and puts it at `target`; what was there leaves with the scratch folder.
+/// With `replaces` false nothing may be there: what has appeared meanwhile stays.
 ///
 /// # Errors
 /// What the system says; `target` is then as it was.
@@ -44,7 +45,8 @@ fn exchange(_: &Path, _: &Path) -> io::Result<()> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
-/// Where there is no exchange. Ended between the two, the old output lies in the scratch folder, and the next run puts it back.
+/// Where there is no exchange. Ended between the two, the old output lies in the scratch folder, and the next run puts
+/// it back.
 fn in_two_steps(new: &Path, target: &Path, old: &Path) -> io::Result<()> {
     std::fs::rename(target, old)?;
     std::fs::rename(new, target).inspect_err(|_| drop(std::fs::rename(old, target)))

@@ -30,8 +30,8 @@ pub(crate) struct ScratchFolder {
 }
 
 impl ScratchFolder {
-    /// Makes a folder in `parent`, after removing those that stopped runs have left there without finished work; errors name `target`, the output that
-    /// it is for.
+    /// Makes a folder in `parent`, after removing those that stopped runs have left there without finished work; errors
+    /// name `target`, the output that it is for.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -47,7 +47,8 @@ impl ScratchFolder {
         }
     }
 
-    /// Takes over the folder of a stopped run for the same output that had finished some work, with all that is in it; makes one where there is none.
+    /// Takes over the folder of a stopped run for the same output that had finished some work, with all that is in it;
+    /// makes one where there is none.
     ///
     /// # Errors
     /// [`Error::Io`].

@@ -1,7 +1,9 @@
-//! The seal in single files: a text by which this program knows that it has made a file, and that nobody has changed it.
+//! The seal in single files: a text by which this program knows that it has made a file, and that nobody has changed
+//! it.
 //!
-//! Writers put [`SEAL`] where their format has room for a text (an attribute of OpenEXR, a tEXt chunk of PNG, the comment of a ZIP archive); [`seal`] then
-//! replaces the zeros in it by the BLAKE3 of all other bytes. Materials (`.safetensors`, `.acq`) have a checksum of their own.
+//! Writers put [`SEAL`] where their format has room for a text (an attribute of OpenEXR, a tEXt chunk of PNG, the
+//! comment of a ZIP archive); [`seal`] then replaces the zeros in it by the BLAKE3 of all other bytes. Materials
+//! (`.safetensors`, `.acq`) have a checksum of their own.
 
 /// The text that a writer puts into a file.
 pub(crate) const SEAL: &str =

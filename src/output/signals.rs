@@ -54,8 +54,8 @@ pub(crate) fn remove_on_signals() -> Result<()> {
     ctrlc::set_handler(end).map_err(Error::internal)
 }
 
-/// From now on Ctrl-C, SIGTERM and SIGHUP (a terminal that is closed) remove what is unfinished before they end the program, as they would have without
-/// this. Those that were ignored when the program began, by `nohup` say, stay so.
+/// From now on Ctrl-C, SIGTERM and SIGHUP (a terminal that is closed) remove what is unfinished before they end the
+/// program, as they would have without this. Those that were ignored when the program began, by `nohup` say, stay so.
 ///
 /// # Errors
 /// [`Error::Internal`] when the system refuses the handlers.

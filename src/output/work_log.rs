@@ -32,7 +32,8 @@ pub(crate) struct WorkLog {
 }
 
 impl WorkLog {
-    /// Reads what the stopped run had finished whose scratch folder this is, and goes on after it; begins anew when its key is another one.
+    /// Reads what the stopped run had finished whose scratch folder this is, and goes on after it; begins anew when its
+    /// key is another one.
     ///
     /// A line that was not written to its end, or that power loss has spoilt, is left out.
     ///
@@ -82,7 +83,8 @@ pub(crate) fn key_of(inputs: &impl Serialize) -> Result<String> {
     Ok(blake3::hash(text.as_bytes()).to_hex().to_string())
 }
 
-/// Whether a scratch folder has work that a next run can go on from: lines of its own that say something, or those of a part of its output.
+/// Whether a scratch folder has work that a next run can go on from: lines of its own that say something, or those of a
+/// part of its output.
 pub(super) fn has_work(folder: &Path) -> bool {
     let text = std::fs::read(folder.join(LOG)).unwrap_or_default();
     let mut lines = text.split(|b| *b == b'\n').filter_map(checked);

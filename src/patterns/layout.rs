@@ -22,7 +22,8 @@ pub(super) struct PlanLayout {
 const REFERENCES_ALONG: [f64; 2] = [0.2, 0.8];
 
 impl PlanLayout {
-    /// The plan: what `docs/captures.md` tells people to shoot, in its order, so that the object before the camera changes thrice.
+    /// The plan: what `docs/captures.md` tells people to shoot, in its order, so that the object before the camera
+    /// changes thrice.
     pub(super) fn plan(&self, options: &PatternsOptions, rig: &Rig) -> Result<Plan> {
         let grid = self.grid(options)?;
         let size_px = rig.projector.size_px;
@@ -81,7 +82,8 @@ impl PlanLayout {
         std::array::from_fn(|a| ((px / grid.step_projector_px[a] - 1e-9).ceil().max(1.0) as usize).min(grid.points[a]))
     }
 
-    /// Points in the middle of the slab, half a window from its rim where it is large enough, on whole projector pixels.
+    /// Points in the middle of the slab, half a window from its rim where it is large enough, on whole projector
+    /// pixels.
     pub(super) fn grid(&self, options: &PatternsOptions) -> Result<Grid> {
         let scale = self.px_per_mm();
         let dot = options.dot_px;
@@ -126,7 +128,8 @@ impl PlanLayout {
     }
 }
 
-/// The sweep: every grid point once, those of one shot `spacing` points apart along each axis, row after row of offsets.
+/// The sweep: every grid point once, those of one shot `spacing` points apart along each axis, row after row of
+/// offsets.
 pub fn lattice_shots(points: [usize; 2], spacing: [usize; 2]) -> Vec<Vec<[usize; 2]>> {
     let step: [usize; 2] = std::array::from_fn(|a| spacing[a].clamp(1, points[a].max(1)));
     let every = |start: usize, a: usize| (start..points[a]).step_by(step[a]);

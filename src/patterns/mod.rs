@@ -1,4 +1,5 @@
-//! Patterns: the pictures that a projector shows for a capture, the plan that tells `import` what to expect, and a page for the person.
+//! Patterns: the pictures that a projector shows for a capture, the plan that tells `import` what to expect, and a page
+//! for the person.
 //!
 //! With a quick probe capture the plan asks for no photograph that the scene does not require: see [`Probe`].
 
@@ -34,7 +35,8 @@ pub struct PatternsOptions {
     pub slab_mm: Option<Point>,
     /// Projector pixels in a mm of the slab [default with `probe`: as registered].
     pub projector_px_per_mm: Option<f64>,
-    /// Projector pixel that falls on the middle of the slab [default: the projector's middle; with `probe`: as registered].
+    /// Projector pixel that falls on the middle of the slab [default: the projector's middle; with `probe`: as
+    /// registered].
     pub center_px: Option<Point>,
     /// Lit points: 32 or 40x30 [default: as many as `lit_pitch_mm` makes].
     pub grid: Option<[usize; 2]>,
@@ -46,9 +48,11 @@ pub struct PatternsOptions {
     pub pitch_mm: Option<f64>,
     /// Side of a dot, projector pixels. 3: a dark pixel between neighbours four pixels apart.
     pub dot_px: usize,
-    /// Distance of the dots of one shot, mm [default: one and a half windows; with `probe`: the smallest that the tails permit].
+    /// Distance of the dots of one shot, mm [default: one and a half windows; with `probe`: the smallest that the tails
+    /// permit].
     pub spacing_mm: Option<f64>,
-    /// Least distance of the lit points from the slab's rim, mm [default: half a window, or a quarter of the slab when that is less].
+    /// Least distance of the lit points from the slab's rim, mm [default: half a window, or a quarter of the slab when
+    /// that is less].
     pub margin_mm: Option<f64>,
     /// Width of the opaque frame, mm: the reference dots lie in its middle.
     pub frame_mm: f64,
@@ -58,9 +62,11 @@ pub struct PatternsOptions {
     pub exposures: Option<usize>,
     /// Stops between exposures.
     pub stops: f64,
-    /// Shortest exposure of a lattice shot, s, as 0.004 or 1/250: the brightest dot must not saturate in it [default: 1/256; with `probe`: as measured].
+    /// Shortest exposure of a lattice shot, s, as 0.004 or 1/250: the brightest dot must not saturate in it [default:
+    /// 1/256; with `probe`: as measured].
     pub shortest_secs: Option<f64>,
-    /// Shorter of the two exposures of board, white reference and Gray code, s [default: `shortest_secs`; with `probe`: the probe's].
+    /// Shorter of the two exposures of board, white reference and Gray code, s [default: `shortest_secs`; with `probe`:
+    /// the probe's].
     pub white_secs: Option<f64>,
     /// What the camera takes for a photograph besides its exposure, s, to tell the time.
     pub overhead_secs: f64,
@@ -98,9 +104,11 @@ impl Default for PatternsOptions {
 const WINDOW: usize = 31;
 /// Side of its cells, mm.
 const PITCH_MM: f64 = 0.5;
-/// Distance of the dots of one shot without a probe, windows: neighbours' tails are below a thousandth of the peak in most materials.
+/// Distance of the dots of one shot without a probe, windows: neighbours' tails are below a thousandth of the peak in
+/// most materials.
 const SPACING_WINDOWS: f64 = 1.5;
-/// Stripes without a probe, projector px: where projector and camera have about the same pixels, edges are far enough apart.
+/// Stripes without a probe, projector px: where projector and camera have about the same pixels, edges are far enough
+/// apart.
 const NARROWEST_STRIPE_PX: usize = 8;
 /// Exposures without a probe.
 const EXPOSURES: usize = 5;
@@ -123,7 +131,8 @@ pub struct Patterns {
 /// The plan for a rig, and for the material when a probe of it is given.
 ///
 /// # Errors
-/// [`Error::Setting`] for options out of range or that do not fit the projector, or one that is missing without a probe.
+/// [`Error::Setting`] for options out of range or that do not fit the projector, or one that is missing without a
+/// probe.
 pub fn plan(options: &PatternsOptions, rig: &Rig, probe: Option<&Probe>) -> Result<Patterns> {
     options.check()?;
     let choice = probe.map(|p| p.choose(options, rig)).transpose()?;
@@ -180,7 +189,8 @@ fn layout(
     })
 }
 
-/// Writes the pictures, `plan.toml`, the rig and the page for the person into `out`; nothing appears there before all is written.
+/// Writes the pictures, `plan.toml`, the rig and the page for the person into `out`; nothing appears there before all
+/// is written.
 ///
 /// # Errors
 /// Those of [`plan`] and [`Rig::read`]; [`Error::Setting`] when `out` is in use (see `force`); [`Error::Io`].

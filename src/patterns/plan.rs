@@ -72,7 +72,8 @@ impl Plan {
         std::fs::write(&path, text).map_err(Error::io("write", &path))
     }
 
-    /// The plan by which a capture could be shot again: its shots in the order of its manifest, shortest exposures first.
+    /// The plan by which a capture could be shot again: its shots in the order of its manifest, shortest exposures
+    /// first.
     pub fn of_capture(capture: &Capture) -> Self {
         let m = &capture.manifest;
         let shots = m.shots.iter().zip(&capture.brackets).map(|(shot, bracket)| PlannedShot {

@@ -47,9 +47,11 @@ pub struct ProbeChoice {
 
 /// A window ends where the response is below this share of its peak.
 const WINDOW_SHARE: f64 = 1e-4;
-/// The brightest pixel reaches this share of the range in the shortest exposure: the other dots may be a little brighter.
+/// The brightest pixel reaches this share of the range in the shortest exposure: the other dots may be a little
+/// brighter.
 const BRIGHTEST: f64 = 0.7;
-/// A pixel at the window's rim reaches so many times the read noise in the longest exposure; a sample is a mean of several.
+/// A pixel at the window's rim reaches so many times the read noise in the longest exposure; a sample is a mean of
+/// several.
 const RIM_SIGMA: f64 = 3.0;
 /// An edge of a stripe is placed from two pixels before it and three after: nearer edges disturb each other, camera px.
 const STRIPE_CAMERA_PX: f64 = 6.0;
@@ -60,7 +62,8 @@ impl Probe {
     /// Builds the matrix of the capture in `dir` in a temporary place and reads what the plan needs.
     ///
     /// # Errors
-    /// Those of [`build_matrix`]; [`Error::Field`] when dots of one shot are so near that they light each other's windows, or no row was measured.
+    /// Those of [`build_matrix`]; [`Error::Field`] when dots of one shot are so near that they light each other's
+    /// windows, or no row was measured.
     pub fn read(dir: &Path, options: &BuildOptions, progress: &Progress) -> Result<Self> {
         let temporary = std::env::temp_dir();
         let scratch = ScratchFolder::new(&temporary, &temporary)?;

@@ -4,8 +4,9 @@ use crate::transport::rows::RowView;
 
 /// How a material's response falls with distance, from measured rows.
 ///
-/// Beyond the last ring that stands out of the noise it is continued as an exponential, fitted to the outer half of those rings. Diffusion in a
-/// slab falls exponentially in the end, and more steeply before: the continuation is a little too low, by as much as the slope still changes.
+/// Beyond the last ring that stands out of the noise it is continued as an exponential, fitted to the outer half of
+/// those rings. Diffusion in a slab falls exponentially in the end, and more steeply before: the continuation is a
+/// little too low, by as much as the slope still changes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tails {
     pitch_mm: f64,
@@ -36,7 +37,8 @@ const NEIGHBOURS: i32 = 3;
 const LEAST_RINGS: usize = 3;
 
 impl Tails {
-    /// From rows of `window` samples a side (see [`RowView`]) with cells of `pitch_mm`. `None` when no row has a measured middle.
+    /// From rows of `window` samples a side (see [`RowView`]) with cells of `pitch_mm`. `None` when no row has a
+    /// measured middle.
     pub fn of<'a>(rows: impl Iterator<Item = RowView<'a>>, window: [usize; 2], pitch_mm: f64) -> Option<Self> {
         let rings = window[0].min(window[1]) / 2 + 1;
         let distance = |k: usize| {
@@ -87,8 +89,8 @@ impl Tails {
         sd[((r_mm / self.pitch_mm).round() as usize).min(sd.len() - 1)]
     }
 
-    /// Where the response has fallen below `share` of its peak, or below the noise of one sample, in all channels, mm, and whether it was seen
-    /// to be there; `None` when it never does.
+    /// Where the response has fallen below `share` of its peak, or below the noise of one sample, in all channels, mm,
+    /// and whether it was seen to be there; `None` when it never does.
     pub fn reach_mm(&self, share: f64) -> Option<(f64, bool)> {
         let small = |r: f64, c: usize| self.largest_at(r, c) < (share * self.largest_at(0.0, c)).max(self.sd_at(r, c));
         let mut reach = (0.0, true);
@@ -179,8 +181,8 @@ pub struct SpacingOptions {
     pub window: usize,
     /// Distance of lit points, mm: spacings are multiples of it.
     pub lit_pitch_mm: f64,
-    /// Share of a row's light that the tails of other dots may add to it. 0.1: what is left when `build-matrix` has taken it out is a
-    /// fraction of the other errors of a good capture (docs/accuracy.md).
+    /// Share of a row's light that the tails of other dots may add to it. 0.1: what is left when `build-matrix` has
+    /// taken it out is a fraction of the other errors of a good capture (docs/accuracy.md).
     pub most_cross_talk: f64,
 }
 
@@ -203,11 +205,11 @@ pub struct SpacingChoice {
     pub measured_mm: f64,
 }
 
-/// The smallest multiple of the lit pitch at which a square lattice of dots puts little enough of other dots' tails into a window:
-/// no more than a share of the row's light, or less than the noise of a sample all over the window.
+/// The smallest multiple of the lit pitch at which a square lattice of dots puts little enough of other dots' tails
+/// into a window: no more than a share of the row's light, or less than the noise of a sample all over the window.
 ///
-/// The neighbours' tails are the largest of the measured rows, the row's own light is their mean. `None` when no spacing up to four windows will do.
-/// Not known: materials beside the probed places.
+/// The neighbours' tails are the largest of the measured rows, the row's own light is their mean. `None` when no
+/// spacing up to four windows will do. Not known: materials beside the probed places.
 pub fn choose_spacing(tails: &Tails, options: &SpacingOptions) -> Option<SpacingChoice> {
     let pitch = tails.pitch_mm;
     let half = (options.window / 2) as i32;
@@ -329,7 +331,8 @@ mod tests {
             let tails = tails(0.8, sd);
             for r in [1.0f64, 4.0, 6.0, 9.0] {
                 let (found, truth) = (tails.largest_at(r, 1), (-r / 0.8).exp());
-                // Means over rings of whole samples put the curve off by a few per cent; a slope of five rings by a hundredth, times 6 mm.
+                // Means over rings of whole samples put the curve off by a few per cent; a slope of five rings by a
+                // hundredth, times 6 mm.
                 assert!((found / truth - 1.0).abs() < 0.12, "{r} mm: {found} {truth}");
             }
         }

@@ -20,8 +20,8 @@ const ENOUGH: f64 = 0.01;
 pub struct CrossTalk {
     /// The smallest distance between dots of one shot, in outgoing samples.
     pub spacing_samples: f64,
-    /// The smallest distance at which the other dots make a row uncertain by no more than 1 % of itself, by the fitted model of an even
-    /// slab; `None` when two windows are not enough.
+    /// The smallest distance at which the other dots make a row uncertain by no more than 1 % of itself, by the fitted
+    /// model of an even slab; `None` when two windows are not enough.
     pub needed_samples: Option<usize>,
     /// Share of the light in the windows that was put to other dots.
     pub removed_share: f64,
@@ -52,7 +52,8 @@ pub(super) fn overlap_samples(scene: &Scene<'_>) -> Option<f64> {
     scene.smallest_spacing().filter(|spacing| spacing * window.pitch_mm <= reach_mm(window))
 }
 
-/// Leaves in each row the light of its own dot. `None` when no dot's light can reach another's window, or no row holds any.
+/// Leaves in each row the light of its own dot. `None` when no dot's light can reach another's window, or no row holds
+/// any.
 pub(super) fn separate(
     scene: &Scene<'_>,
     results: &mut [ShotResult],

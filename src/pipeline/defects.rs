@@ -8,7 +8,8 @@ use crate::radiance::{Exposure, FileNoise, HotPixel, Sensor, find_hot_pixels, me
 /// Rows that are looked at together, with one more above and below.
 const ROWS: usize = 64;
 
-/// The hot photosites in the longest exposure of the dark sample, in order of row, column, channel; none where nothing is averaged.
+/// The hot photosites in the longest exposure of the dark sample, in order of row, column, channel; none where nothing
+/// is averaged.
 ///
 /// Left out of every photograph alike, they bias no mean: which are left out depends on no photograph's own light.
 ///

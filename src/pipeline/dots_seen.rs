@@ -1,11 +1,12 @@
-//! Whether the dots of every lattice shot are where its pattern puts them: the sample's own dots against the reference dots and the Gray code.
+//! Whether the dots of every lattice shot are where its pattern puts them: the sample's own dots against the reference
+//! dots and the Gray code.
 
 use super::BuildOptions;
 use super::drift::{around, dot_shape, half_spacing_px};
 use super::lattice::ShotResult;
 use super::looks::looks;
 use super::scene::Scene;
-use crate::capture::Window;
+use crate::capture::{Pattern, Window};
 use crate::cholesky::solve_small;
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
@@ -34,7 +35,8 @@ pub(super) struct DotSearch {
     cells: Vec<(f64, usize)>,
 }
 
-/// The sharpest of the capture's dots lie this near to their places, camera px (docs/accuracy.md, "Geometry"): nearer is not told.
+/// The sharpest of the capture's dots lie this near to their places, camera px (docs/accuracy.md, "Geometry"): nearer
+/// is not told.
 const LEAST_PX: f64 = 0.12;
 /// An offset is told from so many standard deviations on.
 const SIGMA: f64 = 6.0;
@@ -42,11 +44,12 @@ const SIGMA: f64 = 6.0;
 const STEP_SHARE: f64 = 0.4;
 /// So near, in steps of the grid, a dot has to be to the place of another point to be taken for it.
 const NEAR_STEP: f64 = 0.25;
-/// A sample that is seen obliquely shows its dots beside their places, as their light leaves it from below: from no deeper than this many
-/// radii of the half of a row's light (ketchup of docs/simulation.md: 3).
+/// A sample that is seen obliquely shows its dots beside their places, as their light leaves it from below: from no
+/// deeper than this many radii of the half of a row's light (ketchup of docs/simulation.md: 3).
 const DEEPEST: f64 = 4.0;
 
-/// About a ramp that is told dots scatter by this share of it at the most: about a step between two media they do by a quarter.
+/// About a ramp that is told dots scatter by this share of it at the most: about a step between two media they do by a
+/// quarter.
 const RAMP_SCATTER: f64 = 0.15;
 /// With fewer dots no ramp is told.
 const LEAST_DOTS: usize = 8;
@@ -102,7 +105,8 @@ impl DotSearch {
     }
 }
 
-/// The distance within which half of some light is, given (distance, light) from the nearest to the farthest; `None` for none.
+/// The distance within which half of some light is, given (distance, light) from the nearest to the farthest; `None`
+/// for none.
 pub(super) fn radius_of_half(near: impl Iterator<Item = (f64, f64)> + Clone) -> Option<f64> {
     let half = 0.5 * near.clone().map(|(_, light)| light).sum::<f64>();
     let mut sum = 0.0;
@@ -206,7 +210,8 @@ impl Common {
         [0, 1].map(|a| off_mm[a] - self.offset_mm[a])
     }
 
-    /// Dots that are the farther off the farther along the grid they are: its step is not that of the patterns, or it is turned against the Gray code.
+    /// Dots that are the farther off the farther along the grid they are: its step is not that of the patterns, or it
+    /// is turned against the Gray code.
     fn ramp(&self, scene: &Scene<'_>) -> Option<ConsistencyWarning> {
         let grid = &scene.capture.manifest.grid;
         let steps = grid.points.map(|n| n.saturating_sub(1) as f64);
@@ -256,6 +261,7 @@ impl Common {
         };
         let finding = ConsistencyWarning::DotsOffset {
             field: culprit.into(),
+            board: self.fits_another_board(length_mm).then(|| board(scene)).flatten(),
             offset_projector_px: off_px,
             sd_projector_px: self.sd_mm / length_mm * unexplained_px,
         };
@@ -263,6 +269,31 @@ impl Common {
             true => Ok(Some(finding.into())),
             false => options.refuse(finding).map(Some),
         }
+    }
+}
+
+/// The shot of the board in the sample's plane.
+fn board(scene: &Scene<'_>) -> Option<String> {
+    let boards = scene.capture.shots(|p| matches!(p, Pattern::Board));
+    boards.first().map(|&shot| scene.photographs.name(shot).to_owned())
+}
+
+/// A board whose photographs are mirrored or turned explains an offset of which it leaves so little.
+const BOARD_LEAVES: f64 = 0.5;
+
+impl Common {
+    /// Whether dots are displaced as light from below the surface would be if the camera stood on the other side, along
+    /// one axis or both: a mirrored or turned board says that it does.
+    fn fits_another_board(&self, unexplained_mm: f64) -> bool {
+        let tangent = [0, 1].map(|a| median(&mut self.seen.iter().map(|s| s.tangent[a]).collect::<Vec<_>>()));
+        [[-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]].into_iter().any(|side| {
+            let t = [0, 1].map(|a| side[a] * tangent[a]);
+            let along = |v: Point| v[0] * t[0] + v[1] * t[1];
+            let depth_mm = along(self.offset_mm) / along(t).max(1e-12);
+            let left = [0, 1].map(|a| self.offset_mm[a] - depth_mm * t[a]);
+            (0.0..DEEPEST * self.half_light_mm).contains(&depth_mm)
+                && left[0].hypot(left[1]) < BOARD_LEAVES * unexplained_mm
+        })
     }
 }
 

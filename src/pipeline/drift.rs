@@ -94,7 +94,8 @@ impl Movements {
     /// The drift of a shot; `None` when its dots on the sample are too dark to tell.
     ///
     /// # Errors
-    /// [`Error::Registration`] naming the shot when its dots are not where they are searched, or when they may be their neighbours.
+    /// [`Error::Registration`] naming the shot when its dots are not where they are searched, or when they may be their
+    /// neighbours.
     pub(super) fn drift(
         &self,
         scene: &Scene<'_>,
@@ -161,7 +162,8 @@ fn window_radius_px(scene: &Scene<'_>, shot: usize) -> f64 {
     (0.5 * nx.min(ny) as f64 * scene.cell_px).min(half_spacing_px(scene, shot))
 }
 
-/// The radius around a dot within which half of the light of its surroundings ([`window_radius_px`]) leaves, mm; `None` without light.
+/// The radius around a dot within which half of the light of its surroundings ([`window_radius_px`]) leaves, mm; `None`
+/// without light.
 fn half_light_mm(scene: &Scene<'_>, shot: usize, bracket: &Bracket, dot: &Located) -> Option<f64> {
     let at_mm = [0, 1].map(|a| dot.expected_mm[a] + dot.moved_mm[a]);
     let at = scene.registration.view.camera_from_slab(at_mm);
@@ -221,7 +223,8 @@ fn locate(
     scene.dots(shot).iter().zip(windows).map(find).collect()
 }
 
-/// What a bracket shows of the square of half side `reach_px` around a place on the slab; `None` when it shows nothing of it.
+/// What a bracket shows of the square of half side `reach_px` around a place on the slab; `None` when it shows nothing
+/// of it.
 pub(super) fn around(
     scene: &Scene<'_>,
     registration: &Registration,

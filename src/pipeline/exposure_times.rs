@@ -9,7 +9,8 @@ use crate::warning::bounds::{REFUSED_SLOPE, REFUSED_TIME, TIME_SIGMA, TIME_TOLER
 use crate::{ConsistencyWarning, RadianceWarning, Result, Warning};
 use std::collections::BTreeSet;
 
-/// Compressed dark parts mislead by half a per cent and more: a measured time is worth a word there when it differs by more than this.
+/// Compressed dark parts mislead by half a per cent and more: a measured time is worth a word there when it differs by
+/// more than this.
 const COMPRESSED_TIME_TOLERANCE: f64 = 0.015;
 /// The distinct nominal exposures of a capture, shortest first.
 pub(super) struct Settings {
@@ -47,7 +48,8 @@ impl Settings {
 /// Nominal exposures nearer than this are one setting.
 const SAME: f64 = 1.000_001;
 
-/// The fit of the settings, without single stacks whose times contradict those of most: their photographs are told one by one.
+/// The fit of the settings, without single stacks whose times contradict those of most: their photographs are told one
+/// by one.
 pub(super) fn fit_settled(mut stacks: Vec<(&Stack, StackScales)>, settings: usize) -> ExposureFit {
     let most = stacks.len() / 4;
     for _ in 0..=most {
@@ -76,7 +78,8 @@ pub(super) fn agrees(stack: &Stack, sensor: &Sensor) -> bool {
     disagreements(&[&stack.exposures], sensor, 1, brightness).is_empty()
 }
 
-/// What the fit says against the stated times, the lamp and the response curve; `agree`: whether the photographs of most stacks show the same.
+/// What the fit says against the stated times, the lamp and the response curve; `agree`: whether the photographs of
+/// most stacks show the same.
 ///
 /// # Errors
 /// [`crate::Error::Contradiction`].
@@ -142,8 +145,8 @@ pub(super) fn judge(
     Ok(warnings)
 }
 
-/// The slope of ln(actual) over ln(nominal) of linked settings when it is not 1 and explains most of what they are off by: that of a response
-/// curve that was not taken into account.
+/// The slope of ln(actual) over ln(nominal) of linked settings when it is not 1 and explains most of what they are off
+/// by: that of a response curve that was not taken into account.
 fn curve_slope(fit: &ExposureFit, settings: &Settings, of: &[usize]) -> Option<f64> {
     if of.len() < 3 {
         return None;

@@ -291,7 +291,8 @@ fn lamp(results: &[ShotResult], header: &MatrixHeader) -> Option<ConsistencyWarn
     Some(ConsistencyWarning::LampLevel { shot, level, level_sd, shots: off.len() })
 }
 
-/// Dots that are wider by so many deviations of what shots differ by from the one before are blurred; farther apart, zoomed.
+/// Dots that are wider by so many deviations of what shots differ by from the one before are blurred; farther apart,
+/// zoomed.
 const CHANGE_SIGMA: f64 = 8.0;
 
 /// Shots whose reference dots differ from each other, in colour, or in width.
@@ -333,7 +334,8 @@ fn reference_dots(results: &[ShotResult], header: &MatrixHeader) -> Vec<Consiste
     warnings
 }
 
-/// The first shot whose dots are farther apart than those of the first third of the shots, by how much, and how many are.
+/// The first shot whose dots are farther apart than those of the first third of the shots, by how much, and how many
+/// are.
 fn scale(results: &[ShotResult]) -> Option<(usize, [f64; 2], usize)> {
     let found: Vec<(usize, [f64; 2])> =
         results.iter().enumerate().filter_map(|(k, r)| Some((k, r.drift?.scale?))).collect();

@@ -1,11 +1,12 @@
 //! A lamp that flickers: how much, and what of it can be taken out.
 //!
 //! Three scales are measured, the first only when the capture's stacks show flicker at all:
-//! - a photograph against the others of its stack, from the pixels that several measured (`radiance/exposures.rs`), drawn towards none by
-//!   the flicker of the whole capture;
-//! - a stack against the other stacks, from the light of the reference dots on the opaque frame: drawn towards none by what shots differ by, or
-//!   as a whole where a shot is off by more than that;
-//! - the white reference against the Gray-code shots, each of which adds up with its inverse to the same white (`references.rs`).
+//! - a photograph against the others of its stack, from the pixels that several measured (`radiance/exposures.rs`),
+//!   drawn towards none by the flicker of the whole capture;
+//! - a stack against the other stacks, from the light of the reference dots on the opaque frame: drawn towards none by
+//!   what shots differ by, or as a whole where a shot is off by more than that;
+//! - the white reference against the Gray-code shots, each of which adds up with its inverse to the same white
+//!   (`references.rs`).
 
 use super::BuildOptions;
 use super::lattice_light::LatticeLight;
@@ -43,7 +44,8 @@ const SAMPLES: usize = 60_000;
 pub(super) struct Steadied {
     /// Relative variance that remains, common to the shot's rows.
     pub variance: f64,
-    /// The lamp's level over that of most shots and its standard deviation, where it is off by more than flicker and noise.
+    /// The lamp's level over that of most shots and its standard deviation, where it is off by more than flicker and
+    /// noise.
     pub lamp: Option<[f64; 2]>,
     /// What the reference dots show besides.
     pub dots: DotsShow,
@@ -109,8 +111,8 @@ impl Flicker {
         Steadied { variance: found.variance + own + self.white_variance, lamp, dots }
     }
 
-    /// Corrects the times of a stack's photographs against each other. Returns the relative variances that remain: one that all have in
-    /// common, and the mean of what each has besides.
+    /// Corrects the times of a stack's photographs against each other. Returns the relative variances that remain: one
+    /// that all have in common, and the mean of what each has besides.
     fn steady_stack(&self, sensor: &Sensor, brackets: Vec<&mut Bracket>) -> [f64; 2] {
         let Some(sd) = self.sd else { return [0.0; 2] };
         let samples: usize = brackets.iter().map(|b| 3 * b.rect().area()).sum();
@@ -121,7 +123,8 @@ impl Flicker {
         let scales = stack_scales(&parts, sensor, samples.div_ceil(SAMPLES));
         let found = scales.and_then(|s| shrink(&s.log_scale, &s.information, prior));
         let Some((log_scale, covariance)) = found else { return untouched };
-        // Times or a response curve that are wrong differ alike in every stack: that is told elsewhere, and is no flicker.
+        // Times or a response curve that are wrong differ alike in every stack: that is told elsewhere, and is no
+        // flicker.
         if log_scale.iter().any(|s| s.abs() > FLICKER_SIGMA * sd) {
             return untouched;
         }
@@ -143,7 +146,8 @@ impl Flicker {
         Some(ConsistencyWarning::LampDrifts { level, shots, to_references: self.anchored })
     }
 
-    /// What board and references say of the reference dots as a whole; `times_are_off`: exposure times are, and explain a little.
+    /// What board and references say of the reference dots as a whole; `times_are_off`: exposure times are, and explain
+    /// a little.
     ///
     /// # Errors
     /// [`crate::Error::Contradiction`].

@@ -136,11 +136,12 @@ enum Camera {
     Still,
 }
 
-/// A movement that leaves the reference dots this share of it from where the shots beside have them is one of the camera: it moves dots and rim alike.
+/// A movement that leaves the reference dots this share of it from where the shots beside have them is one of the
+/// camera: it moves dots and rim alike.
 const UNLIKELY: f64 = 0.4;
 
-/// Shots whose camera seems to have moved, and whose reference dots were where they are in the shots before and after but for that: the rim
-/// was mistaken, as a sample that is pushed and returns is less likely.
+/// Shots whose camera seems to have moved, and whose reference dots were where they are in the shots before and after
+/// but for that: the rim was mistaken, as a sample that is pushed and returns is less likely.
 fn unlikely_movements(results: &[ShotResult]) -> Vec<usize> {
     let camera = |r: &ShotResult| r.camera.filter(CameraMotion::is_sure).map_or(STILL, |m| m.camera_px);
     let unlikely = |k: &usize| {

@@ -1,8 +1,9 @@
-//! The lattice's light against that of the references. The two black shots show the frame and the white reference under the same little light,
-//! and so what share of the white reference's light the frame returns; with it the white reference says how bright the reference dots must be.
+//! The lattice's light against that of the references. The two black shots show the frame and the white reference under
+//! the same little light, and so what share of the white reference's light the frame returns; with it the white
+//! reference says how bright the reference dots must be.
 //!
-//! Not detected: anything in a room that is so dark under a black pattern that the frame is not seen, and a dark current that is a tenth
-//! of that light or more (it makes the frame look brighter than it is).
+//! Not detected: anything in a room that is so dark under a black pattern that the frame is not seen, and a dark
+//! current that is a tenth of that light or more (it makes the frame look brighter than it is).
 
 use super::BuildOptions;
 use super::reference_dots::{Level, reach_px};
@@ -20,15 +21,16 @@ const SEEN_SIGMA: f64 = 5.0;
 const LEAST_CONTRAST: f64 = 0.2;
 /// The standard deviations that something must be off by.
 const SIGMA: f64 = 6.0;
-/// A level that is off by less, ln, is not told: of the 85 untouched captures of tests/tampered those whose exposure times are right are off by 0.02
-/// at the most.
+/// A level that is off by less, ln, is not told: of the 85 untouched captures of tests/tampered those whose exposure
+/// times are right are off by 0.02 at the most.
 const LEAST_OFF: f64 = 0.06;
 /// Channels that agree to this share in another order are in that order.
 const SAME_COLOUR: f64 = 0.04;
 /// A dot of another size explains a level that it fits to this share.
 const SAME_SIZE: f64 = 0.05;
 
-/// What share of the white reference's light the frame returns at a reference dot, R, G, B; `None` where too little was seen.
+/// What share of the white reference's light the frame returns at a reference dot, R, G, B; `None` where too little was
+/// seen.
 pub(super) type FrameShare = Option<[f64; 3]>;
 
 /// The frame's share at each reference dot, from the black shots.
@@ -65,8 +67,8 @@ fn level(picture: &Radiance) -> Option<[f64; 3]> {
     Some([found[0]?, found[1]?, found[2]?])
 }
 
-/// Share of the light of a square dot of half side `half` within a square of half side `reach` about it, when both are seen through a Gaussian blur of
-/// standard deviation `sd` (all px). That the dot may be turned is left out.
+/// Share of the light of a square dot of half side `half` within a square of half side `reach` about it, when both are
+/// seen through a Gaussian blur of standard deviation `sd` (all px). That the dot may be turned is left out.
 fn within(half: f64, reach: f64, sd: f64) -> f64 {
     let sd = sd.max(1e-3 * half);
     // Integral of the normal distribution function.

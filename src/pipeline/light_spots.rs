@@ -1,5 +1,5 @@
-//! Light in one place on the frame, or around it, that every lattice shot has and `sample-black` does not: a reflection, an indicator lamp. What
-//! the dots light there is a halo, which is wide.
+//! Light in one place on the frame, or around it, that every lattice shot has and `sample-black` does not: a
+//! reflection, an indicator lamp. What the dots light there is a halo, which is wide.
 
 use super::scene::Scene;
 use crate::ConsistencyWarning;
@@ -10,7 +10,8 @@ const BLOCK_PX: usize = 4;
 /// A spot is brighter by this factor than nine tenths of the blocks that are so far away, blocks.
 const BRIGHTER: f64 = 10.0;
 const RINGS: [[usize; 2]; 2] = [[4, 6], [8, 10]];
-/// Its light is so many times its standard deviation, and in all shots but the brightest no more than this factor of the least.
+/// Its light is so many times its standard deviation, and in all shots but the brightest no more than this factor of
+/// the least.
 const SIGMA: f64 = 8.0;
 const STEADY: f64 = 1.5;
 
@@ -20,7 +21,8 @@ pub(super) struct Spots {
     brightest: ([usize; 2], f64),
 }
 
-/// Looks for it in pictures of shots, ambient light subtracted, all over the photograph; `dark`: pixels that no light reaches directly.
+/// Looks for it in pictures of shots, ambient light subtracted, all over the photograph; `dark`: pixels that no light
+/// reaches directly.
 pub(super) fn find(pictures: &[Radiance], dark: &[bool]) -> Option<Spots> {
     let rect = pictures.first().filter(|_| pictures.len() >= 3)?.rect;
     let [columns, rows] = [rect.width / BLOCK_PX, rect.height / BLOCK_PX];

@@ -12,8 +12,8 @@ const LOOKS: usize = 4;
 /// Pixels of each.
 const LOOK_PX: usize = 1 << 16;
 
-/// The error with its likeliest cause in the files, where they show one: the shot that failed is in 8 bits among others of 16, its code values
-/// are shifted by bits, or those of all shots are and the rig's saturation is not.
+/// The error with its likeliest cause in the files, where they show one: the shot that failed is in 8 bits among others
+/// of 16, its code values are shifted by bits, or those of all shots are and the rig's saturation is not.
 pub(super) fn in_files(capture: &Capture, error: Error) -> Error {
     // The shot that failed, where it is known.
     let failed = match &error {
@@ -54,7 +54,8 @@ pub(super) fn in_gray_code(photographs: &Photographs<'_>, error: Error) -> Error
     explained(error, cause.map(Warning::from))
 }
 
-/// The error with its likeliest cause in the rig's `[noise]`: photographs contradict each other by more than a noise that is not theirs.
+/// The error with its likeliest cause in the rig's `[noise]`: photographs contradict each other by more than a noise
+/// that is not theirs.
 pub(super) fn in_noise(warnings: &[Warning], error: Error) -> Error {
     let by_noise = |finding: &Warning| {
         use ConsistencyWarning as C;
@@ -100,7 +101,8 @@ fn explained(error: Error, cause: Option<Warning>) -> Error {
     }
 }
 
-/// Low bits that are 0 in all values of a shot, and not in those of others; or in those of all, while they exceed the rig's saturation.
+/// Low bits that are 0 in all values of a shot, and not in those of others; or in those of all, while they exceed the
+/// rig's saturation.
 fn shifted(capture: &Capture, failed: Option<&str>) -> Option<CheckWarning> {
     let all = 0..capture.brackets.len();
     let (own, others): (Vec<usize>, Vec<usize>) =

@@ -11,8 +11,9 @@ const MOVED_PX: isize = 6;
 /// What a movement has to agree better than the others: it has two numbers to fit with.
 const MOVED_GAIN: f64 = 0.01;
 
-/// What `own`, of the photograph at a `place` of the bracket of shot number `shot` or of all of them, looks like: one of the shots beside it, `expected` turned, mirrored or moved, or
-/// in the words `same` the same. `None` for nothing of that.
+/// What `own`, of the photograph at a `place` of the bracket of shot number `shot` or of all of them, looks like: one
+/// of the shots beside it, `expected` turned, mirrored or moved, or in the words `same` the same. `None` for nothing of
+/// that.
 ///
 /// Logarithms of light are compared, from the noise of `own` to its brightest.
 ///

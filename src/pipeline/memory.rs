@@ -6,14 +6,16 @@ use crate::{Error, Result};
 
 /// Program, libraries, the matrix's writer, bytes. Measured: 40 to 60 MB for captures of small pictures.
 const PROGRAM: u64 = 64 << 20;
-/// What the pictures that all shots share take, bytes a pixel of the working resolution: ambient light, the white reference and what is made
-/// of it (27 each: value, variance and count of three channels), the board's, and room for one that is being made.
+/// What the pictures that all shots share take, bytes a pixel of the working resolution: ambient light, the white
+/// reference and what is made of it (27 each: value, variance and count of three channels), the board's, and room for
+/// one that is being made.
 const SHARED_PER_PX: u64 = 5 * 27;
 /// Of a bit of the Gray code: pattern, inverse, whether it counts.
 const BIT_PER_PX: u64 = 9;
 /// Of each thread: two merged pictures, or the windows of a shot before and after merging.
 const MERGED_PER_PX: u64 = 2 * 27;
-/// The board in its finer resolution, merged and searched: value, variance and count of 4 megapixels, and what OpenCV makes of them.
+/// The board in its finer resolution, merged and searched: value, variance and count of 4 megapixels, and what OpenCV
+/// makes of them.
 const FINE: u64 = 160 << 20;
 /// Code values in floating point.
 const CODES_PER_PX: u64 = 12;

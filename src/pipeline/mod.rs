@@ -59,8 +59,8 @@ pub struct BuildOptions {
     pub resolution: Resolution,
     /// Bytes that the photographs at work may take: as many threads work as fit. `None`: all threads.
     pub memory_bytes: Option<u64>,
-    /// Where exposure times come from. capture.toml comes before all; `estimate` measures the actual times behind EXIF's from the
-    /// photographs.
+    /// Where exposure times come from. capture.toml comes before all; `estimate` measures the actual times behind
+    /// EXIF's from the photographs.
     pub exposure_from: ExposureFrom,
     /// Names of findings ([`Warning::id`]) that are told and do not stop the work.
     pub accept: Vec<String>,
@@ -95,8 +95,8 @@ pub struct BuildReport {
     pub crosstalk: Option<CrossTalk>,
     /// Findings.
     pub warnings: Vec<Warning>,
-    /// At what resolution photographs were worked on. Figures in camera px are of it, but for the drift, the camera's movement and
-    /// `camera_px_per_mm` of the header, which are of the photographs as they are.
+    /// At what resolution photographs were worked on. Figures in camera px are of it, but for the drift, the camera's
+    /// movement and `camera_px_per_mm` of the header, which are of the photographs as they are.
     pub working: Working,
     /// The farthest drift that is measured, camera px as those of `shots`; more is refused.
     pub drift_followed_px: f64,
@@ -146,18 +146,19 @@ pub struct Overview {
 
 /// Builds the matrix of the capture in `dir` and writes it to `out` (see [`MatrixWriter`]).
 ///
-/// Streams: besides the ambient and white pictures one shot per thread is in memory. Shots that an earlier run for the same `out` has measured, which was
-/// killed or ended by [`crate::Error::Io`], are not measured again where their photographs and all that they are measured against are the same; the result
-/// is that of an undisturbed run.
+/// Streams: besides the ambient and white pictures one shot per thread is in memory. Shots that an earlier run for the
+/// same `out` has measured, which was killed or ended by [`crate::Error::Io`], are not measured again where their
+/// photographs and all that they are measured against are the same; the result is that of an undisturbed run.
 ///
 /// # Errors
-/// Those of [`Capture::open`], of decoding and registration; [`crate::Error::DotOutsideSlab`], [`crate::Error::DotSaturated`]; [`crate::Error::Io`] for `out`.
-/// Nothing appears at `out` then.
+/// Those of [`Capture::open`], of decoding and registration; [`crate::Error::DotOutsideSlab`],
+/// [`crate::Error::DotSaturated`]; [`crate::Error::Io`] for `out`. Nothing appears at `out` then.
 pub fn build_matrix(dir: &Path, options: &BuildOptions, out: &Path, progress: &Progress) -> Result<BuildReport> {
     build_matrix_to(dir, options, |header| MatrixWriter::go_on(out, header), progress)
 }
 
-/// [`build_matrix`] for a part of an output: what was measured stays in its scratch folder `outer` until all of it is there.
+/// [`build_matrix`] for a part of an output: what was measured stays in its scratch folder `outer` until all of it is
+/// there.
 ///
 /// # Errors
 /// Those of [`build_matrix`].

@@ -34,7 +34,8 @@ impl FoundNoise {
 const SHOTS: usize = 4;
 /// Lattice shots whose longest exposure is searched for clipped photosites.
 const BRIGHT_SHOTS: usize = 6;
-/// A rig's figure is doubted when it is off by [`DOUBT_SD`] standard deviations and by so much: gain and read noise, of the estimate; black, of the read noise in DN.
+/// A rig's figure is doubted when it is off by [`DOUBT_SD`] standard deviations and by so much: gain and read noise, of
+/// the estimate; black, of the read noise in DN.
 const DOUBT_GAIN: f64 = 0.1;
 /// Gains of two channels that differ by this share were multiplied: photosites under different filters are alike.
 const DOUBT_CHANNEL: f64 = 0.15;
@@ -46,7 +47,8 @@ const LEAST_DN: f64 = 0.25;
 /// The noise of a capture's sensor.
 ///
 /// # Errors
-/// Those of decoding; [`Error::Field`] naming `noise` in the rig file when it is not there and the photographs do not tell it.
+/// Those of decoding; [`Error::Field`] naming `noise` in the rig file when it is not there and the photographs do not
+/// tell it.
 pub(super) fn find(capture: &Capture) -> Result<FoundNoise> {
     let linear = capture.rig.camera.response_curve == ResponseCurve::Linear;
     match &capture.rig.noise {
@@ -87,7 +89,8 @@ pub(super) fn find(capture: &Capture) -> Result<FoundNoise> {
 /// Floating-point photographs are brought to this range: code values may be anything there, 0 to 1 above all.
 const FLOAT_RANGE: f64 = 16_384.0;
 
-/// Photon transfer over the capture's own photographs; the inner error is what they lack. `saturation_dn` as far as it is known.
+/// Photon transfer over the capture's own photographs; the inner error is what they lack. `saturation_dn` as far as it
+/// is known.
 fn estimate(capture: &Capture, saturation_dn: Option<f64>) -> Result<std::result::Result<NoiseEstimate, String>> {
     let mut reader = Reader { capture, unit_dn: None };
     let largest = reader.largest_of_floats()?;
@@ -122,8 +125,8 @@ fn estimate(capture: &Capture, saturation_dn: Option<f64>) -> Result<std::result
     }))
 }
 
-/// The pixels of a photograph that are looked at: all along an axis of up to 1536 px, else eight tiles of 192 px, evenly spread. That is
-/// 2.4 megapixels at the most: 37,000 blocks a channel, a variance to 1/2000 of itself.
+/// The pixels of a photograph that are looked at: all along an axis of up to 1536 px, else eight tiles of 192 px,
+/// evenly spread. That is 2.4 megapixels at the most: 37,000 blocks a channel, a variance to 1/2000 of itself.
 struct Tiles([Vec<Range<usize>>; 2]);
 
 const TILES: usize = 8;
@@ -245,7 +248,8 @@ impl Reader<'_> {
         shots.into_iter().map(bracket).collect()
     }
 
-    /// How often each code value occurs in each channel of the brightest photographs. What is marked as saturated already is not counted.
+    /// How often each code value occurs in each channel of the brightest photographs. What is marked as saturated
+    /// already is not counted.
     fn histograms(&self) -> Result<[Vec<u32>; 3]> {
         let mut counts = [0, 1, 2].map(|_| vec![0u32; 1 << 16]);
         for photograph in self.brightest() {
@@ -341,8 +345,8 @@ const DARKEST: usize = 20;
 /// A black level that differs by more than this share of the range is told.
 const BLACK_MOVES: f64 = 5e-4;
 
-/// A black level that is another one in the lattice's photographs than in the black shots: the same difference at all exposure times, which light
-/// does not make.
+/// A black level that is another one in the lattice's photographs than in the black shots: the same difference at all
+/// exposure times, which light does not make.
 ///
 /// # Errors
 /// Those of decoding.
@@ -452,7 +456,8 @@ mod tests {
         let small = estimate(measured.clone(), [1e-4, 1e-3, 1e-3]);
         let of = |gain, read, black| doubted(&noise(gain, read, black, 16_000.0), &small);
         assert!(of(0.5, 8.0, 512.0).is_empty());
-        // A tenth of the gain; a quarter of the read noise and half an electron (0.25 DN); a quarter of 4 DN of read noise.
+        // A tenth of the gain; a quarter of the read noise and half an electron (0.25 DN); a quarter of 4 DN of read
+        // noise.
         assert!(
             of(0.549, 8.0, 512.0).is_empty() && of(0.5, 10.49, 512.0).is_empty() && of(0.5, 8.0, 512.99).is_empty()
         );
@@ -497,7 +502,8 @@ mod tests {
         ]);
         let found: Vec<_> =
             pairs(&capture).iter().map(|(a, b)| [a.path.to_str(), b.path.to_str()].map(Option::unwrap)).collect();
-        // Bit 4 of x with bit 4 of y, bit 3 with bit 3; the inverses of bit 3 share no exposure to a hundredth, and bit 1 has no partner.
+        // Bit 4 of x with bit 4 of y, bit 3 with bit 3; the inverses of bit 3 share no exposure to a hundredth, and bit
+        // 1 has no partner.
         let expected = [
             ["3-0.1004.png", "2-0.1.png"],
             ["3-0.4.png", "2-0.4.png"],

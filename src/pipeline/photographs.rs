@@ -23,8 +23,8 @@ pub(super) struct Photographs<'a> {
     pub(super) fine: Fine<'a>,
     /// BLAKE3 of every file that was read.
     hashes: Mutex<BTreeMap<PathBuf, blake3::Hash>>,
-    /// Photographs that do not show what the others of their shot show, by shot and place in its bracket: left out from then on, unless
-    /// another one may be the wrong one as well.
+    /// Photographs that do not show what the others of their shot show, by shot and place in its bracket: left out from
+    /// then on, unless another one may be the wrong one as well.
     strangers: Mutex<BTreeMap<[usize; 2], Disagreement>>,
     /// Where the code values of photographs pile up below saturation, DN, by shot and place.
     piles: Mutex<BTreeMap<[usize; 2], f64>>,
@@ -152,7 +152,8 @@ impl<'a> Photographs<'a> {
         Ok((0..self.brackets[shot].len()).filter(|&k| !out(k)).collect())
     }
 
-    /// Compares the photographs of a shot, those at the places `kept` of its bracket, in some rectangles; returns which of `kept` are to be left out.
+    /// Compares the photographs of a shot, those at the places `kept` of its bracket, in some rectangles; returns which
+    /// of `kept` are to be left out.
     fn compare(&self, shot: usize, kept: &[usize], parts: &[&[Exposure]], sensor: &Sensor) -> Result<BTreeSet<usize>> {
         for (j, &place) in kept.iter().enumerate() {
             let own: Vec<&Samples> = parts.iter().map(|p| &p[j].samples).collect();

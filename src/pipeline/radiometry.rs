@@ -1,10 +1,9 @@
-//! Before any registration: what code values, exposure times and the lamp are really like, from a few of the capture's shots.
+//! Before any registration: what code values, exposure times and the lamp are really like, from a few of the capture's
+//! shots.
 
 use super::BuildOptions;
 use super::exposure_times::{Settings, agrees, fit_settled, judge};
-use crate::capture::{
-    Axis, Capture, ExposureFrom, Noise, Pattern, Photograph, ResponseCurve, Samples, Surface, compression_variance,
-};
+use crate::capture::{Axis, Capture, ExposureFrom, Noise, Pattern, Photograph, ResponseCurve, Samples, Surface};
 use crate::progress::Progress;
 use crate::radiance::{
     Bracket, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, Sensor, Stack, decode_spread,
@@ -15,7 +14,6 @@ use crate::{Error, RadianceWarning, Result, Warning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::io::Read;
 
 /// The sensor and the exposures as they were found to be, and what was found on the way.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,22 +43,21 @@ const LOOKS: [usize; 2] = [8, 16];
 const BITS_PER_AXIS: usize = 6;
 /// Pixels of a light sum, half of them on edges.
 const SUM_PIXELS: usize = 6000;
-/// The brightness of a photograph that is off by more is a mistake, in files in proportion to light and in others. A shutter of a good camera
-/// repeats to a per cent; an unknown curve's error is of some.
+/// The brightness of a photograph that is off by more is a mistake, in files in proportion to light and in others. A
+/// shutter of a good camera repeats to a per cent; an unknown curve's error is of some.
 const LINEAR_TOLERANCE: f64 = 0.05;
 const CURVE_TOLERANCE: f64 = 0.15;
 /// The same in standard deviations of the flicker.
 const FLICKER_SIGMA: f64 = 6.0;
 /// Compression scatters the scales of photographs by a tenth of a per cent: only more than this is flicker of the lamp.
 const LEAST_COMPRESSED_FLICKER: f64 = 0.002;
-/// Less than this changes no row by more than a twentieth of a per cent: what else is unknown of it is ten times as much.
+/// Less than this changes no row by more than a twentieth of a per cent: what else is unknown of it is ten times as
+/// much.
 const LEAST_FLICKER: f64 = 0.0005;
-/// How far nominal times are trusted while the curve is estimated (standard deviation of the logarithm): a rounded 1/30 for 1/32 is off by
-/// 6 %, most by less; times that are to be estimated are hardly trusted.
+/// How far nominal times are trusted while the curve is estimated (standard deviation of the logarithm): a rounded 1/30
+/// for 1/32 is off by 6 %, most by less; times that are to be estimated are hardly trusted.
 const NOMINAL_SD: f64 = 0.03;
 const DOUBTED_SD: f64 = 0.3;
-/// Noise of code values that compression acts on, squared code values: about that of a good sensor's mid-greys in 8 bits.
-const CODE_NOISE: f64 = 1.0;
 /// The estimated curve's file, beside `rig.toml`.
 const CURVE_FILE: &str = "response.toml";
 
@@ -70,7 +67,8 @@ impl Radiometry {
         self.sensor_of(block_px(&self.brackets))
     }
 
-    /// ln(actual / stated time) of a photograph as the stacks of the capture tell it, unless its time has been corrected by that.
+    /// ln(actual / stated time) of a photograph as the stacks of the capture tell it, unless its time has been
+    /// corrected by that.
     pub(super) fn unapplied_log_scale(&self, shot: usize, place: usize) -> f64 {
         self.log_scales[shot][place]
     }
@@ -87,7 +85,8 @@ impl Radiometry {
     }
 }
 
-/// Looks at some shots, estimates what is to be estimated, and corrects the photographs' `effective_secs` when asked to.
+/// Looks at some shots, estimates what is to be estimated, and corrects the photographs' `effective_secs` when asked
+/// to.
 ///
 /// # Errors
 /// Those of decoding; [`Error::Field`] for a curve file that cannot be read and a curve that cannot be estimated.
@@ -100,12 +99,9 @@ pub(super) fn calibrate(
     let settings = Settings::of(capture);
     let chosen = choose_shots(capture, &settings);
     let stage = progress.stage("radiometry", chosen.len() + 1);
-    let file = file_noise(capture)?;
-    let mut curve = match &capture.rig.camera.response_curve {
-        ResponseCurve::Linear => None,
-        ResponseCurve::Srgb | ResponseCurve::Estimate => Some(Curve::srgb()),
-        ResponseCurve::File(name) => Some(Curve::read(&capture.rig_path.with_file_name(name))?),
-    };
+    let file = FileNoise::of_capture(capture)?;
+    let is_estimated = capture.rig.camera.response_curve == ResponseCurve::Estimate;
+    let mut curve = if is_estimated { Some(Curve::srgb()) } else { Curve::of_rig(&capture.rig, &capture.rig_path)? };
     let factor = block_px(&capture.brackets);
     let mut sensor = Sensor::with_curve(noise, curve.clone(), file).averaged(factor);
     let stacks: Vec<Stack> = chosen
@@ -120,7 +116,7 @@ pub(super) fn calibrate(
 
     let mut warnings = Vec::new();
     let mut estimate = None;
-    if capture.rig.camera.response_curve == ResponseCurve::Estimate {
+    if is_estimated {
         let found = settle_curve(capture, noise, &stacks, &settings, &sensor, file, options)?;
         curve = Some(found.curve.clone());
         sensor = Sensor::with_curve(noise, curve.clone(), file).averaged(factor);
@@ -182,25 +178,6 @@ fn choose_shots(capture: &Capture, settings: &Settings) -> Vec<usize> {
         }
     }
     chosen.into_iter().collect()
-}
-
-/// More than a JPEG has before its tables, previews included.
-const HEAD_BYTES: u64 = 8 << 20;
-
-/// Bits and compression of the capture's first photograph, which stand for all.
-fn file_noise(capture: &Capture) -> Result<FileNoise> {
-    let Some(first) = capture.brackets.iter().flatten().next() else { return Ok(FileNoise::default()) };
-    // A JPEG's tables are in its head.
-    let mut head = Vec::new();
-    let file = crate::files::open(&first.path).map_err(Error::io("read", &first.path))?;
-    file.take(HEAD_BYTES).read_to_end(&mut head).map_err(Error::io("read", &first.path))?;
-    let compression = compression_variance(&head, CODE_NOISE).unwrap_or_default();
-    let mut row = Samples::U8(vec![]);
-    if compression == [0.0; 3] {
-        Photograph { reduction: None, ..first.clone() }.open()?.read(1, &mut row)?;
-    }
-    let sixteen_bit = matches!(row, Samples::U16(_));
-    Ok(FileNoise { sixteen_bit, compression })
 }
 
 fn settle_curve(
@@ -268,8 +245,9 @@ fn light_sums(capture: &Capture, settings: &Settings, sensor: &Sensor) -> Result
     Ok(sums.into_iter().flatten().collect())
 }
 
-/// How much half the difference of two photographs' light, the second less the first, grows from pixel to pixel along their rows and columns, at some
-/// pixels, R G B: by differences of the fourth order; not at all beside what is saturated.
+/// How much half the difference of two photographs' light, the second less the first, grows from pixel to pixel along
+/// their rows and columns, at some pixels, R G B: by differences of the fourth order; not at all beside what is
+/// saturated.
 fn slopes(samples: [&Samples; 2], picked: &[usize], width: usize, sensor: &Sensor) -> [Vec<f32>; 2] {
     let linear = [0, 1, 2].map(|c| {
         let [pattern, inverse] = samples.map(|s| sensor.linear(s, c));
@@ -352,7 +330,8 @@ mod tests {
     fn pixels_of_light_sums_are_lit_and_half_of_them_show_both_parts() {
         let noise = Noise { black_dn: 0.0, saturation_dn: 200.0, gain_dn_per_electron: 1.0, read_noise_electrons: 1.0 };
         let sensor = Sensor::with_curve(&noise, None, FileNoise::default());
-        // Green only counts: an edge (30 and 40), a lit part alone (3 and 70), the dark frame (1 and 2), a saturated one, a second edge.
+        // Green only counts: an edge (30 and 40), a lit part alone (3 and 70), the dark frame (1 and 2), a saturated
+        // one, a second edge.
         let green = [[30u8, 40, 70], [3, 70, 73], [1, 2, 3], [150, 60, 200], [20, 3, 23]];
         let of = |k: usize| Samples::U8(green.iter().flat_map(|g| [255 - g[k], g[k], 0]).collect());
         let samples = [0, 1, 2].map(of);

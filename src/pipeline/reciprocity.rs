@@ -1,12 +1,15 @@
-//! R_d(a, b) = R_d(b, a), whatever the sample is made of: what two rows say of each other's places must agree. A shot that had less light on
-//! the sample than on the frame, and light of the shot before, do not.
+//! R_d(a, b) = R_d(b, a), whatever the sample is made of: what two rows say of each other's places must agree. A shot
+//! that had less light on the sample than on the frame, light of the shot before, and light that is not the dots', do
+//! not.
+
+mod steady_light;
 
 use super::BuildOptions;
 use super::dots_seen::DotSeen;
 use super::lattice::ShotResult;
 use super::scene::Scene;
 use super::sink::RowSink;
-use crate::capture::Window;
+use crate::capture::{Pattern, Window};
 use crate::geometry::Point;
 use crate::registration::{median, scaled_deviation};
 use crate::transport::Row;
@@ -18,17 +21,22 @@ use std::collections::BTreeMap;
 const LEAST_RADII: f64 = 2.0;
 /// Light that is not so many times its standard deviation is not compared.
 const SEEN_SIGMA: f64 = 6.0;
-/// A shot whose level differs by less, ln, from what others say is not told: beside a boundary of media a dot and a cell, which have not the same
-/// shape, see other shares of it. The largest of the 85 untouched captures of tests/tampered: 0.12.
+/// A shot whose level differs by less, ln, from what others say is not told: beside a boundary of media a dot and a
+/// cell, which have not the same shape, see other shares of it. The largest of the 85 untouched captures of
+/// tests/tampered: 0.12.
 const LEAST_LEVEL: f64 = 0.2;
-/// Single places of a shot that differ by more, ln, are shadowed or lit when there are so many of them, and this share of those that were compared.
+/// Single places of a shot that differ by more, ln, are shadowed or lit when there are so many of them, and this share
+/// of those that were compared.
 const LEAST_PLACE: f64 = 0.35;
 const LEAST_PLACES: usize = 4;
 const PLACES_SHARE: f64 = 0.08;
 /// Light of this share of a dot's own in the place of the dot before is no chance of a medium's structure.
 const LEAST_LAG: f64 = 0.03;
-/// The tails of a row come from deeper than its dot's core, and are displaced the more by an oblique view: by up to so many times as much.
+/// The tails of a row come from deeper than its dot's core, and are displaced the more by an oblique view: by up to so
+/// many times as much.
 const FARTHEST: usize = 4;
+/// Steps along the grid that are looked at.
+const MOST_STEPS: isize = 1000;
 /// What is told is so many standard deviations off.
 const SIGMA: f64 = 6.0;
 /// With fewer values nothing is said; of those that a medium does not reach fewer are enough.
@@ -51,11 +59,27 @@ pub(super) fn judge(
     let pairs = Compared::of(scene, results);
     let seen = pairs.look(scene, rows)?;
     let mut warnings: Vec<Warning> = pairs.lag(&seen).map(|f| options.refuse(f)).transpose()?.into_iter().collect();
-    warnings.extend(pairs.levels(&seen).map(|off| {
-        let shot = scene.photographs.name(scene.lattice()[off.shot]).to_owned();
-        let (level, level_sd) = (off.ln_level.exp(), off.ln_level.exp() * off.sd);
-        ConsistencyWarning::ShotLight { shot, level, level_sd, places: off.places, shots: off.shots }.into()
-    }));
+    // A shadow on one shot is in what all others say of its place.
+    warnings.extend(match (pairs.levels(&seen), steady_light::find(&pairs, &seen)) {
+        (Some(off), _) => {
+            let shot = scene.photographs.name(scene.lattice()[off.shot]).to_owned();
+            let (level, level_sd) = (off.ln_level.exp(), off.ln_level.exp() * off.sd);
+            Some(ConsistencyWarning::ShotLight { shot, level, level_sd, places: off.places, shots: off.shots }.into())
+        }
+        (None, Some(found)) => {
+            let black = scene.photographs.one(|p| matches!(p, Pattern::SampleBlack))?;
+            let at_mm = pairs.lit[found.row].map_or([0.0; 2], |lit| lit.at_mm);
+            let finding = ConsistencyWarning::LightOnSample {
+                shot: scene.photographs.name(black).to_owned(),
+                at_px: scene.registration.view.camera_from_slab(at_mm),
+                share: found.share,
+                share_sd: found.sd,
+                places: found.places,
+            };
+            Some(finding.into())
+        }
+        (None, None) => None,
+    });
     Ok(warnings)
 }
 
@@ -97,7 +121,8 @@ struct Compared {
     lag: Vec<[usize; 2]>,
     shots: usize,
     columns: usize,
-    /// How far beside their places the dots of the capture are seen, mm: from below the surface of an oblique sample, or by an error of registration.
+    /// How far beside their places the dots of the capture are seen, mm: from below the surface of an oblique sample,
+    /// or by an error of registration.
     offset_mm: Point,
 }
 
@@ -105,7 +130,8 @@ struct Compared {
 #[derive(Clone, Default)]
 struct Seen {
     peak: f64,
-    /// Row, light in its place, light as far beside it as dots are seen beside theirs, and twice to [`FARTHEST`] times as far where the window reaches.
+    /// Row, light in its place, light as far beside it as dots are seen beside theirs, and twice to [`FARTHEST`] times
+    /// as far where the window reaches.
     there: Vec<(usize, Vec<Light>)>,
 }
 
@@ -179,31 +205,36 @@ impl Compared {
         (0..self.lit.len()).into_par_iter().map(look).collect()
     }
 
-    /// For each row, ln of its light over that of the rows of other shots between the same places. What all pairs of a displacement have in
-    /// common is no shot's, and taken out: light from depth is seen beside its place.
+    /// For each row, ln of its light over that of the rows of other shots between the same places, without what is
+    /// [`Self::common`].
     fn ratios(&self, seen: &[Seen]) -> Vec<Vec<Ratio>> {
-        let mut pairs: Vec<(usize, [isize; 2], Ratio)> = Vec::new();
+        let common = self.common(seen);
+        let of_row = |k: usize| {
+            let each = self.each_ratio(seen, k);
+            each.filter_map(|(step, r)| Some(Ratio { ln_ratio: r.ln_ratio - common.get(&step)?, ..r })).collect()
+        };
+        (0..seen.len()).map(of_row).collect()
+    }
+
+    /// ln of what all pairs of a displacement have in common, which is no shot's: light from depth is seen beside its
+    /// place.
+    fn common(&self, seen: &[Seen]) -> BTreeMap<[isize; 2], f64> {
         let mut alike: BTreeMap<[isize; 2], Vec<f64>> = BTreeMap::new();
-        for (k, own) in seen.iter().enumerate() {
-            for (j, there) in &own.there {
-                let Some(back) = of(&seen[*j], k) else { continue };
-                let ([light, variance], [back, back_variance]) = (there[1], back[1]);
-                if light.min(back) > SEEN_SIGMA * (variance + back_variance).sqrt() {
-                    let (step, ln_ratio) = (self.step(k, *j), (light / back).ln());
-                    let sd = (variance / (light * light) + back_variance / (back * back)).sqrt();
-                    pairs.push((k, step, Ratio { ln_ratio, sd }));
-                    alike.entry(step).or_default().push(ln_ratio);
-                }
-            }
+        for (step, ratio) in (0..seen.len()).flat_map(|k| self.each_ratio(seen, k)) {
+            alike.entry(step).or_default().push(ratio.ln_ratio);
         }
         alike.retain(|_, all| all.len() >= LEAST_VALUES);
-        let alike: BTreeMap<[isize; 2], f64> =
-            alike.into_iter().map(|(step, mut all)| (step, median(&mut all))).collect();
-        let mut rows: Vec<Vec<Ratio>> = vec![vec![]; seen.len()];
-        for (row, step, ratio) in pairs {
-            rows[row].extend(alike.get(&step).map(|common| Ratio { ln_ratio: ratio.ln_ratio - common, ..ratio }));
-        }
-        rows
+        alike.into_iter().map(|(step, mut all)| (step, median(&mut all))).collect()
+    }
+
+    /// Light of row `k` over that of the rows of other shots between the same places, where both are beyond doubt.
+    fn each_ratio<'a>(&'a self, seen: &'a [Seen], k: usize) -> impl Iterator<Item = ([isize; 2], Ratio)> + 'a {
+        seen[k].there.iter().filter_map(move |(j, there)| {
+            let ([light, variance], [back, back_variance]) = (there[1], of(&seen[*j], k)?[1]);
+            let sd = (variance / (light * light) + back_variance / (back * back)).sqrt();
+            let ratio = || Ratio { ln_ratio: (light / back).ln(), sd };
+            (light.min(back) > SEEN_SIGMA * (variance + back_variance).sqrt()).then(|| (self.step(k, *j), ratio()))
+        })
     }
 
     /// From one row to another, steps of the grid.
@@ -279,7 +310,8 @@ impl Compared {
     }
 }
 
-/// Of groups of ratios those whose median, ln, is off beyond what it is known to and what groups differ by; with its standard deviation.
+/// Of groups of ratios those whose median, ln, is off beyond what it is known to and what groups differ by; with its
+/// standard deviation.
 fn off_levels(groups: &[Vec<Ratio>]) -> Vec<(usize, [f64; 2])> {
     let level = |ratios: &Vec<Ratio>| {
         let mut all: Vec<f64> = ratios.iter().map(|r| r.ln_ratio).collect();
@@ -297,7 +329,8 @@ fn sd_of_median(values: &[f64], median: f64) -> f64 {
     1.25 * scaled_deviation(values.iter().copied(), median) / (values.len() as f64).sqrt()
 }
 
-/// Light of a row in the place of the dot before, less what that dot's row has in its place, over that row's peak; and the latter of it.
+/// Light of a row in the place of the dot before, less what that dot's row has in its place, over that row's peak; and
+/// the latter of it.
 fn excess(seen: &[Seen], [own, before]: [usize; 2]) -> Option<[f64; 2]> {
     let (there, back, peak) = (of(&seen[own], before)?, of(&seen[before], own)?, seen[before].peak);
     // Light from depth displaces all of a row to one side, its tails more than its peak.
@@ -310,25 +343,50 @@ fn of(seen: &Seen, k: usize) -> Option<&[Light]> {
     seen.there.iter().find(|(j, _)| *j == k).map(|(_, light)| light.as_slice())
 }
 
-/// Steps of the grid, in eight directions, to the nearest point that is beyond a dot's edge, to the farthest in the window, and half way.
+/// Steps of the grid, in sixteen directions, to the nearest point that is beyond a dot's edge, to the farthest in the
+/// window, and half way; and to the points in its corners, where there is the least light.
 fn steps(scene: &Scene<'_>) -> Vec<[isize; 2]> {
     let window = &scene.capture.manifest.window;
     let step_mm = scene.steps_mm();
     let least_mm = LEAST_RADII * scene.dot_radius_px() / scene.px_per_mm;
-    let mut steps = Vec::new();
-    for [dx, dy] in [[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]] {
-        let way = [0, 1].map(|a| f64::from(dx) * step_mm[0][a] + f64::from(dy) * step_mm[1][a]);
-        let near = (least_mm / way[0].hypot(way[1])).ceil().max(1.0);
-        // A cell less, for the drift.
-        let reach = |a: usize| (0.5 * window.samples[a] as f64 - 2.0) * window.pitch_mm / way[a].abs();
-        let far = reach(0).min(reach(1)).floor();
-        for k in [near, (0.5 * (near + far)).round(), far] {
-            let step = [dx as isize * k as isize, dy as isize * k as isize];
-            if k >= near && k <= far && !steps.contains(&step) {
-                steps.push(step);
+    let half_mm = window.samples.map(|n| 0.5 * n as f64 * window.pitch_mm);
+    let way = |step: [isize; 2]| [0, 1].map(|a| step[0] as f64 * step_mm[0][a] + step[1] as f64 * step_mm[1][a]);
+    let is_between = |step: [isize; 2]| {
+        let way = way(step);
+        way[0].hypot(way[1]) >= least_mm && (0..2).all(|a| way[a].abs() <= half_mm[a])
+    };
+    let mut steps: Vec<[isize; 2]> = Vec::new();
+    for u in -2isize..=2 {
+        for v in -2isize..=2 {
+            // Directions, each once.
+            if u.abs().max(v.abs()) == 0 || (u % 2 == 0 && v % 2 == 0) {
+                continue;
             }
+            let along = |k: &isize| is_between([u * k, v * k]);
+            let all: Vec<isize> = (1..=MOST_STEPS).skip_while(|k| !along(k)).take_while(along).collect();
+            let some = [all.first(), all.get(all.len() / 2), all.last()];
+            steps.extend(some.into_iter().flatten().map(|k| [u * k, v * k]));
         }
     }
+    for [u, v] in [[1, 1], [1, -1], [-1, 1], [-1, -1]] {
+        let corner = |[i, j]: [isize; 2]| is_between([u * i, v * j]).then_some([u * i, v * j]);
+        let far = |step: &[isize; 2]| way(*step)[0].hypot(way(*step)[1]);
+        let most = [0, 1].map(|a| {
+            (0..=MOST_STEPS)
+                .take_while(|k| {
+                    let only = if a == 0 { [*k, 0] } else { [0, *k] };
+                    (0..2).all(|b| way(only)[b].abs() <= half_mm[b])
+                })
+                .last()
+                .unwrap_or(0)
+        });
+        // The grid may be turned against the window: a step less along either.
+        let near =
+            (0..3).flat_map(|i| (0..3).map(move |j| [most[0] - i, most[1] - j])).filter(|s| s[0] > 0 && s[1] > 0);
+        steps.extend(near.filter_map(corner).max_by(|a, b| far(a).total_cmp(&far(b))));
+    }
+    steps.sort_unstable();
+    steps.dedup();
     steps
 }
 
@@ -337,7 +395,8 @@ fn inside(window: &Window, center_mm: Point, at_mm: Point) -> bool {
     (0..2).all(|a| (at_mm[a] - center_mm[a]).abs() <= 0.5 * window.samples[a] as f64 * window.pitch_mm)
 }
 
-/// Light of a row in a place: the sum of the channels, linear between cells. `None` outside and beside cells that were not measured.
+/// Light of a row in a place: the sum of the channels, linear between cells. `None` outside and beside cells that were
+/// not measured.
 fn light_at(row: &Row, window: &Window, center_mm: Point, at_mm: Point) -> Option<Light> {
     let [nx, ny] = window.samples;
     let u: Point = std::array::from_fn(|a| {
@@ -436,6 +495,30 @@ mod tests {
         let all = (0..35).filter(|k| k % 7 == 3).map(|k| pairs.asked[k].len()).sum();
         assert_eq!((found.shot, found.places, found.shots), (3, Some([pairs.asked[17].len(), all]), 1));
         assert!((found.ln_level.exp() / 0.5 - 1.0).abs() < 0.03, "{found:?}");
+    }
+
+    #[test]
+    fn light_that_all_shots_have_in_one_place_is_that_of_the_place_and_neither_a_level_nor_a_shadow_is() {
+        let pairs = pairs();
+        let lit = |light: f64, places: &[usize]| {
+            let mut seen = seen(&pairs, |_, _| 1.0);
+            let all = seen.iter_mut().flat_map(|s| &mut s.there).filter(|(j, _)| places.contains(j));
+            all.for_each(|(_, there)| there.iter_mut().for_each(|l| l[0] += 1.5 * light));
+            steady_light::find(&pairs, &seen)
+        };
+        assert_eq!(lit(0.0, &[]), None);
+        for places in [&[17][..], &[3, 4, 10], &[0]] {
+            let found = lit(0.05, places).unwrap();
+            assert!(places.contains(&found.row) && found.places == places.len(), "{found:?}");
+            // The pairs' own per cent of light that is up to a fifth of the peak.
+            assert!((found.share - 0.05).abs() < 0.004 && found.sd < 0.004, "{found:?}");
+        }
+        for (shot, level) in [(0, 0.5), (16, 0.6), (34, 1.7)] {
+            let seen = seen(&pairs, |k, _| if k == shot { level } else { 1.0 });
+            assert_eq!(steady_light::find(&pairs, &seen), None);
+        }
+        let shadow = |k: usize, j: usize| if k == 17 && j > 17 && j % 7 > 2 { 0.4 } else { 1.0 };
+        assert_eq!(steady_light::find(&pairs, &seen(&pairs, shadow)), None);
     }
 
     #[test]

@@ -1,11 +1,13 @@
-//! Photographs against the checksums that were recorded when the capture was made. They are hashed anyway, when they are read.
+//! Photographs against the checksums that were recorded when the capture was made. They are hashed anyway, when they
+//! are read.
 
 use super::BuildOptions;
 use super::photographs::Photographs;
 use crate::{ConsistencyWarning, Error, Result, Warning};
 use std::collections::BTreeMap;
 
-/// The result of a build with what became of its photographs: as the cause of an error, or as an error where they are not accepted.
+/// The result of a build with what became of its photographs: as the cause of an error, or as an error where they are
+/// not accepted.
 ///
 /// Not looked at: photographs that were not read, as `check` leaves most of a sweep.
 pub(super) fn with_changed<T>(

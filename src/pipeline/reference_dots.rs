@@ -1,4 +1,5 @@
-//! What the reference dots on the opaque frame tell of each lattice shot: the lamp's level and colour, a dot that is covered, how sharp they are.
+//! What the reference dots on the opaque frame tell of each lattice shot: the lamp's level and colour, a dot that is
+//! covered, how sharp they are.
 
 use super::BuildOptions;
 use super::scene::{STILL, Scene};
@@ -17,7 +18,8 @@ pub(super) struct Level {
     pub(super) variance: f64,
     /// Variance of the mean itself.
     mean_variance: f64,
-    /// The last shots' light over the first ones', where the lamp changes over the sweep; the mean is that of the first then.
+    /// The last shots' light over the first ones', where the lamp changes over the sweep; the mean is that of the first
+    /// then.
     pub(super) drift: Option<f64>,
 }
 
@@ -35,11 +37,13 @@ pub(super) struct DotsShow {
     pub spread_px2: Option<f64>,
 }
 
-/// A shot's light that is off by more standard deviations than this of what shots differ by, and by this share, is another level of the lamp.
+/// A shot's light that is off by more standard deviations than this of what shots differ by, and by this share, is
+/// another level of the lamp.
 const LAMP_SIGMA: f64 = 6.0;
 const LEAST_LAMP: f64 = 0.01;
 
-/// A reference dot that is off by more than this share and by `LAMP_SIGMA` from what the others of its shot say is covered, or dirty.
+/// A reference dot that is off by more than this share and by `LAMP_SIGMA` from what the others of its shot say is
+/// covered, or dirty.
 const STRANGE_DOT: f64 = 0.1;
 /// Channels that differ by more than this share and by `LAMP_SIGMA` are of another white balance or order.
 const LEAST_COLOUR: f64 = 0.03;
@@ -100,8 +104,8 @@ impl Level {
         &self.mean
     }
 
-    /// From now on levels are over the light that the references say, of which the mean is `level` times, known to a relative standard
-    /// deviation of `relative_sd`.
+    /// From now on levels are over the light that the references say, of which the mean is `level` times, known to a
+    /// relative standard deviation of `relative_sd`.
     pub(super) fn anchor(&mut self, level: f64, relative_sd: f64) {
         self.mean.iter_mut().flatten().for_each(|m| *m /= level);
         self.mean_variance += relative_sd * relative_sd;
@@ -147,8 +151,8 @@ impl Level {
         (differ(r, g) || differ(g, b) || differ(r, b)).then_some([1.0 + r.0, 1.0 + g.0, 1.0 + b.0])
     }
 
-    /// What is taken out of a shot: its whole level where that is more than shots usually differ by, else the level drawn towards zero; `None` for
-    /// a capture whose shots do not differ.
+    /// What is taken out of a shot: its whole level where that is more than shots usually differ by, else the level
+    /// drawn towards zero; `None` for a capture whose shots do not differ.
     pub(super) fn scale_of(&self, light: &DotLight) -> Option<Scale> {
         let (level, variance) = self.measured(light)?;
         let usual = (self.variance + variance + self.mean_variance).sqrt();
@@ -184,7 +188,8 @@ pub(super) struct SeenDots {
 }
 
 impl SeenDots {
-    /// Whether dots were as sharp and as far apart in the last shots as in the first: else the light around their middles changes, too.
+    /// Whether dots were as sharp and as far apart in the last shots as in the first: else the light around their
+    /// middles changes, too.
     pub(super) fn are_steady(shots: &[Self]) -> bool {
         let steady = |of: &dyn Fn(&Self) -> Option<f64>, least: f64| {
             let all: Vec<f64> = shots.iter().filter_map(of).collect();
@@ -197,7 +202,8 @@ impl SeenDots {
 
 /// Dots whose mean square width is off by this share are of another focus.
 pub(super) const WIDER: f64 = 0.2;
-/// Dots that are farther apart by this share are seen through another zoom: far beyond what centroids of dots some ten pixels apart say.
+/// Dots that are farther apart by this share are seen through another zoom: far beyond what centroids of dots some ten
+/// pixels apart say.
 pub(super) const LEAST_SCALE: f64 = 0.003;
 
 /// Medians of the first and of the last third of a sweep; 0 for none.
@@ -226,11 +232,12 @@ pub(super) fn reference_light(scene: &Scene<'_>, seen: &[Bracket]) -> Option<See
     Some(SeenDots { light, spread_px2, scale: drift.scale.map(|s| s[0]) })
 }
 
-/// Reference dots have this share of the width at the least that the board's blur and their own size give them (untouched ones 0.98 at blurs up to 2 px).
+/// Reference dots have this share of the width at the least that the board's blur and their own size give them
+/// (untouched ones 0.98 at blurs up to 2 px).
 const BOARD_WIDTH: f64 = 0.75;
 
-/// Whether the board is blurred more than the reference dots, whose mean square width is `width_px2`: the blur that is taken out of the rows is the
-/// board's.
+/// Whether the board is blurred more than the reference dots, whose mean square width is `width_px2`: the blur that is
+/// taken out of the rows is the board's.
 ///
 /// # Errors
 /// [`crate::Error::Contradiction`].
@@ -261,7 +268,8 @@ fn gaussian_width(sd_px: f64, reach: f64) -> f64 {
     2.0 * sd_px * sd_px * (1.0 - u / u.exp_m1())
 }
 
-/// Mean square distance of the light within `reach` of a dot's middle from it, px²; `None` where some of it was not measured.
+/// Mean square distance of the light within `reach` of a dot's middle from it, px²; `None` where some of it was not
+/// measured.
 fn spread_around(picture: &Radiance, at: Point, reach: f64) -> Option<f64> {
     let Rect { x, y, width, .. } = picture.rect;
     let light = picture.luminance();
@@ -278,7 +286,8 @@ fn spread_around(picture: &Radiance, at: Point, reach: f64) -> Option<f64> {
     (sum > 0.0).then(|| square / sum)
 }
 
-/// Light within a square of half side `reach`, its border pixels by their share, so that it does not jump when a dot moves.
+/// Light within a square of half side `reach`, its border pixels by their share, so that it does not jump when a dot
+/// moves.
 fn light_around(scene: &Scene<'_>, picture: &Radiance, at: Point, reach: f64) -> [Option<[f64; 2]>; 3] {
     let Rect { x, y, width, height } = picture.rect;
     let mut sum = [Some([0.0; 2]); 3];
@@ -344,7 +353,8 @@ mod tests {
     fn an_anchored_level_is_over_the_light_of_the_references() {
         let mut level = Level::of(&[0.0, 0.01, -0.01, 0.0].map(|l| light(l, 5e-5)), true).unwrap();
         let before = level.mean_variance;
-        // The dots of these shots have four fifths of the light that the references say: a quarter more is as these have it.
+        // The dots of these shots have four fifths of the light that the references say: a quarter more is as these
+        // have it.
         level.anchor(0.8, 0.01);
         assert!(level.measured(&light(0.25, 5e-5)).unwrap().0.abs() < 1e-9);
         assert!((level.measured(&light(0.0, 5e-5)).unwrap().0 + 0.2).abs() < 1e-9);

@@ -34,8 +34,8 @@ pub(super) struct References {
     pub warnings: Vec<Warning>,
 }
 
-/// The level of the white reference over that of the Gray code is told when it is off by more than this and by so many of its standard
-/// deviations, and refused from [`REFUSED_LEVEL`] on.
+/// The level of the white reference over that of the Gray code is told when it is off by more than this and by so many
+/// of its standard deviations, and refused from [`REFUSED_LEVEL`] on.
 const LEAST_LEVEL: f64 = 0.01;
 const LEVEL_SIGMA: f64 = 6.0;
 /// A pixel of the sample's place that differs by more than this from the mean around is no part of an evenly lit white.
@@ -44,8 +44,8 @@ const UNEVEN: f32 = 0.25;
 const DARKEST: f32 = 0.15;
 
 impl References {
-    /// Counts even light that black shots do not have to the uncertainty of the ambient light: `dn_per_sec`, the same error in all pixels of a
-    /// cell of `cell_px` a side, so many times what averaging them would leave.
+    /// Counts even light that black shots do not have to the uncertainty of the ambient light: `dn_per_sec`, the same
+    /// error in all pixels of a cell of `cell_px` a side, so many times what averaging them would leave.
     pub(super) fn doubt_ambient(&mut self, dn_per_sec: f64, cell_px: f64) {
         let added = (dn_per_sec * cell_px).powi(2) as f32;
         self.ambient.variance.iter_mut().for_each(|v| *v += added);
@@ -126,8 +126,8 @@ struct Level {
     variance_of_mean: f64,
 }
 
-/// Gray-code patterns with their inverses over the white reference: each pair adds up to white and black. `None` with fewer than three
-/// pairs, and where they are not the white reference's at all.
+/// Gray-code patterns with their inverses over the white reference: each pair adds up to white and black. `None` with
+/// fewer than three pairs, and where they are not the white reference's at all.
 ///
 /// The median over pixels, so that those that some exposure did not measure do not matter.
 fn white_level(sums: &[Vec<f32>], white: &Radiance, black: &Radiance) -> Option<Level> {
@@ -151,7 +151,8 @@ fn white_level(sums: &[Vec<f32>], white: &Radiance, black: &Radiance) -> Option<
 
 /// Light of the sample under black over that of the white reference under black: no sample is as dark.
 const DARKEST_BLACK: f64 = 0.01;
-/// Reference dots in the black shot with more than this share of the white reference's light come from a lattice, not from black.
+/// Reference dots in the black shot with more than this share of the white reference's light come from a lattice, not
+/// from black.
 const BLACK_DOT: f64 = 0.05;
 
 /// Reference shots that show something else than they should, by their light where the sample lies.
@@ -219,10 +220,12 @@ fn exchanged(
     Ok(None)
 }
 
-/// A pixel of the white reference that differs by more than this from what Gray-code patterns and their inverses add up to there.
+/// A pixel of the white reference that differs by more than this from what Gray-code patterns and their inverses add up
+/// to there.
 const UNLIKE_SUM: f32 = 0.1;
 
-/// Share of the sample's place where the white reference is not what the Gray code's light adds up to, all over alike taken out.
+/// Share of the sample's place where the white reference is not what the Gray code's light adds up to, all over alike
+/// taken out.
 fn unlike_sums(sums: &[Vec<f32>], white: &Radiance, inside: &impl Fn(usize, usize) -> bool) -> f64 {
     let (light, w) = (white.luminance(), white.rect.width);
     let brightest = sums.iter().flatten().copied().fold(0.0, f32::max);
@@ -325,7 +328,8 @@ mod tests {
     #[test]
     fn the_level_of_the_white_reference_is_that_of_gray_code_patterns_with_their_inverses() {
         let found = level(&[1.02, 1.05, 0.99, 1.06]).unwrap();
-        // Mean 1.03; of four deviations −1, 2, −4, 3 per cent, Σ² / 3. One pixel that is wrong in all of them is not the median's. f32.
+        // Mean 1.03; of four deviations −1, 2, −4, 3 per cent, Σ² / 3. One pixel that is wrong in all of them is not
+        // the median's. f32.
         assert!((found.mean - 1.03).abs() < 1e-5, "{found:?}");
         assert!((found.sd.powi(2) / (30e-4 / 3.0) - 1.0).abs() < 1e-3, "{found:?}");
         assert!((4.0 * found.variance_of_mean / found.sd.powi(2) - 1.0).abs() < 1e-9);

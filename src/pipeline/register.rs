@@ -122,8 +122,8 @@ fn stripe_warnings(fit: &StripeFit) -> impl Iterator<Item = RegistrationWarning>
 /// Of two fits, one whose RMS is larger by this factor does not count.
 const WORSE: f64 = 2.0;
 
-/// The shots of the pattern and its inverse that, exchanged, make the Gray code fit with all dots on the slab. `None` when it fits as it is, when no
-/// pair does, or when more than one does.
+/// The shots of the pattern and its inverse that, exchanged, make the Gray code fit with all dots on the slab. `None`
+/// when it fits as it is, when no pair does, or when more than one does.
 ///
 /// # Errors
 /// Those of [`register`] but for the Gray code.
@@ -170,8 +170,8 @@ pub(super) fn exchanged_pair(photographs: &Photographs<'_>) -> Result<Option<[us
     Ok(shot(false).zip(shot(true)).map(|(pattern, inverse)| [pattern, inverse]))
 }
 
-/// The board gives a plane, the frame's marks the plane as the sample really lies; the lens is fitted to all of them together, and to
-/// boards in other poses where there are any.
+/// The board gives a plane, the frame's marks the plane as the sample really lies; the lens is fitted to all of them
+/// together, and to boards in other poses where there are any.
 fn camera_view(
     photographs: &Photographs<'_>,
 ) -> Result<(ViewFit, LensChoice, Option<PointSpread>, Vec<RegistrationWarning>)> {
@@ -229,7 +229,8 @@ fn camera_view(
     if first.is_some() && has_board {
         warnings.extend(board_elsewhere(photographs, &fits[1].view, &fits[0]));
     }
-    // Boards come after the frame; the first of them, in the sample's plane if there is one, tells how sharp the picture is.
+    // Boards come after the frame; the first of them, in the sample's plane if there is one, tells how sharp the
+    // picture is.
     let seen = &fits[usize::from(first.is_some() && fits.len() > 1)].view;
     let point_spread = sharp.and_then(|(picture, board)| measure_point_spread(&picture, board, seen));
     // All of it was in finer pixels.

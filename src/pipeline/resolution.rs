@@ -8,13 +8,14 @@ use crate::registration::{Pairs, find_board, fit_lens_of_views, register_frame};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 
-/// Camera pixels across an outgoing sample below which photographs are not reduced any further. From 8 on the matrix is as good as at full
-/// resolution (docs/accuracy.md).
+/// Camera pixels across an outgoing sample below which photographs are not reduced any further. From 8 on the matrix is
+/// as good as at full resolution (docs/accuracy.md).
 const LEAST_PX: f64 = 8.0;
 /// The first look is at a picture of about so many pixels: a board of some hundred squares is found in it.
 const LOOK_PX: usize = 1000;
 
-/// Stripes and dots keep so many pixels: as narrow as `patterns` makes stripes, and what a dot has at three pixels a sample.
+/// Stripes and dots keep so many pixels: as narrow as `patterns` makes stripes, and what a dot has at three pixels a
+/// sample.
 const STRIPE_PX: f64 = 6.0;
 const DOT_PX: f64 = 2.0;
 /// A lattice fills a half of the slab's side or more.
@@ -41,7 +42,8 @@ pub struct Working {
     pub px_per_sample: Option<f64>,
 }
 
-/// Chooses it. Photographs whose code values are not in proportion to light are not reduced: means of such code values are not those of light.
+/// Chooses it. Photographs whose code values are not in proportion to light are not reduced: means of such code values
+/// are not those of light.
 ///
 /// # Errors
 /// [`Error::Setting`] for a resolution that is not positive; those of decoding.
@@ -92,7 +94,8 @@ fn at_most(capture: &Capture) -> f64 {
     picture / width.max(height) * capture.manifest.window.pitch_mm
 }
 
-/// Camera pixels in a mm at the slab's centre, from a small picture of the board or of the frame; `None` when neither is found in any.
+/// Camera pixels in a mm at the slab's centre, from a small picture of the board or of the frame; `None` when neither
+/// is found in any.
 fn px_per_mm(capture: &Capture, noise: &Noise) -> Result<Option<f64>> {
     let [width, height] = capture.rig.camera.size_px;
     let mut factor = width.max(height).div_ceil(LOOK_PX).max(1);

@@ -1,7 +1,9 @@
-//! Lattice shots that a stopped run has measured: their rows wait in the matrix's scratch folder, what else is known of them in lines beside.
+//! Lattice shots that a stopped run has measured: their rows wait in the matrix's scratch folder, what else is known of
+//! them in lines beside.
 //!
-//! What comes before the lattice shots is done again, once a capture; from that and the files that were read for it a key is made, so that shots are
-//! taken over only where all that they are measured against is the same. Their own photographs are known by their BLAKE3.
+//! What comes before the lattice shots is done again, once a capture; from that and the files that were read for it a
+//! key is made, so that shots are taken over only where all that they are measured against is the same. Their own
+//! photographs are known by their BLAKE3.
 
 use super::lattice::{LightCorrections, ShotResult};
 use super::photographs::Said;
@@ -13,7 +15,8 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 
-/// A measured shot: its number in the manifest, what its photographs have said, the BLAKE3 of its rows in the order of its dots.
+/// A measured shot: its number in the manifest, what its photographs have said, the BLAKE3 of its rows in the order of
+/// its dots.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct MeasuredShot {
     shot: usize,
@@ -84,7 +87,8 @@ impl Resumed {
     }
 }
 
-/// Of all that lattice shots are measured against. Pictures of references are in it by the files that they were made of.
+/// Of all that lattice shots are measured against. Pictures of references are in it by the files that they were made
+/// of.
 fn key(scene: &Scene<'_>, light: &LightCorrections) -> Result<String> {
     let (capture, references) = (scene.capture, scene.references);
     let times: Vec<Vec<f64>> =

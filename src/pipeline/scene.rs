@@ -9,7 +9,8 @@ use crate::radiance::{Bracket, Radiance, mend};
 use crate::registration::Registration;
 use crate::{Error, Result};
 
-/// Outgoing samples around a dot's expected place in which it is searched, and pixels at the least: what a bench that was touched moves by.
+/// Outgoing samples around a dot's expected place in which it is searched, and pixels at the least: what a bench that
+/// was touched moves by.
 const DRIFT_SEARCH_SAMPLES: f64 = 8.0 / 3.0;
 const LEAST_SEARCH_PX: f64 = 8.0;
 /// What a centroid needs around a dot, px.
@@ -71,7 +72,8 @@ impl<'a> Scene<'a> {
         dots.map(|&p| self.registration.slab_from_projector.map(p)).collect()
     }
 
-    /// Radiance of a part of a bracket for a camera that has moved by `camera_px`, ambient light subtracted, hot photosites mended.
+    /// Radiance of a part of a bracket for a camera that has moved by `camera_px`, ambient light subtracted, hot
+    /// photosites mended.
     pub(super) fn picture(&self, bracket: &Bracket, part: Rect, camera_px: Point) -> Radiance {
         let mut picture = bracket.merge(part, &self.photographs.sensor);
         match camera_px {
@@ -97,7 +99,8 @@ impl<'a> Scene<'a> {
         self.lattice().iter().filter_map(|&shot| self.shot_spacing(shot)).reduce(f64::min)
     }
 
-    /// The smallest distance (larger of the two axes) between dots of a shot, in outgoing samples; `None` for a single dot.
+    /// The smallest distance (larger of the two axes) between dots of a shot, in outgoing samples; `None` for a single
+    /// dot.
     pub(super) fn shot_spacing(&self, shot: usize) -> Option<f64> {
         let grid = &self.capture.manifest.grid;
         let first = self.nominal_mm([0, 0]);
@@ -172,7 +175,8 @@ pub(super) fn square(at: Point, radius: f64, size_px: [usize; 2]) -> Option<Rect
     Some(Rect { x, y, width, height })
 }
 
-/// The pixels of `rect`, which must lie in the picture, had it moved by `moved_px`: cubic between pixels (Catmull and Rom), clamped at the border.
+/// The pixels of `rect`, which must lie in the picture, had it moved by `moved_px`: cubic between pixels (Catmull and
+/// Rom), clamped at the border.
 ///
 /// Between pixels noise is averaged; its variance is kept as it was, which is too much by a third at the most.
 pub(super) fn moved_part(picture: &Radiance, rect: Rect, moved_px: Point) -> Radiance {

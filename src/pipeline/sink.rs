@@ -18,7 +18,8 @@ pub(super) trait RowSink: Sync {
     /// Row `index`, as it was kept last.
     fn row(&self, index: usize) -> Result<Row>;
 
-    /// What a stopped run has measured with the same `key`, and where to add what this one has. Sinks in memory have neither.
+    /// What a stopped run has measured with the same `key`, and where to add what this one has. Sinks in memory have
+    /// neither.
     fn earlier(&self, key: &str) -> Result<Option<(WorkLog, Earlier<MeasuredShot>)>>;
 
     /// Takes measured rows of that run; says whether they are what it has written, by their BLAKE3.

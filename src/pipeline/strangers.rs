@@ -1,4 +1,5 @@
-//! Photographs that do not show what the others of their shot show: what they look like instead, and whether the capture can be believed.
+//! Photographs that do not show what the others of their shot show: what they look like instead, and whether the
+//! capture can be believed.
 
 use super::BuildOptions;
 use super::looks::looks;
@@ -10,7 +11,8 @@ use crate::{ConsistencyWarning, Error, Result, Warning};
 
 /// So many photographs have to end at the same code.
 const LEAST_CLIPPED: usize = 3;
-/// Of the shots of a kind that have such a photograph, more than this share are a fault of the set-up, not of a photograph.
+/// Of the shots of a kind that have such a photograph, more than this share are a fault of the set-up, not of a
+/// photograph.
 const SINGLE_SHARE: f64 = 0.2;
 
 /// What more than half of the lattice shots have is a mistake in the rig's figures rather than in photographs.
@@ -19,7 +21,8 @@ const ALL_DO: &str = " (as most shots have one: camera.response, noise.saturatio
 /// What came of the stages, with what is to be told of such photographs. Where they failed, it is because of them.
 ///
 /// # Errors
-/// [`crate::Error::Contradiction`]; those of decoding; that of the stages when there are no such photographs, or when they are accepted.
+/// [`crate::Error::Contradiction`]; those of decoding; that of the stages when there are no such photographs, or when
+/// they are accepted.
 pub(super) fn with_findings<T>(
     photographs: &Photographs<'_>,
     options: &BuildOptions,
@@ -59,8 +62,8 @@ fn clipping(photographs: &Photographs<'_>, options: &BuildOptions) -> Result<Opt
 /// What to tell of them.
 ///
 /// # Errors
-/// [`crate::Error::Contradiction`] when it is not known which photograph is right, or when so many do not agree that no single mistake
-/// explains it; those of decoding.
+/// [`crate::Error::Contradiction`] when it is not known which photograph is right, or when so many do not agree that no
+/// single mistake explains it; those of decoding.
 fn judge(photographs: &Photographs<'_>, options: &BuildOptions) -> Result<Option<Warning>> {
     let strangers = photographs.strangers()?;
     // The worst is told: what it looks like is seen best.

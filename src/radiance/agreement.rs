@@ -13,7 +13,8 @@ pub struct Disagreement {
     pub or: Option<usize>,
     /// Share of the samples with light that differ, of all pairs with that photograph, 0 to 1.
     pub share: f64,
-    /// How many times as bright as the others say it is, when it shows the same and is brighter or darker alike all over.
+    /// How many times as bright as the others say it is, when it shows the same and is brighter or darker alike all
+    /// over.
     pub factor: Option<f64>,
 }
 
@@ -26,15 +27,16 @@ pub struct Brightness<'a> {
     pub tolerance: f64,
 }
 
-/// Light that is this many standard deviations of its noise above none is told from none, and a difference of as many is no noise: one sample
-/// in 10⁹.
+/// Light that is this many standard deviations of its noise above none is told from none, and a difference of as many
+/// is no noise: one sample in 10⁹.
 const SIGMA: f32 = 6.0;
-/// Relative difference that is put down to what noise does not hold: photosites, the response curve, a lens that breathes.
+/// Relative difference that is put down to what noise does not hold: photosites, the response curve, a lens that
+/// breathes.
 const TOLERANCE: f32 = 0.08;
 /// Lossy compression moves the light of a sharp edge about by its own rules.
 const COMPRESSED_TOLERANCE: f32 = 0.25;
-/// Share of differing samples that is a contradiction. Untouched stacks of the simulated benches have a thousandth at the most
-/// (`tests/tampered`), a photograph of another pattern has half or more.
+/// Share of differing samples that is a contradiction. Untouched stacks of the simulated benches have a thousandth at
+/// the most (`tests/tampered`), a photograph of another pattern has half or more.
 const LEAST_SHARE: f64 = 0.02;
 /// The same as a number of samples: fewer are a defect of the sensor or a cosmic ray.
 const LEAST_SAMPLES: u64 = 30;
@@ -49,7 +51,8 @@ struct Pair {
     /// Samples in which one of the two has light that the other had to show.
     lit: u64,
     differ: u64,
-    /// ln of how much more light than expected the second has per time than the first, when that is more than tolerated.
+    /// ln of how much more light than expected the second has per time than the first, when that is more than
+    /// tolerated.
     log_factor: Option<f64>,
 }
 
@@ -69,14 +72,15 @@ impl Pair {
 
 /// The photographs of a stack that do not show what the others show, worst first.
 ///
-/// Each two are compared sample by sample, one time corrected against the other by the median of their ratios: what is unsaturated and
-/// above noise in one has to be in the other within its noise and 8 % (25 % where files are compressed); what saturates in one bounds
-/// the other. `parts` are rectangles of one shot, the same photographs in each, sorted by time; `stride` leaves out all but every so many
-/// blocks of pixels.
+/// Each two are compared sample by sample, one time corrected against the other by the median of their ratios: what is
+/// unsaturated and above noise in one has to be in the other within its noise and 8 % (25 % where files are
+/// compressed); what saturates in one bounds the other. `parts` are rectangles of one shot, the same photographs in
+/// each, sorted by time; `stride` leaves out all but every so many blocks of pixels.
 ///
 /// Of three photographs or more the one is named without which the others agree.
 ///
-/// Not detected: movements of less than about a tenth of the width of what is seen; differences below noise or of few samples.
+/// Not detected: movements of less than about a tenth of the width of what is seen; differences below noise or of few
+/// samples.
 pub fn disagreements(
     parts: &[&[Exposure]],
     sensor: &Sensor,
@@ -187,7 +191,8 @@ impl Ratio {
 pub(super) fn median_ratio([first, second]: [&LinearLight; 2], sensor: &Sensor) -> Option<Ratio> {
     let top = top(sensor);
     let (t, u) = (first.secs, second.secs);
-    // Where noise is less than a code value, rounding makes ratios of small values too large or too small, and so does black.
+    // Where noise is less than a code value, rounding makes ratios of small values too large or too small, and so does
+    // black.
     let least = if sensor.range() >= 100.0 && !sensor.is_curved() { LEAST_LEVEL_DN } else { 0.0 };
     let ratio = |(k, (&y, &z)): (usize, (&f32, &f32))| {
         let light = (y + z) / (t + u);
@@ -206,16 +211,18 @@ pub(super) fn median_ratio([first, second]: [&LinearLight; 2], sensor: &Sensor) 
     Some(Ratio { median, samples: ratios.len() })
 }
 
-/// A pile of equal code values holds as many at least as this, and so many times what the codes of the hundredth below it do on average.
+/// A pile of equal code values holds as many at least as this, and so many times what the codes of the hundredth below
+/// it do on average.
 const LEAST_PILE: usize = 16;
 const PILE_GAIN: f64 = 8.0;
 /// Noise in which values do not pile up by themselves, DN.
 const LEAST_NOISE_DN: f32 = 0.25;
 
-/// The code value at which a photograph's values pile up below the saturation of the rig, DN: it clips there. `None` when it does not, and when
-/// its noise there is so small that values are equal anyway.
+/// The code value at which a photograph's values pile up below the saturation of the rig, DN: it clips there. `None`
+/// when it does not, and when its noise there is so small that values are equal anyway.
 ///
-/// `parts` are rectangles of it. Means of blocks pile up where all pixels of a block clip. Not detected: where a response curve ends below.
+/// `parts` are rectangles of it. Means of blocks pile up where all pixels of a block clip. Not detected: where a
+/// response curve ends below.
 pub fn pile_up(parts: &[&Samples], sensor: &Sensor) -> Option<f64> {
     if sensor.is_curved() {
         return None;

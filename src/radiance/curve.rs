@@ -4,6 +4,7 @@ mod estimate;
 
 pub use estimate::{CurveEstimate, CurveOptions, LightSum, estimate_curve};
 
+use crate::capture::{ResponseCurve, Rig};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -44,8 +45,22 @@ impl Curve {
         Self { channels: vec![Channel::new(linear, vec![0.0; CODES])] }
     }
 
-    /// From tables of `CODES` strictly increasing values (one, or one a channel) and their relative standard deviations.
-    /// `None` unless they are.
+    /// The curve that `camera.response` of a rig says, `rig_path`, whose folder has the curve's file; `None` is a linear
+    /// one.
+    ///
+    /// # Errors
+    /// Those of [`Self::read`]; [`Error::Field`] for `"estimate"`.
+    pub fn of_rig(rig: &Rig, rig_path: &Path) -> Result<Option<Self>> {
+        match &rig.camera.response_curve {
+            ResponseCurve::Linear => Ok(None),
+            ResponseCurve::Srgb => Ok(Some(Self::srgb())),
+            ResponseCurve::File(name) => Self::read(&rig_path.with_file_name(name)).map(Some),
+            ResponseCurve::Estimate => Err(Error::field(rig_path, "camera.response", "a known curve", "\"estimate\"")),
+        }
+    }
+
+    /// From tables of `CODES` strictly increasing values (one, or one a channel) and their relative standard
+    /// deviations. `None` unless they are.
     pub fn new(linear: Vec<Vec<f64>>, relative_sd: Vec<Vec<f64>>) -> Option<Self> {
         let whole = |table: &Vec<f64>| table.len() == CODES && table.iter().all(|v| v.is_finite());
         let rises = |table: &Vec<f64>| table.windows(2).all(|w| w[1] > w[0]);
@@ -242,7 +257,8 @@ mod tests {
     #[test]
     fn between_codes_the_curve_is_the_monotone_cubic_with_harmonic_slopes() {
         let curve = three();
-        // Of squares, steps before and after code k are 2k − 1 and 2k + 1 (over 255): their harmonic mean, and the Hermite cubic.
+        // Of squares, steps before and after code k are 2k − 1 and 2k + 1 (over 255): their harmonic mean, and the
+        // Hermite cubic.
         let slope = |k: f64| 2.0 * (2.0 * k - 1.0) * (2.0 * k + 1.0) / (4.0 * k) / 255.0;
         for (k, t) in [(4.0, 0.3), (90.0, 0.5), (200.0, 0.9)] {
             let (a, b) = (k * k / 255.0, (k + 1.0) * (k + 1.0) / 255.0);
@@ -256,7 +272,8 @@ mod tests {
             // Codes of light are linear between those of the table.
             assert!((curve.code_at(0, a + t * (b - a)) - k - t).abs() < 1e-9, "{k} {t}");
         }
-        // At its ends the slope is that of the only step: of the first 1/255, of the second 3/255, of the last two 507/255 and 509/255.
+        // At its ends the slope is that of the only step: of the first 1/255, of the second 3/255, of the last two
+        // 507/255 and 509/255.
         let (t, second) = (0.25f64, 2.0 * 1.0 * 3.0 / 4.0 / 255.0);
         let (t2, t3) = (t * t, t * t * t);
         let first = (t3 - 2.0 * t2 + t) / 255.0 + (3.0 * t2 - 2.0 * t3) / 255.0 + (t3 - t2) * second;

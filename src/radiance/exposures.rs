@@ -31,7 +31,8 @@ const MARGIN_SIGMA: f32 = 4.0;
 const OUTLIER_SIGMA: f32 = 5.0;
 /// While scales are known from medians only, a residual may be as large as one that is two thirds of a stop off.
 const LOOSE: f32 = 0.6;
-/// Prior standard deviation of ln(actual / stated) about what medians say: a stop. Only what is not measured at all is held by it.
+/// Prior standard deviation of ln(actual / stated) about what medians say: a stop. Only what is not measured at all is
+/// held by it.
 const PRIOR_SD: f64 = 0.7;
 const ITERATIONS: usize = 5;
 
@@ -49,12 +50,13 @@ impl Sums {
     }
 }
 
-/// Log scales of a stack's photographs by weighted least squares: at each pixel y_j = L t_j exp(δ_j), with L eliminated.
+/// Log scales of a stack's photographs by weighted least squares: at each pixel y_j = L t_j exp(δ_j), with L
+/// eliminated.
 ///
-/// Weights are signal² / variance at the pooled light, so that a residual and its weight are uncorrelated. Only values that the other
-/// exposures predict to be unsaturated and above noise count. `parts` are rectangles of one shot, the
-/// same photographs in each. `stride` leaves out all but every so many blocks of pixels.
-/// `None` with fewer than two exposures or nothing that two of them measured.
+/// Weights are signal² / variance at the pooled light, so that a residual and its weight are uncorrelated. Only values
+/// that the other exposures predict to be unsaturated and above noise count. `parts` are rectangles of one shot, the
+/// same photographs in each. `stride` leaves out all but every so many blocks of pixels. `None` with fewer than two
+/// exposures or nothing that two of them measured.
 ///
 /// Not detected: light that changes within the picture, a wrong response curve (it looks like wrong times).
 pub fn stack_scales(parts: &[&[Exposure]], sensor: &Sensor, stride: usize) -> Option<StackScales> {
@@ -228,8 +230,8 @@ pub struct ExposureFit {
     pub variance: Vec<f64>,
     /// Which group each setting belongs to.
     pub group: Vec<usize>,
-    /// Standard deviation of a photograph's light about its setting's: flicker of the lamp, or a shutter that varies. `None` when the
-    /// stacks show none beyond their noise.
+    /// Standard deviation of a photograph's light about its setting's: flicker of the lamp, or a shutter that varies.
+    /// `None` when the stacks show none beyond their noise.
     pub flicker_sd: Option<f64>,
     /// The stacks could not be solved for the scales: nothing is known of them.
     pub failed: bool,
@@ -241,11 +243,11 @@ pub const MOST_FLICKER: f64 = 0.1;
 /// How much likelier (natural logarithm) flicker must make the stacks before it is believed.
 const FLICKER_EVIDENCE: f64 = 3.0;
 
-/// Generalized least squares over stacks: one log scale a setting, each photograph with a random deviation of its own whose variance is
-/// found by maximum likelihood.
+/// Generalized least squares over stacks: one log scale a setting, each photograph with a random deviation of its own
+/// whose variance is found by maximum likelihood.
 ///
-/// Anchored so that within each linked group the median of the log scales is 0: most nominal times are taken as right, and a group
-/// that no stack links to another keeps its own nominal scale.
+/// Anchored so that within each linked group the median of the log scales is 0: most nominal times are taken as right,
+/// and a group that no stack links to another keeps its own nominal scale.
 pub fn fit_exposures(stacks: &[(&Stack, StackScales)], settings: usize) -> ExposureFit {
     let stacks: Vec<Contrast> = stacks.iter().filter_map(|(s, scales)| Contrast::new(s, scales)).collect();
     let group = groups(&stacks, settings);
@@ -381,8 +383,8 @@ const LEVELS_PER_OCTAVE: f32 = 2.0;
 
 /// Picks pixels of a whole shot, as many of each level of light: bright dots are few, and dark pixels many.
 ///
-/// The level is that of the pooled light, which residuals do not depend on; picking by the code values of one exposure would keep its
-/// chance highs.
+/// The level is that of the pooled light, which residuals do not depend on; picking by the code values of one exposure
+/// would keep its chance highs.
 pub fn pick_pixels(exposures: &[Exposure], sensor: &Sensor) -> Vec<Exposure> {
     let pixels = exposures.iter().map(|e| e.samples.len()).min().unwrap_or(0) / 3;
     let secs: Vec<f32> = exposures.iter().map(|e| e.secs as f32).collect();

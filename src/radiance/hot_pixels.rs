@@ -11,7 +11,8 @@ pub struct HotPixel {
     pub excess: Option<f32>,
 }
 
-/// A photosite is hot that stands so many standard deviations, or times its neighbours' scatter, above the brightest of them.
+/// A photosite is hot that stands so many standard deviations, or times its neighbours' scatter, above the brightest of
+/// them.
 const SIGNIFICANCE: f32 = 6.0;
 /// Dark currents are relied upon to this share from shot to shot: they double every 6 to 8 K.
 const DARK_CURRENT_ERROR: f32 = 0.1;
@@ -20,8 +21,8 @@ const NEIGHBOURS: [[isize; 2]; 8] = [[-1, 0], [1, 0], [0, -1], [0, 1], [-1, -1],
 
 /// Finds the hot photosites of a merged black shot, in order of row, column, channel.
 ///
-/// One whose eight neighbours are not all in the picture is left out, and so is the weaker one of two neighbours: the tip of a bright
-/// corner looks the same. Its dark current goes out with the ambient light all the same.
+/// One whose eight neighbours are not all in the picture is left out, and so is the weaker one of two neighbours: the
+/// tip of a bright corner looks the same. Its dark current goes out with the ambient light all the same.
 ///
 /// Not detected: dead photosites, those whose noise is large but whose mean is not.
 pub fn find_hot_pixels(dark: &Radiance) -> Vec<HotPixel> {
@@ -62,11 +63,11 @@ fn beside(k: usize, d: [isize; 2], width: usize) -> usize {
     (k as isize + 3 * (d[1] * width as isize + d[0])) as usize
 }
 
-/// Puts the neighbours' light into the hot photosites of `light` (ambient light and dark current already subtracted), by inverse
-/// variance with their own: what is left of their dark current is a tenth of it.
+/// Puts the neighbours' light into the hot photosites of `light` (ambient light and dark current already subtracted),
+/// by inverse variance with their own: what is left of their dark current is a tenth of it.
 ///
-/// The neighbours give what they would if light were a quadratic there; its variance holds the whole of the quadratic part.
-/// `hot` in the order of [`find_hot_pixels`].
+/// The neighbours give what they would if light were a quadratic there; its variance holds the whole of the quadratic
+/// part. `hot` in the order of [`find_hot_pixels`].
 pub fn mend(light: &mut Radiance, hot: &[HotPixel]) {
     let r = light.rect;
     let first = hot.partition_point(|h| h.at[1] < r.y);
@@ -164,7 +165,8 @@ mod tests {
             assert_eq!(light.used[k], 1);
             (square, worst, count) = (square + error * error, worst.max(error.abs()), count + 1.0);
         }
-        // In units of the stated standard deviation: never far above one; it may be below, the doubt is on the safe side.
+        // In units of the stated standard deviation: never far above one; it may be below, the doubt is on the safe
+        // side.
         assert!((square / count).sqrt() < 1.1 && worst < 3.5, "{} {worst}", (square / count).sqrt());
     }
 
@@ -225,7 +227,8 @@ mod tests {
         );
     }
 
-    /// A quadratic, whose value in the middle the neighbours know: twice the mean of the four beside less that of the four at the corners.
+    /// A quadratic, whose value in the middle the neighbours know: twice the mean of the four beside less that of the
+    /// four at the corners.
     fn bowl(x: usize, y: usize, c: usize) -> f32 {
         let (x, y) = (x as f32 - 102.0, y as f32 - 41.0);
         [100.0 + 3.0 * x - 2.0 * y + x * x, 200.0 + 5.0 * x + 2.0 * x * x - 4.0 * y * y, 50.0 - x + 6.0 * y * y][c]
@@ -300,7 +303,8 @@ mod tests {
         // f32.
         assert!((light.value[k] - mean).abs() < 1e-3, "{} {mean}", light.value[k]);
         assert!((light.variance[k] / (noise + scatter) - 1.0).abs() < 1e-5);
-        // A neighbour that is hot or was not measured is not used, nor is one of another channel or outside the picture.
+        // A neighbour that is hot or was not measured is not used, nor is one of another channel or outside the
+        // picture.
         let mut light = small(bowl, spread);
         let gone = light.at(104, 41) + 1;
         light.used[gone] = 0;

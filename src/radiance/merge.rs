@@ -25,24 +25,25 @@ pub struct Radiance {
     pub used: Vec<u8>,
 }
 
-/// An exposure that the shorter ones predict to be beyond this share of the range measured something else (blooming, a defect):
-/// noise of photons does not take it there.
+/// An exposure that the shorter ones predict to be beyond this share of the range measured something else (blooming, a
+/// defect): noise of photons does not take it there.
 const PREDICTED_SHARE: f32 = 1.5;
-/// The same for encoded photographs: compression puts values on either side of saturation that the light does not have, and
-/// what is saturated there says nothing about the pixel.
+/// The same for encoded photographs: compression puts values on either side of saturation that the light does not have,
+/// and what is saturated there says nothing about the pixel.
 const PREDICTED_SHARE_ENCODED: f32 = 0.9;
 
 /// Merges a bracket to radiance: at each pixel and channel the minimum-variance mean of y/t over unsaturated exposures.
 ///
-/// Weights are t²/variance with variance = gain · L t + floor, L being the pooled estimate Σy/Σt (the maximum-likelihood
-/// value for pure Poisson noise, `Hasinoff2010`). Saturated exposures are masked, never averaged in; but they say that
-/// there was at least so much light, and a radiance that the others put below that is raised to it. Without this, keeping
-/// the low outcomes of an exposure near saturation and dropping its high ones would be a bias of a third of its noise. (Encoded
-/// photographs are left out from nine tenths of the range on, by what the shorter exposures predict, and bound nothing.)
+/// Weights are t²/variance with variance = gain · L t + floor, L being the pooled estimate Σy/Σt (the
+/// maximum-likelihood value for pure Poisson noise, `Hasinoff2010`). Saturated exposures are masked, never averaged in;
+/// but they say that there was at least so much light, and a radiance that the others put below that is raised to it.
+/// Without this, keeping the low outcomes of an exposure near saturation and dropping its high ones would be a bias of
+/// a third of its noise. (Encoded photographs are left out from nine tenths of the range on, by what the shorter
+/// exposures predict, and bound nothing.)
 ///
 /// Mean squared error is within 5 % of the Cramér–Rao bound but within three standard deviations of an exposure's
-/// saturation, where chance decides whether it counts and nothing reaches the bound (`docs/accuracy.md`). The bracket must be
-/// sorted by time and cover `rect`.
+/// saturation, where chance decides whether it counts and nothing reaches the bound (`docs/accuracy.md`). The bracket
+/// must be sorted by time and cover `rect`.
 ///
 /// Not detected: light that changes between the exposures, motion.
 pub fn merge(bracket: &[Exposure], rect: Rect, sensor: &Sensor) -> Radiance {
@@ -153,7 +154,8 @@ impl Radiance {
         Self { rect, value: cut(&self.value), variance: cut(&self.variance), used }
     }
 
-    /// Subtracts `other` (ambient light, say), which must cover this rectangle; variances add, validity is that of both.
+    /// Subtracts `other` (ambient light, say), which must cover this rectangle; variances add, validity is that of
+    /// both.
     pub fn subtract(&mut self, other: &Self) {
         let n = 3 * self.rect.width;
         for y in 0..self.rect.height {

@@ -1,8 +1,9 @@
 //! Merge: the exposures of one shot to linear radiance, its variance and a validity mask.
 //!
-//! The main way: [`Capture::open`](crate::capture::Capture::open) finds the photographs of each shot, sorted by exposure;
-//! [`Photograph::decode`](crate::capture::Photograph::decode) gives their code values; [`Sensor::with_curve`] is what relates these to light;
-//! [`merge`] makes [`Radiance`] of both. `examples/merge_bracket.rs` is a program of 60 lines that does this for one pixel.
+//! The main way: [`Capture::open`](crate::capture::Capture::open) finds the photographs of each shot, sorted by
+//! exposure; [`Photograph::decode`](crate::capture::Photograph::decode) gives their code values; [`Sensor::with_curve`]
+//! is what relates these to light; [`merge`] makes [`Radiance`] of both. `examples/merge_bracket.rs` is a program of 60
+//! lines that does this for one pixel.
 
 mod agreement;
 mod curve;

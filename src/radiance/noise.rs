@@ -1,12 +1,13 @@
 //! Photon transfer: the sensor's noise from photographs of one scene, taken twice.
 //!
-//! Where two photographs of one exposure show the same light, half the variance of their difference is that of the sensor alone:
-//! what differs from photosite to photosite cancels. Against the mean it is a line whose slope is the gain (DN per electron) and
-//! whose height at the black level is the read noise (`Janesick2007`).
+//! Where two photographs of one exposure show the same light, half the variance of their difference is that of the
+//! sensor alone: what differs from photosite to photosite cancels. Against the mean it is a line whose slope is the
+//! gain (DN per electron) and whose height at the black level is the read noise (`Janesick2007`).
 
 use crate::capture::{Noise, Samples};
 
-/// Side of the blocks over which variances are taken, px: small against stripes, large enough for a variance to a fifth.
+/// Side of the blocks over which variances are taken, px: small against stripes, large enough for a variance to a
+/// fifth.
 const BLOCK_PX: usize = 8;
 /// Degrees of freedom that a plane leaves in a block.
 const FREEDOM: f64 = (BLOCK_PX * BLOCK_PX - 3) as f64;
@@ -34,7 +35,8 @@ pub struct NoiseEstimate {
     pub saturation_seen: bool,
     /// Blocks of pixels that the gain comes from.
     pub blocks: usize,
-    /// Gain of R, G, B alone and its standard deviation, DN per electron ([`channel_gains`]); `None` when it was not asked for.
+    /// Gain of R, G, B alone and its standard deviation, DN per electron ([`channel_gains`]); `None` when it was not
+    /// asked for.
     #[serde(default)]
     pub channel_gains: Option<[[f64; 2]; 3]>,
 }
@@ -48,14 +50,16 @@ pub struct Block {
     pub variance: f64,
 }
 
-/// The blocks of two photographs of one exposure and size that do not saturate, per channel; R G B interleaved, `width` px wide.
+/// The blocks of two photographs of one exposure and size that do not saturate, per channel; R G B interleaved, `width`
+/// px wide.
 ///
-/// The variance is half that of the difference, a plane over the block taken out. Blocks in which the two photographs show different
-/// light (stripes, their blur) have far too large ones; [`fit`] leaves them out. `None` stands for a block that saturates, holds
-/// code 0, or whose two levels differ by a tenth and more, so that neighbours can be told: blocks are row by row, three channels each.
-/// `variance_share` is that of [`crate::capture::Sampling`].
+/// The variance is half that of the difference, a plane over the block taken out. Blocks in which the two photographs
+/// show different light (stripes, their blur) have far too large ones; [`fit`] leaves them out. `None` stands for a
+/// block that saturates, holds code 0, or whose two levels differ by a tenth and more, so that neighbours can be told:
+/// blocks are row by row, three channels each. `variance_share` is that of [`crate::capture::Sampling`].
 ///
-/// Not detected: photographs whose noise was smoothed or is correlated between pixels (demosaiced, compressed): too small a variance.
+/// Not detected: photographs whose noise was smoothed or is correlated between pixels (demosaiced, compressed): too
+/// small a variance.
 pub fn blocks(
     [first, second]: [&Samples; 2],
     width: usize,
@@ -107,7 +111,8 @@ impl BlockGrid {
     }
 }
 
-/// Gain of each channel and its standard deviation, DN per electron; the arguments are those of [`fit`]. `None` where one has too few blocks.
+/// Gain of each channel and its standard deviation, DN per electron; the arguments are those of [`fit`]. `None` where
+/// one has too few blocks.
 pub fn channel_gains(
     grids: &[BlockGrid],
     black: (f64, f64),
@@ -183,7 +188,8 @@ pub fn black_level(shots: &[DarkLevels]) -> Option<(f64, f64)> {
     Some((black, information.sqrt().recip()))
 }
 
-/// Where codes pile up because photosites clip, from a histogram of the code values of each channel: the least such code.
+/// Where codes pile up because photosites clip, from a histogram of the code values of each channel: the least such
+/// code.
 ///
 /// A pile holds 16 at least, and eight times what the codes of the hundredth below it do on average.
 pub fn clipping_code(histograms: &[Vec<u32>; 3]) -> Option<usize> {
@@ -208,8 +214,8 @@ pub fn saturation(histograms: &[Vec<u32>; 3]) -> (f64, bool) {
 
 /// Fits the line of variance over mean to the blocks of pairs of photographs.
 ///
-/// `black` is (DN, its standard deviation), `saturation` (DN, whether it was seen), `rounding` the variance of rounding: 1/12 DN² for
-/// whole code values, 0 for floating point, whose rounding counts as read noise.
+/// `black` is (DN, its standard deviation), `saturation` (DN, whether it was seen), `rounding` the variance of
+/// rounding: 1/12 DN² for whole code values, 0 for floating point, whose rounding counts as read noise.
 ///
 /// # Errors
 /// What is missing, in words: too few blocks in light or near black.
@@ -280,8 +286,8 @@ impl Line {
         (self.at_black + self.slope * level).max(1e-3)
     }
 
-    /// Weighted least squares over the blocks that this line does not make outliers, nor neighbours of one: those hold the
-    /// blur of its stripe. `None` without blocks at two levels.
+    /// Weighted least squares over the blocks that this line does not make outliers, nor neighbours of one: those hold
+    /// the blur of its stripe. `None` without blocks at two levels.
     fn refit(&self, grids: &[BlockGrid], black: f64) -> Option<Self> {
         // A variance of so many degrees of freedom is known to √(2/n); five of that.
         let limit = 1.0 + 5.0 * (2.0 / FREEDOM).sqrt();

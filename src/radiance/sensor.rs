@@ -1,7 +1,9 @@
 //! From code values to light: response curve, black level, noise.
 
 use super::curve::{CODES, Curve, FULL};
-use crate::capture::{Noise, ResponseCurve, Rig, Samples};
+use crate::capture::{Capture, Noise, Photograph, Samples, compression_variance};
+use crate::{Error, Result};
+use std::io::Read;
 
 /// The sensor as the merge needs it, in linear code values above black.
 #[derive(Debug, Clone)]
@@ -28,7 +30,32 @@ pub struct FileNoise {
     pub compression: [f64; 3],
 }
 
+/// More than a JPEG has before its tables, previews included.
+const HEAD_BYTES: u64 = 8 << 20;
+/// Noise of code values that compression acts on, squared code values: about that of a good sensor's mid-greys in 8
+/// bits.
+const CODE_NOISE: f64 = 1.0;
+
 impl FileNoise {
+    /// Bits and compression of the capture's first photograph, which stand for all.
+    ///
+    /// # Errors
+    /// Those of reading it.
+    pub fn of_capture(capture: &Capture) -> Result<Self> {
+        let Some(first) = capture.brackets.iter().flatten().next() else { return Ok(Self::default()) };
+        // A JPEG's tables are in its head.
+        let mut head = Vec::new();
+        let file = crate::files::open(&first.path).map_err(Error::io("read", &first.path))?;
+        file.take(HEAD_BYTES).read_to_end(&mut head).map_err(Error::io("read", &first.path))?;
+        let compression = compression_variance(&head, CODE_NOISE).unwrap_or_default();
+        let mut row = Samples::U8(vec![]);
+        if compression == [0.0; 3] {
+            Photograph { reduction: None, ..first.clone() }.open()?.read(1, &mut row)?;
+        }
+        let sixteen_bit = matches!(row, Samples::U16(_));
+        Ok(Self { sixteen_bit, compression })
+    }
+
     /// Whether compression adds anything.
     pub fn is_compressed(&self) -> bool {
         self.compression != [0.0; 3]
@@ -49,18 +76,23 @@ struct Encoding {
 const ROUNDING_VARIANCE: f64 = 1.0 / 12.0;
 /// Of floating-point photographs a code value may be all there is; those of whole numbers have many.
 const WHOLE_RANGE: f32 = 100.0;
-/// Standard deviation of floating-point values of a rig without noise (a rendered capture), of the range: what sums of f32 are good to. The
-/// best sensors have a hundred times as much.
+/// Standard deviation of floating-point values of a rig without noise (a rendered capture), of the range: what sums of
+/// f32 are good to. The best sensors have a hundred times as much.
 const LEAST_SD: f32 = 1e-6;
 /// Entries of the table of variances.
 const ROOTS: usize = 1024;
 
 impl Sensor {
-    /// The sensor that a rig file describes by itself, for files without compression; `"estimate"` and saved curves are taken for sRGB. `None`
-    /// when its noise has to be measured.
-    pub fn of_rig(rig: &Rig) -> Option<Self> {
-        let curve = (rig.camera.response_curve != ResponseCurve::Linear).then(Curve::srgb);
-        rig.noise.as_ref().map(|noise| Self::with_curve(noise, curve, FileNoise::default()))
+    /// The sensor that the capture's rig describes, with what its files add.
+    ///
+    /// # Errors
+    /// [`Error::Field`] when `noise` is missing or `camera.response` is `"estimate"`: both are measured by
+    /// [`crate::pipeline::build_matrix`]. Those of [`Curve::of_rig`] and [`FileNoise::of_capture`].
+    pub fn of_capture(capture: &Capture) -> Result<Self> {
+        let missing = || Error::field(&capture.rig_path, "noise", "gain, read noise, black and saturation", "none");
+        let noise = capture.rig.noise.as_ref().ok_or_else(missing)?;
+        let curve = Curve::of_rig(&capture.rig, &capture.rig_path)?;
+        Ok(Self::with_curve(noise, curve, FileNoise::of_capture(capture)?))
     }
 
     /// A sensor with a response curve of its own; `None` is a linear one.
@@ -94,8 +126,8 @@ impl Sensor {
         }
     }
 
-    /// Linear code values above black of `samples[first..]`, as many as `out` holds; saturated ones as +∞, what is no measurement as NaN.
-    /// `first` must be a multiple of 3.
+    /// Linear code values above black of `samples[first..]`, as many as `out` holds; saturated ones as +∞, what is no
+    /// measurement as NaN. `first` must be a multiple of 3.
     pub(super) fn linearize(&self, samples: &Samples, first: usize, out: &mut [f32]) {
         fn each<T: Copy>(from: &[T], first: usize, out: &mut [f32], f: impl Fn(T) -> f32) {
             out.iter_mut().zip(&from[first..]).for_each(|(o, &v)| *o = f(v));
@@ -116,8 +148,8 @@ impl Sensor {
         }
     }
 
-    /// Variance of no light, DN²: read-out, and with a linear response curve what whole code values add. Floating-point files were not rounded to DN,
-    /// but never are without any noise ([`LEAST_SD`]): a weight is one over it.
+    /// Variance of no light, DN²: read-out, and with a linear response curve what whole code values add. Floating-point
+    /// files were not rounded to DN, but never are without any noise ([`LEAST_SD`]): a weight is one over it.
     pub(super) fn floor(&self, samples: &Samples) -> f32 {
         match samples {
             Samples::F32(_) => self.read.max((LEAST_SD * self.range()).powi(2)),
@@ -201,7 +233,6 @@ impl Encoding {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::{Camera, Projector, WhiteReference};
 
     const NOISE: Noise =
         Noise { black_dn: 3.0, saturation_dn: 240.0, gain_dn_per_electron: 0.4, read_noise_electrons: 6.0 };
@@ -346,23 +377,6 @@ mod tests {
             // What a curve's table holds is not added once more.
             assert!((sensor.floor(&Samples::U8(vec![])) - 5.76).abs() < 1e-6);
             assert!(sensor.is_curved() && sensor.rounding(1e9, 0).is_finite() && sensor.rounding(-50.0, 2) >= 0.0);
-        }
-    }
-
-    #[test]
-    fn a_rigs_own_sensor_needs_its_noise_and_takes_unknown_curves_for_srgb() {
-        let of = |response_curve: ResponseCurve, noise: Option<Noise>| {
-            let camera =
-                Camera { size_px: [9, 7], focal_px: 9.0, principal_px: [4.0; 2], response_curve, vignetting: vec![] };
-            let projector = Projector { size_px: [64, 36], principal_px: None };
-            let white_reference = WhiteReference { reflectance: [0.91, 0.74, 0.52] };
-            Sensor::of_rig(&Rig { format: 1, camera, noise, projector, board: None, frame: None, white_reference })
-        };
-        assert!(of(ResponseCurve::Linear, None).is_none());
-        let linear = of(ResponseCurve::Linear, Some(NOISE)).unwrap();
-        assert!(linear.curve().is_none() && linear.full_range() == 237.0);
-        for response_curve in [ResponseCurve::Srgb, ResponseCurve::Estimate, ResponseCurve::File("a.toml".into())] {
-            assert_eq!(of(response_curve, Some(NOISE)).unwrap().curve(), Some(&Curve::srgb()));
         }
     }
 }

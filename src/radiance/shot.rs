@@ -55,7 +55,8 @@ impl Bracket {
     }
 }
 
-/// Decodes every so-manieth row of a shot, so that `most_px` pixels or fewer are kept: all that tells levels of light, and nothing of where they are.
+/// Decodes every so-manieth row of a shot, so that `most_px` pixels or fewer are kept: all that tells levels of light,
+/// and nothing of where they are.
 ///
 /// # Errors
 /// Those of [`Photograph::decode_parts`].
@@ -81,7 +82,8 @@ pub fn decode_spread(photographs: &[Photograph], size_px: [usize; 2], most_px: u
     Ok(bracket)
 }
 
-/// Decodes a shot photograph by photograph and keeps the pixels in each of `rects`: of the rest a few rows at a time are in memory.
+/// Decodes a shot photograph by photograph and keeps the pixels in each of `rects`: of the rest a few rows at a time
+/// are in memory.
 ///
 /// # Errors
 /// Those of [`Photograph::decode_parts`].
@@ -109,7 +111,8 @@ pub fn merge_shot(photographs: &[Photograph], size_px: [usize; 2], sensor: &Sens
     merge_keeping(photographs, size_px, sensor, 0).map(|(merged, _)| merged)
 }
 
-/// The same, and beside it rows of all photographs that are spread over the shot, `most_px` pixels or fewer, as [`decode_spread`] has them.
+/// The same, and beside it rows of all photographs that are spread over the shot, `most_px` pixels or fewer, as
+/// [`decode_spread`] has them.
 ///
 /// # Errors
 /// Those of [`Photograph::decode_parts`].

@@ -43,18 +43,21 @@ const SHAPE_SD: f64 = 0.1;
 impl StrayLight {
     /// Measures the halo in pictures of shots, ambient light subtracted, all over the photograph.
     ///
-    /// `dark` marks pixels that no light reaches directly: on the opaque frame, away from its reference dots. What is there is fitted by
-    /// non-negative shares of the whole picture blurred. `None` when fewer than thirty blocks of such pixels were measured.
+    /// `dark` marks pixels that no light reaches directly: on the opaque frame, away from its reference dots. What is
+    /// there is fitted by non-negative shares of the whole picture blurred. `None` when fewer than thirty blocks of
+    /// such pixels were measured.
     ///
     /// A few blocks that are bright by themselves (a dot on the frame that nobody listed) are left out.
     ///
-    /// Not detected: halos much narrower than the way from the dots to the nearest of these pixels, ghosts (reflections between lenses, which have a shape and a place), light that the frame scatters
-    /// back, light that goes through the sample's sides.
+    /// Not detected: halos much narrower than the way from the dots to the nearest of these pixels, ghosts (reflections
+    /// between lenses, which have a shape and a place), light that the frame scatters back, light that goes through the
+    /// sample's sides.
     pub fn estimate(pictures: &[Radiance], dark: &[bool]) -> Option<Self> {
         let mut rows: Vec<Weighted> = Vec::new();
         let mut weights: Vec<f64> = Vec::new();
         for picture in pictures {
-            // The dark pixels' own noise, blurred, would look like a halo of theirs: their light is the halo's, and second order in it.
+            // The dark pixels' own noise, blurred, would look like a halo of theirs: their light is the halo's, and
+            // second order in it.
             let lit = lit_only(picture, dark);
             let whole = [&lit];
             let halos: Vec<Coarse> =
@@ -90,8 +93,9 @@ impl StrayLight {
 
     /// Takes the halo out of the pictures of one shot, which together must hold nearly all of its light.
     ///
-    /// With B what is seen, g the share and H the halo: (B − g · H∗B) / (1 − g), right to g². Relative to a white that fills the picture, which has no
-    /// halo to lose, this is the light without it. The uncertainty of g · H∗B is added to the variance.
+    /// With B what is seen, g the share and H the halo: (B − g · H∗B) / (1 − g), right to g². Relative to a white that
+    /// fills the picture, which has no halo to lose, this is the light without it. The uncertainty of g · H∗B is added
+    /// to the variance.
     pub fn remove(&self, pictures: &mut [Radiance], size_px: [usize; 2]) {
         if self.halos.is_empty() {
             return;
@@ -125,8 +129,8 @@ impl StrayLight {
     }
 }
 
-/// Even light has to leave less than this share of what the halo leaves, to be taken for what it is. A halo falls off with the distance
-/// from the dots, ambient light does not.
+/// Even light has to leave less than this share of what the halo leaves, to be taken for what it is. A halo falls off
+/// with the distance from the dots, ambient light does not.
 const EVEN_GAIN: f64 = 0.7;
 
 /// A square that does not grow with what is something else.
@@ -134,8 +138,8 @@ fn bounded(miss: f64) -> f64 {
     (miss * miss).min(OUTLIER * OUTLIER)
 }
 
-/// The light that all blocks have in common, and what it leaves of them; `None` when it is not significant. Dark light that is less than none
-/// is even, too: `sample-black` had more.
+/// The light that all blocks have in common, and what it leaves of them; `None` when it is not significant. Dark light
+/// that is less than none is even, too: `sample-black` had more.
 fn even_light(rows: &[Weighted], weights: &[f64]) -> Option<(f64, f64)> {
     let mut even = 0.0;
     for round in 0..4 {
@@ -217,7 +221,8 @@ fn fit_without_outliers(mut rows: Vec<Weighted>) -> Option<([f64; RADII_PX.len()
         let miss = |row: &Weighted| (row.0.iter().zip(&shares).map(|(h, s)| h * s).sum::<f64>() - row.1).abs();
         let mut misses: Vec<f64> = rows.iter().map(miss).collect();
         let middle = misses.len() / 2;
-        // 1.4826 makes the median of a normal distribution's deviations its standard deviation; weights count in that of the noise.
+        // 1.4826 makes the median of a normal distribution's deviations its standard deviation; weights count in that
+        // of the noise.
         let scale = (1.4826 * *misses.select_nth_unstable_by(middle, f64::total_cmp).1).max(1.0);
         let before = rows.len();
         rows.retain(|row| miss(row) <= OUTLIER * scale);
@@ -270,7 +275,8 @@ struct Coarse {
 }
 
 impl Coarse {
-    /// Paints the measured pixels of pictures (where they overlap, once) onto a photograph of `size_px`, for a halo of that radius.
+    /// Paints the measured pixels of pictures (where they overlap, once) onto a photograph of `size_px`, for a halo of
+    /// that radius.
     fn paint(pictures: &[&Radiance], size_px: [usize; 2], radius_px: f64) -> Self {
         let block_px = ((radius_px / BLOCKS_PER_RADIUS) as usize).max(1);
         let size = size_px.map(|s| s.div_ceil(block_px));

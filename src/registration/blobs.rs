@@ -115,7 +115,8 @@ mod tests {
     use super::super::pictures::{picture, share};
     use crate::capture::Rect;
 
-    /// A picture of 100 × 70 px of ellipses (centre, half axes), `dark` on light that grows to the right, or the other way round.
+    /// A picture of 100 × 70 px of ellipses (centre, half axes), `dark` on light that grows to the right, or the other
+    /// way round.
     fn discs(discs: &[([f64; 2], [f64; 2])], dark: bool) -> Radiance {
         let rect = Rect { x: 20, y: 300, width: 100, height: 70 };
         let light = |x: f64, y: f64| {
@@ -147,7 +148,8 @@ mod tests {
                     (blob.center_px[0] - center[0]).hypot(blob.center_px[1] - center[1]) < 0.35,
                     "{blob:?} {center:?}"
                 );
-                // π · 3.6 · 3.1 = 35, less or more the pixels of its edge (some 20), all on one side of the first level that cuts it.
+                // π · 3.6 · 3.1 = 35, less or more the pixels of its edge (some 20), all on one side of the first level
+                // that cuts it.
                 assert!(blob.area_px > 20.0 && blob.area_px < 50.0, "{blob:?}");
             }
         }
@@ -221,7 +223,8 @@ mod tests {
 
     #[test]
     fn a_part_that_grows_to_the_left_and_upwards_is_one() {
-        // A hook whose first pixel in reading order is its right top, with its other end below and up again at the left.
+        // A hook whose first pixel in reading order is its right top, with its other end below and up again at the
+        // left.
         let rows = ["......#", "......#", ".#....#", ".#....#", ".######"];
         let mut light = vec![0.0; 1000];
         for (y, row) in rows.iter().enumerate() {

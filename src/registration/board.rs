@@ -6,13 +6,15 @@ use super::fit::fit_view;
 use crate::capture::{Board, Camera};
 use crate::radiance::Radiance;
 
-/// Finds a board in a merged photograph: its corners in slab coordinates, were it in the slab's plane, and where they are seen.
+/// Finds a board in a merged photograph: its corners in slab coordinates, were it in the slab's plane, and where they
+/// are seen.
 ///
-/// Corners by OpenCV (`findChessboardCorners`, then `cornerSubPix` on the linear picture). The corner nearest the picture's top left is taken
-/// for corner (0, 0). The whole board must be in the picture.
+/// Corners by OpenCV (`findChessboardCorners`, then `cornerSubPix` on the linear picture). The corner nearest the
+/// picture's top left is taken for corner (0, 0). The whole board must be in the picture.
 ///
 /// # Errors
-/// A text that says what was not found; corners that fit no flat board through any lens; every board, without the feature `opencv`.
+/// A text that says what was not found; corners that fit no flat board through any lens; every board, without the
+/// feature `opencv`.
 ///
 /// Not detected: a board that is not where `rig.toml` says.
 pub fn find_board(picture: &Radiance, board: &Board, camera: &Camera) -> Result<Pairs, String> {
@@ -104,7 +106,8 @@ mod tests {
         let camera = camera([170, 140], 500.0);
         for (mm, px) in find_board(&seen, &board, &camera).unwrap() {
             let q = h.map(mm);
-            // OpenCV's corners on sharp squares whose light falls by a third from one side of the board to the other: up to 0.11 px.
+            // OpenCV's corners on sharp squares whose light falls by a third from one side of the board to the other:
+            // up to 0.11 px.
             assert!((px[0] - q[0]).hypot(px[1] - q[1]) < 0.2, "{px:?} {q:?}");
         }
     }

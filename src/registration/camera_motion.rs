@@ -1,8 +1,10 @@
-//! Whether the camera has moved since registration: the sample's rim against the frame, which no projected pattern moves.
+//! Whether the camera has moved since registration: the sample's rim against the frame, which no projected pattern
+//! moves.
 //!
-//! A projector's black is not dark: in the longest exposures sample and frame are seen, differently bright, and where one ends and the
-//! other begins stays put when only the pattern drifts. The rim is located in short segments, in the shot of the sample under black and in
-//! every lattice shot; the difference is the camera's (or the sample's) movement in the picture.
+//! A projector's black is not dark: in the longest exposures sample and frame are seen, differently bright, and where
+//! one ends and the other begins stays put when only the pattern drifts. The rim is located in short segments, in the
+//! shot of the sample under black and in every lattice shot; the difference is the camera's (or the sample's) movement
+//! in the picture.
 
 use super::drift::median;
 use crate::capture::Rect;
@@ -21,12 +23,13 @@ const SOFTNESS_PX: [f64; 4] = [0.05, 0.15, 0.3, 0.5];
 const SATURATED: f64 = 20.0;
 /// A step counts when it is this many times its standard deviation.
 const STEP_SIGMA: f64 = 10.0;
-/// A rim that is found no further than this from where it was is not looked for elsewhere, px: the other starts are 1 px away.
+/// A rim that is found no further than this from where it was is not looked for elsewhere, px: the other starts are 1
+/// px away.
 const SAME_PX: f64 = 0.7;
 /// Segments whose step has grown or shrunk by more than this are left out.
 const GLOW: f64 = 1.5;
-/// What glow on one side of a rim moves it by, px for each unit by which the rim's step has changed. On simulated marble up to twice as
-/// much; it is alike in all segments of a side, so that their scatter does not show it.
+/// What glow on one side of a rim moves it by, px for each unit by which the rim's step has changed. On simulated
+/// marble up to twice as much; it is alike in all segments of a side, so that their scatter does not show it.
 const GLOW_PX: f64 = 0.25;
 /// Segments that are needed for a movement.
 const LEAST_SEGMENTS: usize = 8;
@@ -102,11 +105,13 @@ pub fn rim_segments(view: &CameraView, size_mm: Point, size_px: [usize; 2]) -> V
 
 /// Finds the rim in the picture of a segment, searching around `start` (offset, px) or everywhere in it.
 ///
-/// Light on either side may differ from segment to segment and change along and across the sample's side: near dots it glows.
+/// Light on either side may differ from segment to segment and change along and across the sample's side: near dots it
+/// glows.
 pub fn locate_rim(picture: &Radiance, segment: &RimSegment, start: Option<f64>) -> Option<RimPlace> {
     let pixels = pixels(picture, segment)?;
     let best = |found: &mut dyn Iterator<Item = (RimPlace, f64)>| found.min_by(|a, b| a.1.total_cmp(&b.1));
-    // From a place that is nearly right every softness settles in a step or two; from afar each must be tried from several starts.
+    // From a place that is nearly right every softness settles in a step or two; from afar each must be tried from
+    // several starts.
     let softer = |from: f64| SOFTNESS_PX.map(|soft| settle(&pixels, from, soft));
     let everywhere = |starts: &[f64]| {
         let all = starts.iter().flat_map(|&s| SOFTNESS_PX.map(|soft| settle(&pixels, s, soft)));
@@ -206,9 +211,11 @@ pub(super) fn softened(x: f64) -> (f64, f64) {
     if x > 0.0 { (x + above, 1.0 / (1.0 + tail)) } else { (above, tail / (1.0 + tail)) }
 }
 
-/// The movement of the picture from where the segments' rims were `before` and are `now`; `None` when too few are seen, or too badly.
+/// The movement of the picture from where the segments' rims were `before` and are `now`; `None` when too few are seen,
+/// or too badly.
 ///
-/// Not detected: a turn of the camera about its axis or a change of distance (their mean over the rim is a movement of about none).
+/// Not detected: a turn of the camera about its axis or a change of distance (their mean over the rim is a movement of
+/// about none).
 pub fn camera_motion(
     segments: &[RimSegment],
     before: &[Option<RimPlace>],
@@ -304,7 +311,8 @@ mod tests {
         assert_eq!(sides([5.0, 4.9], [300, 300])[0], 0);
     }
 
-    /// A rim across `normal` through `at`, `offset` further out: a logistic step over the mean of a pixel, on light that slopes.
+    /// A rim across `normal` through `at`, `offset` further out: a logistic step over the mean of a pixel, on light
+    /// that slopes.
     fn rim(segment: &RimSegment, offset: f64, inside: f64, outside: f64, variance: f64) -> Radiance {
         soft_rim(segment, offset, [inside, outside], variance, 0.3)
     }
@@ -424,7 +432,8 @@ mod tests {
         let (before, after) = both(0.08, 1.0);
         let found = camera_motion(&sixteen(), &before, &after).unwrap();
         assert!((found.camera_px[0] - 0.31).abs() < 1e-12 && (found.camera_px[1] + 0.22).abs() < 1e-12, "{found:?}");
-        // Each rim is known to hypot(0.6, 0.8) · 0.08 px twice over, eight of them for each of two axes at right angles.
+        // Each rim is known to hypot(0.6, 0.8) · 0.08 px twice over, eight of them for each of two axes at right
+        // angles.
         assert!((found.sd_px - 0.08 / 8f64.sqrt()).abs() < 1e-9, "{found:?}");
         // Rims without noise still do not agree better than 0.005 px.
         let (before, after) = both(0.0, 1.0);

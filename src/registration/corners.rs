@@ -2,7 +2,8 @@
 
 use crate::geometry::Point;
 
-/// Inner corners, row after row, from either end of the board; none when no whole board is seen. `picture` is linear, 0 to 255.
+/// Inner corners, row after row, from either end of the board; none when no whole board is seen. `picture` is linear, 0
+/// to 255.
 ///
 /// # Errors
 /// OpenCV's own.
@@ -16,7 +17,8 @@ pub(super) fn find_corners(picture: &[f32], height: usize, inner: [usize; 2]) ->
         let grey8 = grey8.reshape(1, height as i32)?;
         let mut corners = core::Vector::<core::Point2f>::new();
         let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE;
-        // The first needs a light margin around the squares; the second, by sectors (Duda & Frese 2018), takes longer and needs none.
+        // The first needs a light margin around the squares; the second, by sectors (Duda & Frese 2018), takes longer
+        // and needs none.
         let by_sectors = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_EXHAUSTIVE;
         if !calib3d::find_chessboard_corners(&grey8, pattern, &mut corners, flags)?
             && !calib3d::find_chessboard_corners_sb(&grey8, pattern, &mut corners, by_sectors)?

@@ -37,7 +37,8 @@ pub struct FoundDot {
 }
 
 impl DotShape {
-    /// The footprint of a square of `side_px` projector pixels under `camera_from_projector`, the local derivative (px per px).
+    /// The footprint of a square of `side_px` projector pixels under `camera_from_projector`, the local derivative (px
+    /// per px).
     pub fn new(camera_from_projector: [[f64; 2]; 2], side_px: f64) -> Option<Self> {
         let [[a, b], [c, d]] = camera_from_projector;
         let det = a * d - b * c;
@@ -73,9 +74,9 @@ impl DotShape {
 
     /// The core of the dot whose centre is near `start` (camera px, to a pixel or two).
     ///
-    /// The light around is taken for the footprint times a height, plus a glow that changes smoothly (level, slopes, isotropic
-    /// curvature): slopes of a glow that is brighter on one side move no core. The blur is that of `BLURS_PX` that leaves least.
-    /// `None` when pixels are invalid or outside, or the fit wanders off.
+    /// The light around is taken for the footprint times a height, plus a glow that changes smoothly (level, slopes,
+    /// isotropic curvature): slopes of a glow that is brighter on one side move no core. The blur is that of `BLURS_PX`
+    /// that leaves least. `None` when pixels are invalid or outside, or the fit wanders off.
     ///
     /// Not detected: an edge between materials within the footprint itself, which moves the core's own light.
     pub fn find(&self, picture: &Radiance, start: Point) -> Option<FoundDot> {
@@ -254,7 +255,8 @@ mod tests {
     const SLOPE: [[f64; 2]; 2] = [[1.1, 0.3], [-0.2, 1.6]];
     const RECT: Rect = Rect { x: 31, y: 17, width: 25, height: 21 };
 
-    /// The light of a dot of 2 × 2 projector px under a Gaussian blur, averaged over a pixel: a sum over places of the dot.
+    /// The light of a dot of 2 × 2 projector px under a Gaussian blur, averaged over a pixel: a sum over places of the
+    /// dot.
     fn dot(center: Point, blur_px: f64, x: f64, y: f64) -> f64 {
         let cdf = |t: f64| 0.5 * libm::erfc(-t / (blur_px * std::f64::consts::SQRT_2));
         let pixel = |d: f64| cdf(d + 0.5) - cdf(d - 0.5);
@@ -313,8 +315,8 @@ mod tests {
         let all: Vec<FoundDot> = (0..60).map(found).collect();
         let strays = all.iter().map(|f| (0..2).map(|a| (f.at[a] - center[a]).powi(2)).sum::<f64>() / 2.0);
         let (strays, told) = (strays.sum::<f64>() / 60.0, all.iter().map(|f| f.variance).sum::<f64>() / 60.0);
-        // Weights of the taper count as if they were variances: the deviation is told too large, by less than twice; 120 draws
-        // tell a variance to 13 %.
+        // Weights of the taper count as if they were variances: the deviation is told too large, by less than twice;
+        // 120 draws tell a variance to 13 %.
         assert!(strays < 1.3 * told && strays > 0.3 * told, "{strays} {told}");
     }
 
@@ -364,7 +366,8 @@ mod tests {
                     (value(dx, dy + h) - value(dx, dy - h)) / (2.0 * h),
                 ];
                 let found = shape.template_at(&shape.templates[n], dx, dy);
-                // Cells of an eighth of a pixel, between which it is bilinear: curvature times 1/512, and slopes' by more.
+                // Cells of an eighth of a pixel, between which it is bilinear: curvature times 1/512, and slopes' by
+                // more.
                 assert!((found[0] - expected[0]).abs() < 0.01, "{blur} ({dx}, {dy}): {found:?} {expected:?}");
                 assert!(
                     (1..3).all(|k| (found[k] - expected[k]).abs() < 0.03),

@@ -29,22 +29,25 @@ pub struct SeenDepth {
     pub depth_mm: f64,
     /// Its standard deviation, mm.
     pub sd_mm: f64,
-    /// Tangent of the angle between line of sight and normal: by this times the depth dots are seen beside their places.
+    /// Tangent of the angle between line of sight and normal: by this times the depth dots are seen beside their
+    /// places.
     pub tangent: f64,
 }
 
 /// A dot counts when its light is this many standard deviations above none.
 const DETECTION_SIGMA: f64 = 10.0;
-/// Dots of one rigid pattern agree to a tenth of a pixel, and to half of one on a sample; beyond this, px, something else was found.
+/// Dots of one rigid pattern agree to a tenth of a pixel, and to half of one on a sample; beyond this, px, something
+/// else was found.
 const LARGEST_SPREAD_PX: f64 = 1.0;
-/// Sharp dots smaller than a pixel or two have a centroid that depends on where they fall between pixels, by up to this, px.
+/// Sharp dots smaller than a pixel or two have a centroid that depends on where they fall between pixels, by up to
+/// this, px.
 const CENTROID_FLOOR_PX: f64 = 0.02;
 
 /// The displacement of a shot from the centroids of its dots, as the median over dots in each axis.
 ///
-/// `dots` are (expected place on the slab, mm; its picture without ambient light). The median withstands a minority of dots
-/// that edges of materials pull aside; with dots on the opaque frame there are none. `None` when fewer than two or less than half
-/// of the dots are found, or when they disagree by more than a pixel.
+/// `dots` are (expected place on the slab, mm; its picture without ambient light). The median withstands a minority of
+/// dots that edges of materials pull aside; with dots on the opaque frame there are none. `None` when fewer than two or
+/// less than half of the dots are found, or when they disagree by more than a pixel.
 ///
 /// Not detected: a rotation of the pattern, motion of the camera (it is taken for the projector's).
 pub fn measure_drift(dots: &[(Point, Radiance)], registration: &Registration, dot_radius_px: f64) -> Option<Drift> {
@@ -113,8 +116,8 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     (values[(n - 1) / 2] + values[n / 2]) / 2.0
 }
 
-/// The centroid of the brightest spot, camera px, and its variance per axis; the spot's brightest pixel lies in the circle
-/// `within` (centre, radius) when there is one.
+/// The centroid of the brightest spot, camera px, and its variance per axis; the spot's brightest pixel lies in the
+/// circle `within` (centre, radius) when there is one.
 pub(super) fn centroid(picture: &Radiance, radius_px: f64, within: Option<(Point, f64)>) -> Option<(Point, f64)> {
     let Rect { x: x0, y: y0, width, height } = picture.rect;
     let light = picture.luminance();
@@ -295,7 +298,8 @@ mod tests {
         let mut half = [all.clone(), all[..1].to_vec()].concat();
         half[..3].iter_mut().for_each(|(_, p)| p.value.fill(0.0));
         assert_eq!(measure_drift(&half, &registration(), 2.0).map(|d| d.dots), Some(3));
-        // Deviations of 0.1, 0.1, 0.05 and 0.05 mm have the median 0.075 and the scale 0.111 mm: times 4.95 px it is 0.55 px.
+        // Deviations of 0.1, 0.1, 0.05 and 0.05 mm have the median 0.075 and the scale 0.111 mm: times 4.95 px it is
+        // 0.55 px.
         let spread = |scale: f64| {
             let along = |k: usize| scale * [0.1, -0.1, 0.05, -0.05, 0.075][k];
             let [x, y] = [dots(|k| [along(k), 0.0], 1e-9), dots(|k| [0.0, along(k)], 1e-9)];

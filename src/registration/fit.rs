@@ -20,8 +20,8 @@ const REWEIGHTINGS: usize = 4;
 
 /// The homography that fits observations of single coordinates in the least-squares sense, and its RMS residual.
 ///
-/// Linear equations in normalized coordinates (Hartley & Zisserman 2004, §4.4), solved by QR and reweighted by the projective
-/// depth so that residuals are distances. `None` with fewer than eight observations or a degenerate layout.
+/// Linear equations in normalized coordinates (Hartley & Zisserman 2004, §4.4), solved by QR and reweighted by the
+/// projective depth so that residuals are distances. `None` with fewer than eight observations or a degenerate layout.
 pub fn fit_homography(observations: &[Observation]) -> Option<(Homography, f64)> {
     if observations.len() < 8 {
         return None;
@@ -94,10 +94,12 @@ pub struct ViewFit {
     pub sd_px: f64,
 }
 
-/// A distortion term is tried only with this many points for each: few corners fit any curve, and extrapolate it wildly.
+/// A distortion term is tried only with this many points for each: few corners fit any curve, and extrapolate it
+/// wildly.
 const PAIRS_PER_TERM: usize = 15;
 
-/// Fits homography and lens distortion to pairs (slab mm, camera px); no distortion term that the residuals do not ask for.
+/// Fits homography and lens distortion to pairs (slab mm, camera px); no distortion term that the residuals do not ask
+/// for.
 ///
 /// Terms are added while the Bayesian information criterion falls. The lens's centre and focal length are those given.
 /// `None` with fewer than ten pairs or a degenerate layout.
@@ -128,7 +130,8 @@ pub fn fit_view(pairs: &[(Point, Point)], center_px: Point, focal_px: f64) -> Op
         let square: f64 = residuals.iter().map(|r| r * r).sum();
         let parameters = 8.0 + terms as f64;
         let rms_px = (square / n).sqrt();
-        // Corners are never known better than a thousandth of a pixel: a perfect fit must not drive the logarithm to −∞.
+        // Corners are never known better than a thousandth of a pixel: a perfect fit must not drive the logarithm to
+        // −∞.
         let information = n * (rms_px.max(1e-3)).powi(2).ln() + parameters * n.ln();
         let fit = ViewFit { view, rms_px, sd_px: rms_px * (parameters / n).sqrt() };
         if best.as_ref().is_none_or(|(b, _)| information < *b) {
@@ -138,7 +141,8 @@ pub fn fit_view(pairs: &[(Point, Point)], center_px: Point, focal_px: f64) -> Op
     best.map(|(_, fit)| fit)
 }
 
-/// Steps of Gauss–Newton on the first `terms` distortion coefficients, by finite differences; four are enough from zero.
+/// Steps of Gauss–Newton on the first `terms` distortion coefficients, by finite differences; four are enough from
+/// zero.
 pub(super) fn gauss_newton<T, const N: usize>(
     solve: &dyn Fn([f64; N]) -> Option<(T, Vec<f64>)>,
     k: &mut [f64; N],
@@ -277,8 +281,8 @@ mod tests {
         let square = |h: &Homography| seen.iter().map(|o| (h.map(o.from)[o.axis] - o.to).powi(2)).sum::<f64>();
         let (found, rms) = fit_homography(&seen).unwrap();
         assert!((rms - (square(&found) / 20.0).sqrt()).abs() < 1e-12);
-        // A minimum of the squared distances: no entry moved to either side is better. Reweighting stops within a hundredth
-        // of a deviation of it, which these steps (of about one) are larger than.
+        // A minimum of the squared distances: no entry moved to either side is better. Reweighting stops within a
+        // hundredth of a deviation of it, which these steps (of about one) are larger than.
         for entry in 0..8 {
             for sign in [-1.0, 1.0] {
                 let mut other = found;

@@ -40,14 +40,16 @@ pub struct FrameFit {
 
 /// Registers the camera to the plane of the frame's marks, from a merged photograph under white light.
 ///
-/// With a `prior` view (the board's) its lens is kept and marks are looked for where it expects them, and all over the picture when they are
-/// not there. Without one, discs are found in the picture and told apart by their layout. Each disc is then fitted as what it is, a disc in
-/// the plane, so that perspective biases no centre. Marks more than four deviations off are dropped.
+/// With a `prior` view (the board's) its lens is kept and marks are looked for where it expects them, and all over the
+/// picture when they are not there. Without one, discs are found in the picture and told apart by their layout. Each
+/// disc is then fitted as what it is, a disc in the plane, so that perspective biases no centre. Marks more than four
+/// deviations off are dropped.
 ///
 /// # Errors
 /// A text that says what was not found.
 ///
-/// Not detected: marks that are not where the rig file says, all alike (another scale, another origin); a frame above or below the sample.
+/// Not detected: marks that are not where the rig file says, all alike (another scale, another origin); a frame above
+/// or below the sample.
 pub fn register_frame(
     picture: &Radiance,
     frame: &FrameMarks,
@@ -85,8 +87,8 @@ impl FrameFit {
     }
 }
 
-/// Median displacement of the marks from one photograph to another and its standard deviation per axis, camera px; `None` with fewer than
-/// four marks in both.
+/// Median displacement of the marks from one photograph to another and its standard deviation per axis, camera px;
+/// `None` with fewer than four marks in both.
 pub fn marks_moved(before: &FrameFit, after: &FrameFit) -> Option<(Point, f64)> {
     let both = before.marks.iter().filter_map(|a| Some((a, after.marks.iter().find(|b| b.index == a.index)?)));
     let moved: Vec<Point> = both.map(|(a, b)| [0, 1].map(|k| b.camera_px[k] - a.camera_px[k])).collect();
@@ -199,7 +201,8 @@ fn locate_disc(picture: &Radiance, light: &[f32], mark: Point, radius: f64, view
     Some(view.camera_from_slab(center))
 }
 
-/// Gauss and Newton on the disc's centre (mm); height and a plane of light around it are linear. Also the mean square that is left.
+/// Gauss and Newton on the disc's centre (mm); height and a plane of light around it are linear. Also the mean square
+/// that is left.
 fn settle(
     pixels: &[Pixel],
     mark: Point,
@@ -251,12 +254,12 @@ fn settle(
     None
 }
 
-/// Turns of the picture that are tried for the first match of the marks where no board tells it, degrees: to either side of upright, as slab
-/// coordinates are defined.
+/// Turns of the picture that are tried for the first match of the marks where no board tells it, degrees: to either
+/// side of upright, as slab coordinates are defined.
 const TURNS_DEG: [f64; 9] = [0.0, 8.0, -8.0, 16.0, -16.0, 24.0, -24.0, 32.0, -32.0];
 
-/// A first view from discs that nobody has numbered: their layout about upright in the picture, as slab coordinates are defined. Of the
-/// turns tried the one counts that matches most marks.
+/// A first view from discs that nobody has numbered: their layout about upright in the picture, as slab coordinates are
+/// defined. Of the turns tried the one counts that matches most marks.
 fn match_layout(blobs: &[Blob], frame: &FrameMarks, camera: &Camera, turns_deg: &[f64]) -> Result<CameraView, String> {
     let all = frame.marks_mm.len();
     let few = || format!("{} discs of one size were found in the picture, but the frame has {all} marks", blobs.len());
@@ -300,8 +303,9 @@ impl Cloud {
     }
 }
 
-/// Matches each mark with the disc nearest to where the view expects it, and fits the view anew, by turns: the number of discs that are some
-/// mark's, and the view. (Discs are counted, not marks: a wrong view may put all marks on a few discs.)
+/// Matches each mark with the disc nearest to where the view expects it, and fits the view anew, by turns: the number
+/// of discs that are some mark's, and the view. (Discs are counted, not marks: a wrong view may put all marks on a few
+/// discs.)
 fn settle_layout(mut view: Homography, seen: &[Point], frame: &FrameMarks, scale: f64) -> Option<(usize, Homography)> {
     const ROUNDS: usize = 6;
     let mut matched = BTreeSet::new();
@@ -354,7 +358,8 @@ mod tests {
         CameraView { ideal_from_slab, lens: Lens::ideal([110.0, 65.0], 400.0) }
     }
 
-    /// Discs of the slab's plane as the camera sees them, on light that grows downwards; not those that `without` names.
+    /// Discs of the slab's plane as the camera sees them, on light that grows downwards; not those that `without`
+    /// names.
     fn photograph(view: &CameraView, without: &[usize]) -> Radiance {
         part_of_photograph(Rect { x: 0, y: 0, width: 230, height: 140 }, view, without)
     }
@@ -404,7 +409,8 @@ mod tests {
             [prior, moved].map(|v| register_frame(&photograph(&v, &[]), &frame(), Some(&prior), &camera()).unwrap());
         assert_eq!((after.marks.len(), after.fit.view.lens), (12, prior.lens));
         let (px, sd) = marks_moved(&before, &after).unwrap();
-        // The lens displaces nothing in the middle of the picture, and changes a movement at its rim by some hundredths of a pixel.
+        // The lens displaces nothing in the middle of the picture, and changes a movement at its rim by some hundredths
+        // of a pixel.
         assert!((px[0] - 1.7).abs() < 0.02 && (px[1] + 0.9).abs() < 0.02, "{px:?}");
         assert!(sd < 0.02, "{sd}");
     }
@@ -475,7 +481,8 @@ mod tests {
             assert_eq!((a.marks.len(), b.marks.len()), (12, 12));
             for (a, b) in a.marks.iter().zip(&b.marks) {
                 assert_eq!(a.index, b.index);
-                // The same pixels; without a prior the first view is another in its last digits, and so is where the search ends.
+                // The same pixels; without a prior the first view is another in its last digits, and so is where the
+                // search ends.
                 let off = (a.camera_px[0] - b.camera_px[0]).hypot(a.camera_px[1] - b.camera_px[1]);
                 assert!(off < 1e-4, "{a:?} {b:?}");
             }
@@ -484,7 +491,8 @@ mod tests {
 
     #[test]
     fn a_mark_at_the_rim_of_the_picture_is_not_used() {
-        // The disc's middle is at (17.9, 88.6), 1.4 radii are 7.7 px along x: a picture from x = 11 on cuts its surroundings.
+        // The disc's middle is at (17.9, 88.6), 1.4 radii are 7.7 px along x: a picture from x = 11 on cuts its
+        // surroundings.
         let at = view().camera_from_slab(frame().marks_mm[9]);
         assert!((at[0] - 17.9).abs() < 0.2, "{at:?}");
         for (x, found) in [(9, true), (11, false)] {

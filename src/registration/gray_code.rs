@@ -1,4 +1,5 @@
-//! Gray-code stripes on the white reference, or on the frame around the sample: where each projector pixel lands on the slab's plane.
+//! Gray-code stripes on the white reference, or on the frame around the sample: where each projector pixel lands on the
+//! slab's plane.
 
 use super::board::percentile;
 use super::fit::Observation;
@@ -35,13 +36,16 @@ struct Contrast {
     value: Vec<Option<f32>>,
 }
 
-/// Stripes narrower than this, camera px, have no plateau of their own between two edges seen through the lens ([`find_edges`] looks 2.5 px to each side).
+/// Stripes narrower than this, camera px, have no plateau of their own between two edges seen through the lens
+/// ([`find_edges`] looks 2.5 px to each side).
 const NARROWEST_STRIPE_PX: f64 = 4.0;
-/// The finest bits are ignored when fewer than this share of the lit pixels are clearly dark or light under them: an edge's blur is as wide as the stripe then.
+/// The finest bits are ignored when fewer than this share of the lit pixels are clearly dark or light under them: an
+/// edge's blur is as wide as the stripe then.
 const CLEAR_SHARE: f64 = 0.5;
 /// A pixel reads clearly from this contrast on.
 const CLEAR: f32 = 0.5;
-/// A square is off the plane when its pixels' codes are off the map by more than this share of a finest stripe, which is what decoding rounds to (half) and a half more.
+/// A square is off the plane when its pixels' codes are off the map by more than this share of a finest stripe, which
+/// is what decoding rounds to (half) and a half more.
 const OFF_PLANE_STRIPES: f64 = 1.0;
 /// Where more squares than this are off the plane, it is not the plane of most.
 const MOST_LEFT_OUT: f64 = 0.5;
@@ -51,7 +55,8 @@ const MOST_LEFT_OUT: f64 = 0.5;
 pub struct StripeFit {
     /// The map.
     pub projector: ProjectorFit,
-    /// Share of the area that was left out: squares whose codes, or edges that, are far off the map; the larger of both.
+    /// Share of the area that was left out: squares whose codes, or edges that, are far off the map; the larger of
+    /// both.
     pub left_out: f64,
     /// How many of the finest bits of each axis were ignored: the camera does not tell their stripes apart.
     pub ignored_bits: [usize; 2],
@@ -70,18 +75,18 @@ struct Coarse {
 
 /// Fits the map slab → projector to the places where stripes begin and end.
 ///
-/// First each pixel's code gives its projector coordinate to a stripe, where every bit is clear; a homography that most of them agree with
-/// tells which squares of the picture lie in the plane. Then every edge between light and dark, located to a fraction of a pixel by the
-/// area under the contrast, gives one exact coordinate; edges that are far off are left out. A pixel takes part when both photographs
-/// measured it, when it is lit, lies in `area`, and is not on the sample (`surface`). The finest bits of an axis are ignored where the
-/// camera does not tell their stripes apart. `lens` has the projector's centre and unit of length: a radial distortion is fitted when the
-/// edges ask for it.
+/// First each pixel's code gives its projector coordinate to a stripe, where every bit is clear; a homography that most
+/// of them agree with tells which squares of the picture lie in the plane. Then every edge between light and dark,
+/// located to a fraction of a pixel by the area under the contrast, gives one exact coordinate; edges that are far off
+/// are left out. A pixel takes part when both photographs measured it, when it is lit, lies in `area`, and is not on
+/// the sample (`surface`). The finest bits of an axis are ignored where the camera does not tell their stripes apart.
+/// `lens` has the projector's centre and unit of length: a radial distortion is fitted when the edges ask for it.
 ///
 /// # Errors
 /// A text that says what was not found.
 ///
-/// Not detected: a frame that is not in the sample's plane, where all of it lies in another; distortion of the projector that is not radial, but as
-/// [`ProjectorFit::trend`].
+/// Not detected: a frame that is not in the sample's plane, where all of it lies in another; distortion of the
+/// projector that is not radial, but as [`ProjectorFit::trend`].
 pub fn register_projector(
     pairs: &[BitPair],
     size_px: [usize; 2],
@@ -206,7 +211,8 @@ fn contrast(pair: &BitPair, usable: &[bool]) -> Contrast {
     Contrast { axis: pair.axis, bit: pair.bit, value }
 }
 
-/// The projector coordinate of every `step`th usable pixel as the middle of the finest stripe that its bits tell, both axes.
+/// The projector coordinate of every `step`th usable pixel as the middle of the finest stripe that its bits tell, both
+/// axes.
 fn decode_pixels(
     contrasts: &[Contrast],
     usable: &[bool],
@@ -249,7 +255,8 @@ fn decoded(contrasts: &[Contrast], axis: usize, usable: &[bool], step: usize) ->
     Ok((0..usable.len()).filter(|k| usable[*k]).step_by(step).filter_map(middle).collect())
 }
 
-/// Edges of bit j lie between projector pixels m − 1 and m, m an odd multiple of 2^j; `None` when the nearest is not clear.
+/// Edges of bit j lie between projector pixels m − 1 and m, m an odd multiple of 2^j; `None` when the nearest is not
+/// clear.
 fn nearest_edge(coordinate: f64, bit: u32) -> Option<f64> {
     let side = f64::from(1u32 << bit);
     let m = 2.0 * (((coordinate + 0.5) / side - 1.0) / 2.0).round() + 1.0;
@@ -269,8 +276,9 @@ struct Across {
 
 /// Across which direction of the picture the stripes of each projector axis are looked at.
 ///
-/// Along the other an edge is seen aslant, its blur longer than the plateaus between which [`find_edges`] looks for it: at 25 degrees that
-/// pulled edges by 1.75 projector px RMS. Decided in the middle of the picture: at 45 degrees both do.
+/// Along the other an edge is seen aslant, its blur longer than the plateaus between which [`find_edges`] looks for it:
+/// at 25 degrees that pulled edges by 1.75 projector px RMS. Decided in the middle of the picture: at 45 degrees both
+/// do.
 fn across_stripes(coarse_map: &Homography, size_px: [usize; 2], slab: &dyn Fn(Point) -> Point) -> [Across; 2] {
     let middle = size_px.map(|s| 0.5 * s as f64);
     let at = |q: Point| coarse_map.map(slab(q));
@@ -284,8 +292,8 @@ fn across_stripes(coarse_map: &Homography, size_px: [usize; 2], slab: &dyn Fn(Po
 
 /// Camera positions of a bit's edges along picture rows (`along` 0) or columns (1).
 ///
-/// Between plateaus p and q two pixels before and three after a change of sign, the edge lies where the area under the contrast
-/// says: exact for a sharp edge seen through any symmetric blur narrower than that.
+/// Between plateaus p and q two pixels before and three after a change of sign, the edge lies where the area under the
+/// contrast says: exact for a sharp edge seen through any symmetric blur narrower than that.
 fn find_edges(contrast: &Contrast, [width, height]: [usize; 2], along: usize) -> Vec<Point> {
     let mut edges = Vec::new();
     let (lines, length, step, line_step) =
@@ -343,7 +351,8 @@ mod tests {
         pair_of(axis, bit, |_, p| PROJECTOR.map(p))
     }
 
-    /// What a pixel sees of bit `bit` of the code, averaged over 6 × 6 places in it; `map` from its column and place on the plane, mm.
+    /// What a pixel sees of bit `bit` of the code, averaged over 6 × 6 places in it; `map` from its column and place on
+    /// the plane, mm.
     fn pair_of(axis: usize, bit: u32, map: impl Fn(f64, Point) -> Point) -> BitPair {
         let back = view().ideal_from_slab.inverse().unwrap();
         let place = |k: usize| (k as f64 + 0.5) / 6.0 - 0.5;
@@ -392,7 +401,8 @@ mod tests {
     #[test]
     fn a_wall_behind_the_plane_is_left_out_and_said() {
         let ideal = Lens::ideal([23.5, 19.5], 60.0);
-        // The right third of the picture is a wall where the stripes lie 3.7 px (and a tenth more of their place) further right.
+        // The right third of the picture is a wall where the stripes lie 3.7 px (and a tenth more of their place)
+        // further right.
         let wall = Homography { matrix: [[2.2, 0.1, 6.7], [-0.15, 1.7, 4.0], [1e-3, -2e-3, 1.0]] };
         let wall_from = |x: f64| x > 88.0;
         let pairs: Vec<BitPair> = (0..2)
@@ -407,7 +417,8 @@ mod tests {
         assert!(fit.left_out > 0.12 && fit.left_out < 0.35, "{fit:?}");
         // Two thirds of the picture, extrapolated to the last of it: the edges are off by some hundredths each.
         assert!(error_px(&fit) < 0.05, "{} {fit:?}", error_px(&fit));
-        // Of an area that ends before the wall, nothing is left out; the dot beyond it widens the area to the wall again.
+        // Of an area that ends before the wall, nothing is left out; the dot beyond it widens the area to the wall
+        // again.
         let only = |dots: Vec<Point>| {
             let area = StripeArea { corners_mm: [[-2.0, -2.0], [16.0, 30.0]], dots_projector_px: dots };
             register_projector(&pairs, SIZE, &view(), StripeSurface::White, &area, ideal).unwrap()
@@ -421,8 +432,8 @@ mod tests {
     #[test]
     fn bits_that_the_camera_does_not_tell_apart_are_ignored() {
         let ideal = Lens::ideal([23.5, 19.5], 60.0);
-        // A projector pixel is about 2.3 camera px wide, so bits 0 and 1 have stripes of 4.6 and 9; through a blur of 13 px at the finest
-        // both are grey.
+        // A projector pixel is about 2.3 camera px wide, so bits 0 and 1 have stripes of 4.6 and 9; through a blur of
+        // 13 px at the finest both are grey.
         let mut pairs: Vec<BitPair> = (0..2).flat_map(|axis| (0..6).map(move |bit| pair(axis, bit))).collect();
         let whole = registered(&pairs, ideal).unwrap();
         assert_eq!(whole.ignored_bits, [0, 0]);
@@ -529,7 +540,8 @@ mod tests {
     #[test]
     fn contrast_is_the_difference_over_the_sum_where_there_is_light() {
         let n = 40;
-        // Light from 10 to 49 of which a share of −1 to 1 is the pattern's; the last is dark, the one before it not valid.
+        // Light from 10 to 49 of which a share of −1 to 1 is the pattern's; the last is dark, the one before it not
+        // valid.
         let sum = |k: usize| if k == 39 { 0.5 } else { 10.0 + k as f32 };
         let share = |k: usize| jitter(k) as f32;
         let pair = BitPair {

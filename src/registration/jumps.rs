@@ -12,16 +12,18 @@ pub struct Jump {
     pub length_px: f64,
 }
 
-/// A step is a jump beyond this many standard deviations of the walk's steps and of the two measurements: by chance once in 10⁷ steps.
+/// A step is a jump beyond this many standard deviations of the walk's steps and of the two measurements: by chance
+/// once in 10⁷ steps.
 const SIGMA: f64 = 6.0;
 /// With fewer steps there is no telling what is usual.
 const LEAST_STEPS: usize = 4;
 
-/// The steps of `path` (drift in px and its standard deviation per axis, in shooting order; `None` where it was not measured) that its other
-/// steps do not explain.
+/// The steps of `path` (drift in px and its standard deviation per axis, in shooting order; `None` where it was not
+/// measured) that its other steps do not explain.
 ///
-/// The usual step is the median of all, so that jumps in less than half of the shots do not hide each other. A movement and its return are
-/// two jumps. Not detected: jumps below six times the walk's own steps, jumps within a shot, anything in a path of fewer than five shots.
+/// The usual step is the median of all, so that jumps in less than half of the shots do not hide each other. A movement
+/// and its return are two jumps. Not detected: jumps below six times the walk's own steps, jumps within a shot,
+/// anything in a path of fewer than five shots.
 pub fn find_jumps(path: &[Option<(Point, f64)>]) -> Vec<Jump> {
     let known: Vec<(usize, Point, f64)> =
         path.iter().enumerate().filter_map(|(k, p)| p.map(|(d, sd)| (k, d, sd))).collect();
@@ -79,7 +81,8 @@ mod tests {
 
     #[test]
     fn a_jump_is_six_deviations_of_a_walk_whose_median_step_is_known() {
-        // Steps of 0.1 px by turns, far from the origin: the walk's deviation is 0.1 / √(2 ln 2), six of them are 0.5096 px.
+        // Steps of 0.1 px by turns, far from the origin: the walk's deviation is 0.1 / √(2 ln 2), six of them are
+        // 0.5096 px.
         let path = |steps: &[Point]| {
             let mut at = [5.0, -7.0];
             let mut path = vec![Some((at, 0.001))];

@@ -44,9 +44,10 @@ const FLOOR_PX: f64 = 0.003;
 
 /// Fits a lens to several views, each of a plane of its own; every view counts by how well its own points agree.
 ///
-/// Radial distortion and then its centre are added while the Bayesian information criterion falls. A plane's homography holds focal length and
-/// pose together, which is all that placing points on it needs. The centre is only fitted to two views or more: on one plane a homography
-/// stands in for it. `None` for no views, or one with fewer than ten points or a degenerate layout.
+/// Radial distortion and then its centre are added while the Bayesian information criterion falls. A plane's homography
+/// holds focal length and pose together, which is all that placing points on it needs. The centre is only fitted to two
+/// views or more: on one plane a homography stands in for it. `None` for no views, or one with fewer than ten points or
+/// a degenerate layout.
 pub fn fit_lens_of_views(views: &[Pairs], center_px: Point, focal_px: f64) -> Option<(Vec<ViewFit>, LensChoice)> {
     if views.is_empty() {
         return None;
@@ -193,7 +194,8 @@ mod tests {
         let all = views(real);
         let trials = |views: &[Pairs]| fit_lens_of_views(views, [110.0, 95.0], 300.0).map(|f| f.1.trials.len());
         assert_eq!(trials(&all[..1]), Some(3));
-        // Every eleventh of 156 is 15 points: one term; every twelfth 13: none; two views of 15 have two terms, of 39 the centre.
+        // Every eleventh of 156 is 15 points: one term; every twelfth 13: none; two views of 15 have two terms, of 39
+        // the centre.
         let every = |n: usize| -> Vec<Pairs> { all.iter().map(|v| v.iter().copied().step_by(n).collect()).collect() };
         assert_eq!(trials(&every(11)[..1]), Some(2));
         assert_eq!(trials(&every(12)[..1]), Some(1));

@@ -57,7 +57,8 @@ pub struct Registration {
     pub projector_rms_px: f64,
     /// The same against a projector without distortion, projector px.
     pub projector_ideal_rms_px: f64,
-    /// Standard deviation per axis of where a projected point is on the slab, relative to the camera's samples, mm (without drift).
+    /// Standard deviation per axis of where a projected point is on the slab, relative to the camera's samples, mm
+    /// (without drift).
     pub position_sd_mm: f64,
 }
 
@@ -90,7 +91,8 @@ impl Registration {
         if !projector_px_per_mm.is_finite() {
             return None;
         }
-        // The stripes are seen by the same camera: an error of its view moves stripes and samples alike, and cancels to first order.
+        // The stripes are seen by the same camera: an error of its view moves stripes and samples alike, and cancels to
+        // first order.
         let position_sd_mm = projector.sd_px / projector_px_per_mm;
         Some(Self {
             view: camera.view,

@@ -5,8 +5,8 @@ use crate::capture::Rect;
 use crate::geometry::{CameraView, Homography, Lens, Point, SlabFromProjector};
 use crate::radiance::Radiance;
 
-/// A picture whose pixels' mean over the channels is `light` at (x, y), every channel its own share of it; the variance of that mean is
-/// `variance`, every channel its own share too.
+/// A picture whose pixels' mean over the channels is `light` at (x, y), every channel its own share of it; the variance
+/// of that mean is `variance`, every channel its own share too.
 pub(super) fn picture(rect: Rect, light: impl Fn(f64, f64) -> f64, variance: f64) -> Radiance {
     let n = 3 * rect.area();
     let at = |k: usize| ((rect.x + k / 3 % rect.width) as f64, (rect.y + k / 3 / rect.width) as f64);
@@ -22,7 +22,8 @@ pub(super) fn share(x: f64, y: f64, inside: impl Fn(f64, f64) -> bool) -> f64 {
     lit as f64 / 144.0
 }
 
-/// How much of the pixel at (x, y) a rectangle covers. Where its sides are whole numbers of pixels its centroid is exact.
+/// How much of the pixel at (x, y) a rectangle covers. Where its sides are whole numbers of pixels its centroid is
+/// exact.
 pub(super) fn covered(x: f64, y: f64, center: Point, size: Point) -> f64 {
     let along = |at: f64, center: f64, size: f64| {
         let (low, high) = (center - 0.5 * size, center + 0.5 * size);

@@ -19,8 +19,8 @@ pub struct ProjectorFit {
     pub sd_px: f64,
     /// Number of edges.
     pub edges: usize,
-    /// Share of the edges that are off the map by half a projector pixel and more: of something that does not lie in the plane. (Of those that are left out
-    /// beside them most lie where prints end.)
+    /// Share of the edges that are off the map by half a projector pixel and more: of something that does not lie in
+    /// the plane. (Of those that are left out beside them most lie where prints end.)
     pub left_out: f64,
     /// Where the edges are off the map together, if anywhere: what no plane and no radial distortion explains.
     pub trend: Option<MapTrend>,
@@ -41,8 +41,8 @@ pub struct MapTrend {
 const DECIDING_EDGES: usize = 6000;
 /// Neighbouring pixels along one edge share their errors: about so many are one.
 const ALIKE: f64 = 8.0;
-/// A distortion that moves no edge by this is not worth a model, projector px: the homography takes up most of it, and it may be the
-/// camera's lens that is a little off.
+/// A distortion that moves no edge by this is not worth a model, projector px: the homography takes up most of it, and
+/// it may be the camera's lens that is a little off.
 const WORTH_PX: f64 = 0.25;
 /// Rounds in which homography and distortion settle on each other.
 const ROUNDS: usize = 4;
@@ -55,13 +55,14 @@ const LEAST_SD_PX: f64 = 1e-3;
 
 /// Fits homography and lens to edges (slab mm to one projector coordinate), dropping edges far off until none is.
 ///
-/// The lens has at most two radial terms about `lens.center_px`, as many as lower the Bayesian information criterion, and none that moves
-/// no edge by a quarter of a pixel. `None` for fewer than nine edges or a degenerate layout.
+/// The lens has at most two radial terms about `lens.center_px`, as many as lower the Bayesian information criterion,
+/// and none that moves no edge by a quarter of a pixel. `None` for fewer than nine edges or a degenerate layout.
 pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<ProjectorFit> {
     let lens = Lens { k1: 0.0, k2: 0.0, ..lens };
     let step = (edges.len() / DECIDING_EDGES).max(1);
     let deciding: Vec<Observation> = edges.iter().copied().step_by(step).collect();
-    // Mistaken edges are off by more than any lens; the plane that most agree on knows nothing of them, and a lens brings back what it bends.
+    // Mistaken edges are off by more than any lens; the plane that most agree on knows nothing of them, and a lens
+    // brings back what it bends.
     let first = plane_of_most(&deciding)?;
     let (mut few, mut start) = (Vec::new(), (first, lens));
     for _ in 0..ROUNDS {
@@ -116,7 +117,8 @@ const PARTS: usize = 6;
 /// Fewer edges than for so many independent ones (see [`ALIKE`]) tell no trend.
 const TREND_EDGES: f64 = 8.0;
 
-/// The part of the plane, and the axis, whose edges are off the map together the most, beyond what their scatter explains.
+/// The part of the plane, and the axis, whose edges are off the map together the most, beyond what their scatter
+/// explains.
 fn trend(edges: &[Observation], h: &Homography, lens: &Lens) -> Option<MapTrend> {
     let (mut low, mut high) = ([f64::MAX; 2], [f64::MIN; 2]);
     for o in edges {
@@ -148,14 +150,16 @@ fn trend(edges: &[Observation], h: &Homography, lens: &Lens) -> Option<MapTrend>
 /// A trend of so many deviations: of 72 parts and axes none in 10 000 captures.
 const TREND_SIGMA: f64 = 5.0;
 
-/// Hypotheses and what each rests on: of 8 pixels of which a third are off the plane, one in 26 hypotheses has none of them.
+/// Hypotheses and what each rests on: of 8 pixels of which a third are off the plane, one in 26 hypotheses has none of
+/// them.
 const HYPOTHESES: usize = 300;
 const HYPOTHESIS_PIXELS: usize = 8;
 /// Pixels that judge a hypothesis.
 const JUDGES: usize = 1500;
 
-/// The homography that most observations agree with: of hypotheses from a few of them each, the one of the least median residual
-/// (Rousseeuw 1984), then least squares over what is within 2.5 robust deviations of it. `None` with too few or a degenerate layout.
+/// The homography that most observations agree with: of hypotheses from a few of them each, the one of the least median
+/// residual (Rousseeuw 1984), then least squares over what is within 2.5 robust deviations of it. `None` with too few
+/// or a degenerate layout.
 pub(super) fn plane_of_most(observations: &[Observation]) -> Option<Homography> {
     let by_axis = [0, 1].map(|axis| observations.iter().copied().filter(|o| o.axis == axis).collect::<Vec<_>>());
     let half = HYPOTHESIS_PIXELS / 2;
@@ -192,7 +196,8 @@ fn bend(lens: &Lens, ideal: Point) -> f64 {
     (q[0] - ideal[0]).hypot(q[1] - ideal[1])
 }
 
-/// The homography for a given lens, and the RMS residual: what the lens adds to each coordinate is taken off where the last map puts it.
+/// The homography for a given lens, and the RMS residual: what the lens adds to each coordinate is taken off where the
+/// last map puts it.
 fn fit_given(edges: &[Observation], start: Homography, lens: &Lens) -> Option<(Homography, f64)> {
     if lens.is_ideal() {
         return fit_homography(edges);
@@ -308,8 +313,9 @@ mod tests {
     fn edges_that_are_off_together_are_a_trend_with_its_place() {
         let ideal = Lens::ideal([150.0, 130.0], 300.0);
         assert_eq!(fit_projector(edges(&ideal), ideal).unwrap().trend, None);
-        // Rows' edges between 20 and 24.5 mm, and 9 and 13.5, are off by 0.02 px: less than what is left out (4.5 deviations of 0.0074 px),
-        // and of six times 28 edges, as good as 21 independent ones, sixteen deviations of their mean.
+        // Rows' edges between 20 and 24.5 mm, and 9 and 13.5, are off by 0.02 px: less than what is left out (4.5
+        // deviations of 0.0074 px), and of six times 28 edges, as good as 21 independent ones, sixteen deviations of
+        // their mean.
         let mut seen: Vec<Observation> = (0..6).flat_map(|_| edges(&ideal)).collect();
         // One axis after the other, as the stripes' pictures come: every second edge decides about the lens.
         seen.sort_by_key(|o| o.axis);

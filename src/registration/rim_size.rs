@@ -1,5 +1,5 @@
-//! Where the sample is by its rim and how large, as the board sees it: a printed board that is not of its stated size, a photograph of it that
-//! is turned, another sample than stated.
+//! Where the sample is by its rim and how large, as the board sees it: a printed board that is not of its stated size,
+//! a photograph of it that is turned, another sample than stated.
 
 use super::camera_motion::{RimPlace, RimSegment, locate_rim, rim_segments};
 use super::drift::{median, scaled_deviation};
@@ -7,7 +7,8 @@ use crate::cholesky::solve_small;
 use crate::geometry::{CameraView, Homography, Point};
 use crate::radiance::Radiance;
 
-/// Sizes that are tried, of the stated one, are so far apart that the rim moves by this, px: segments find it 3 px to either side.
+/// Sizes that are tried, of the stated one, are so far apart that the rim moves by this, px: segments find it 3 px to
+/// either side.
 const STEP_PX: f64 = 2.0;
 /// The largest difference that is looked for.
 const LARGEST: f64 = 0.12;
@@ -28,10 +29,11 @@ pub struct RimFit {
     pub offset_sd_px: f64,
 }
 
-/// Fits a similarity that takes the rim of a slab of `size_mm` to where it is seen in `picture` (the whole photograph, the sample without
-/// dots), whose segments were found at `located`; `None` where less than half of the rim is seen.
+/// Fits a similarity that takes the rim of a slab of `size_mm` to where it is seen in `picture` (the whole photograph,
+/// the sample without dots), whose segments were found at `located`; `None` where less than half of the rim is seen.
 ///
-/// Not detected: a sample of another shape, one that is larger or smaller by more than an eighth, or off by more than that of its size.
+/// Not detected: a sample of another shape, one that is larger or smaller by more than an eighth, or off by more than
+/// that of its size.
 pub fn fit_rim(
     view: &CameraView,
     size_mm: Point,

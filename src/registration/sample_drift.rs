@@ -1,25 +1,29 @@
 //! Drift from the lattice's own dots, where there are none on the frame.
 //!
-//! Three things move a dot on a translucent sample besides the projector. The glow around it is brighter on one side near an edge
-//! between materials: only the sharp core is used ([`DotShape`]). What is seen comes from some depth, so that an oblique camera sees it
-//! beside its place: one effective depth for the capture, learnt from how dots of one shot are pulled apart ([`Parallax`]). What is
-//! left differs from dot to dot: the median and the spread over a shot's dots.
+//! Three things move a dot on a translucent sample besides the projector. The glow around it is brighter on one side
+//! near an edge between materials: only the sharp core is used ([`DotShape`]). What is seen comes from some depth, so
+//! that an oblique camera sees it beside its place: one effective depth for the capture, learnt from how dots of one
+//! shot are pulled apart ([`Parallax`]). What is left differs from dot to dot: the median and the spread over a shot's
+//! dots.
 
 use super::drift::{centroid, median, robust_mean};
 use super::{DotShape, Drift, Registration, SeenDepth};
 use crate::geometry::Point;
 use crate::radiance::Radiance;
 
-/// What a dot on the sample is off by when nothing tells, px: the centroids of dots near an edge of two materials stray so far.
+/// What a dot on the sample is off by when nothing tells, px: the centroids of dots near an edge of two materials stray
+/// so far.
 const UNKNOWN_DOT_SD_PX: f64 = 0.1;
 /// Sharp dots are found this well at best, px.
 const FLOOR_PX: f64 = 0.01;
-/// Cores on a real material are not the model's footprint: what all dots of a capture are off by alike, px (simulated materials: up to 0.03).
+/// Cores on a real material are not the model's footprint: what all dots of a capture are off by alike, px (simulated
+/// materials: up to 0.03).
 const COMMON_PX: f64 = 0.03;
 /// A depth of this many standard deviations is believed where the medium says nothing.
 const BELIEVED_SIGMA: f64 = 4.0;
-/// Depth over refractive index of a dot's core, in radii of the half of its light, and its scatter from medium to medium: 0.10 to 0.63 in 26 captures of
-/// 12 media, cells of 0.2 and 0.5 mm, by diffusion and by Monte Carlo (docs/accuracy.md, "Geometry").
+/// Depth over refractive index of a dot's core, in radii of the half of its light, and its scatter from medium to
+/// medium: 0.10 to 0.63 in 26 captures of 12 media, cells of 0.2 and 0.5 mm, by diffusion and by Monte Carlo
+/// (docs/accuracy.md, "Geometry").
 const DEPTH_OF_HALF_LIGHT: f64 = 0.3;
 const DEPTH_OF_HALF_LIGHT_SD: f64 = 0.2;
 
@@ -48,7 +52,8 @@ pub struct Located {
 pub struct Parallax {
     /// Where the camera is, slab mm.
     pub eye_mm: [f64; 3],
-    /// Effective depth over refractive index, mm: a dot is seen by this times the tangent of the line of sight nearer to the camera's foot.
+    /// Effective depth over refractive index, mm: a dot is seen by this times the tangent of the line of sight nearer
+    /// to the camera's foot.
     pub depth_mm: f64,
     /// Its standard deviation, mm.
     pub depth_sd_mm: f64,
@@ -59,8 +64,8 @@ pub struct Parallax {
 impl SampleDots {
     /// Finds a dot in its picture without ambient light, near the place where the pattern puts it (mm).
     ///
-    /// Dots are searched within `search_px`: not further than half the way to the next one. `None` for one that is too dark, cut off by the
-    /// search or not of the dot's shape.
+    /// Dots are searched within `search_px`: not further than half the way to the next one. `None` for one that is too
+    /// dark, cut off by the search or not of the dot's shape.
     pub fn locate(
         &self,
         expected_mm: Point,
@@ -87,7 +92,8 @@ pub struct DepthOfMedium {
 }
 
 impl DepthOfMedium {
-    /// From the radius around a dot within which half of its light leaves, mm: light that comes from deeper has spread wider.
+    /// From the radius around a dot within which half of its light leaves, mm: light that comes from deeper has spread
+    /// wider.
     pub fn of_half_light(half_light_mm: f64) -> Self {
         Self { depth_mm: DEPTH_OF_HALF_LIGHT * half_light_mm, sd_mm: DEPTH_OF_HALF_LIGHT_SD * half_light_mm }
     }
@@ -104,15 +110,17 @@ impl Parallax {
         [0, 1].map(|a| (self.eye_mm[a] - p[a]) / -self.eye_mm[2])
     }
 
-    /// Learns the depth from the dots of several shots, each with a drift of its own: what pulls a shot's dots towards the camera's foot is
-    /// depth. `px_per_mm` is the camera's scale. A camera that looks at all dots from one direction does not tell it: what `medium` says counts by
-    /// its standard deviation beside what the dots do. Without either the depth is unknown, and taken for none.
+    /// Learns the depth from the dots of several shots, each with a drift of its own: what pulls a shot's dots towards
+    /// the camera's foot is depth. `px_per_mm` is the camera's scale. A camera that looks at all dots from one
+    /// direction does not tell it: what `medium` says counts by its standard deviation beside what the dots do. Without
+    /// either the depth is unknown, and taken for none.
     ///
     /// Not detected: a pattern that has grown or shrunk since registration; it looks like depth.
     pub fn learn(shots: &[Vec<Located>], eye_mm: [f64; 3], px_per_mm: f64, medium: Option<DepthOfMedium>) -> Self {
         let depth = |d: DepthOfMedium| Self { depth_mm: d.depth_mm, depth_sd_mm: d.sd_mm, ..Self::unknown(eye_mm) };
         let nothing = medium.map_or(Self::unknown(eye_mm), depth);
-        // Differences from the shot's mean are free of its drift: (tangent, displacement, weight that the mean takes away).
+        // Differences from the shot's mean are free of its drift: (tangent, displacement, weight that the mean takes
+        // away).
         let mut pairs: Vec<(f64, f64)> = Vec::new();
         let mut lost = 0;
         for dots in shots.iter().filter(|s| s.len() >= 2) {
@@ -189,7 +197,8 @@ mod tests {
         Located { expected_mm, moved_mm, variance_px2 }
     }
 
-    /// Shots of dots that are seen by `depth` times the tangent nearer to the camera's foot, after a drift of each shot's own.
+    /// Shots of dots that are seen by `depth` times the tangent nearer to the camera's foot, after a drift of each
+    /// shot's own.
     fn shots(depth: f64, noise_mm: f64) -> Vec<Vec<Located>> {
         let dot = |shot: usize, k: usize| {
             let p = [2.0 + 11.0 * (k % 4) as f64, 3.0 + 9.0 * (k / 4) as f64];
@@ -213,7 +222,8 @@ mod tests {
         let found = Parallax::learn(&shots(1.5, 0.0), EYE, 7.0, None);
         assert!((found.depth_mm - 1.5).abs() < 1e-9, "{found:?}");
         assert_eq!((found.eye_mm, found.dot_sd_px), (EYE, FLOOR_PX));
-        // Noise that is even in ±0.02 mm has a median deviation of 0.01 mm: 0.0148 mm, or 0.104 px at 7 px a millimetre.
+        // Noise that is even in ±0.02 mm has a median deviation of 0.01 mm: 0.0148 mm, or 0.104 px at 7 px a
+        // millimetre.
         let found = Parallax::learn(&shots(1.5, 0.02), EYE, 7.0, None);
         assert!((found.dot_sd_px / 0.104 - 1.0).abs() < 0.2, "144 differences: a tenth of it; {found:?}");
         // Least squares: the noise over the root of the tangents' squares about each shot's mean.

@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 pub struct PointSpread {
     /// Its standard deviation without the pixels' own extent, camera px; 0 when the board is as sharp as it can be.
     pub psf_px: f64,
-    /// Standard deviation of `psf_px`² between parts of the picture, over their number's root, px²; as large as what was found where
-    /// fewer than two parts can be told apart: it is then taken for none.
+    /// Standard deviation of `psf_px`² between parts of the picture, over their number's root, px²; as large as what
+    /// was found where fewer than two parts can be told apart: it is then taken for none.
     pub variance_sd_px2: f64,
     /// The least and the largest standard deviation that a ninth of the picture gives by itself, camera px.
     pub range_px: [f64; 2],
@@ -43,12 +43,14 @@ struct Edge {
     print_px2: f64,
 }
 
-/// Measures the point spread from the merged photograph of the board (the slanted edge of ISO 12233, fitted instead of differentiated).
+/// Measures the point spread from the merged photograph of the board (the slanted edge of ISO 12233, fitted instead of
+/// differentiated).
 ///
-/// Every edge between neighbouring corners is fitted with a blurred step of free levels and a free shift; the variance of the
-/// blur is common to all. `board.edge_blur_mm` is the print's own. `None` when fewer than ten edges can be used.
+/// Every edge between neighbouring corners is fitted with a blurred step of free levels and a free shift; the variance
+/// of the blur is common to all. `board.edge_blur_mm` is the print's own. `None` when fewer than ten edges can be used.
 ///
-/// Not detected: halos wider than a few pixels, blur that is not Gaussian, a board that is softer than it says (it is taken for the lens's).
+/// Not detected: halos wider than a few pixels, blur that is not Gaussian, a board that is softer than it says (it is
+/// taken for the lens's).
 pub fn measure_point_spread(picture: &Radiance, board: &Board, view: &CameraView) -> Option<PointSpread> {
     let edges = collect_edges(picture, board, view);
     if edges.len() < 10 {
@@ -96,7 +98,8 @@ fn collect_edges(picture: &Radiance, board: &Board, view: &CameraView) -> Vec<Ed
         .collect()
 }
 
-/// The pixels around the edge between two neighbouring corners; `None` where the photograph ends or nothing measured one.
+/// The pixels around the edge between two neighbouring corners; `None` where the photograph ends or nothing measured
+/// one.
 fn edge(picture: &Radiance, light: &[f32], from: Point, to: Point, part: usize, print_px2: f64) -> Option<Edge> {
     let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
     let length = dx.hypot(dy);
@@ -135,7 +138,8 @@ fn least_variance<'a>(edges: impl Iterator<Item = &'a Edge> + Clone) -> f64 {
     let edges: Vec<&Edge> = edges.collect();
     let floor = -edges.iter().map(|e| e.print_px2 + e.extra_px2).fold(f64::MAX, f64::min);
     let residual = |variance: f64| edges.iter().filter_map(|e| e.residual(variance)).sum::<f64>();
-    // A coarse walk over standard deviations, then golden section: the residual has one minimum near the best of the walk.
+    // A coarse walk over standard deviations, then golden section: the residual has one minimum near the best of the
+    // walk.
     let step = |k: i32| floor + (f64::from(k) / 20.0).powi(2) * (LARGEST_PX2 - floor);
     let best = (0..=20).min_by(|&a, &b| residual(step(a)).total_cmp(&residual(step(b)))).unwrap_or(0);
     let (mut low, mut high) = (step((best - 1).max(0)), step((best + 1).min(20)));
@@ -199,7 +203,8 @@ mod tests {
         CameraView { ideal_from_slab: Homography { matrix }, lens: Lens::ideal([44.5, 39.5], 500.0) }
     }
 
-    /// A board averaged over pixels by brute force: places spread evenly over each pixel, moved by a grid of quantiles of the Gaussian.
+    /// A board averaged over pixels by brute force: places spread evenly over each pixel, moved by a grid of quantiles
+    /// of the Gaussian.
     fn picture(view: &CameraView, blur_px: f64) -> Radiance {
         let rect = Rect { x: 0, y: 0, width: 90, height: 80 };
         let places: Vec<f64> = (0..60).map(|k| (f64::from(k) + 0.5) / 60.0 - 0.5).collect();
@@ -236,8 +241,8 @@ mod tests {
     fn the_blur_of_a_board_is_found() {
         for (blur_px, turn_deg) in [(0.3, 0.8), (0.6, 3.0), (0.9, 20.0)] {
             let found = measure_point_spread(&picture(&view(turn_deg), blur_px), &board(0.0), &view(turn_deg)).unwrap();
-            // The picture is made of 49 places an axis and pixel, an edge is displaced by up to half of one; a turned pixel is
-            // taken for a box and a Gaussian.
+            // The picture is made of 49 places an axis and pixel, an edge is displaced by up to half of one; a turned
+            // pixel is taken for a box and a Gaussian.
             assert!((found.psf_px / blur_px - 1.0).abs() < 0.02, "{blur_px}: {found:?}");
             assert!(found.range_px[0] <= found.psf_px && found.psf_px <= found.range_px[1]);
         }

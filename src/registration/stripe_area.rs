@@ -30,7 +30,8 @@ impl StripeArea {
         Self { corners_mm: [[f64::MIN; 2], [f64::MAX; 2]], dots_projector_px: Vec::new() }
     }
 
-    /// The rectangle with the dots in it, where `map` (slab mm to projector px) puts them; `None` when it holds them already.
+    /// The rectangle with the dots in it, where `map` (slab mm to projector px) puts them; `None` when it holds them
+    /// already.
     pub(super) fn widened(&self, map: &Homography) -> Option<Self> {
         let back = map.inverse()?;
         let [mut low, mut high] = self.corners_mm;
@@ -48,9 +49,11 @@ impl StripeArea {
 
 /// Pixels nearer to the sample's rim than this are not on the frame alone, px.
 const RIM_PX: f64 = 4.0;
-/// On each side of the sample at least this share of the decoded pixels must lie: beyond them the map is an extrapolation.
+/// On each side of the sample at least this share of the decoded pixels must lie: beyond them the map is an
+/// extrapolation.
 const LEAST_SIDE_SHARE: f64 = 0.05;
-/// Pixels in a square of this side are kept or left out together: a few stripes' edges and the clear pixels between them.
+/// Pixels in a square of this side are kept or left out together: a few stripes' edges and the clear pixels between
+/// them.
 pub(super) const BLOCK_PX: usize = 8;
 /// Which pixels may be used: those of squares whose middle is in the area, and for a frame those beside the sample.
 pub(super) fn usable_pixels(
@@ -114,7 +117,8 @@ mod tests {
         let usable =
             |surface, area: &StripeArea, slab: &dyn Fn(Point) -> Point| usable_pixels(&view, SIZE, surface, area, slab);
         assert!(usable(StripeSurface::White, &StripeArea::everywhere(), &slab).iter().all(|u| *u));
-        // Squares of 8 px whose middles, 3.5 px from their first, lie between 2 and 10 mm (columns 10 to 50) and beyond 5 mm (line 20).
+        // Squares of 8 px whose middles, 3.5 px from their first, lie between 2 and 10 mm (columns 10 to 50) and beyond
+        // 5 mm (line 20).
         let area = StripeArea { corners_mm: [[2.0, 5.0], [10.0, 100.0]], dots_projector_px: vec![] };
         let used = usable(StripeSurface::White, &area, &slab);
         for (x, y, expected) in
@@ -123,7 +127,8 @@ mod tests {
             assert_eq!(used[x + y * SIZE[0]], expected, "({x}, {y})");
         }
         let used = usable(StripeSurface::Frame([15.0, 12.0]), &StripeArea::everywhere(), &slab);
-        // Four pixels are 4 / √20 = 0.894 mm: beyond 15.894 mm in x are columns from 80 on, beyond 12.894 in y lines from 52 on.
+        // Four pixels are 4 / √20 = 0.894 mm: beyond 15.894 mm in x are columns from 80 on, beyond 12.894 in y lines
+        // from 52 on.
         for (x, y, expected) in [(79, 51, false), (80, 51, true), (79, 52, true), (0, 0, false), (3, 51, false)] {
             assert_eq!(used[x + y * SIZE[0]], expected, "({x}, {y})");
         }

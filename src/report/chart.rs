@@ -22,7 +22,8 @@ impl ChartAxis {
         Self { min, max, log: false, title: title.to_owned() }
     }
 
-    /// A logarithmic axis from the decade below `min` to the one above `max`; values that are not positive are replaced.
+    /// A logarithmic axis from the decade below `min` to the one above `max`; values that are not positive are
+    /// replaced.
     pub(crate) fn decades(min: f64, max: f64, title: &str) -> Self {
         let max = if max > 0.0 && max.is_finite() { max } else { 1.0 };
         let min = if min > 0.0 { min.min(max) } else { max * 1e-4 };

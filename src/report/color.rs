@@ -6,7 +6,8 @@ pub(super) type Rgb = [u8; 3];
 /// What was not measured: a grey that no scale below contains.
 pub(super) const INVALID: Rgb = [128, 128, 128];
 
-/// Dark to bright, perceptually even and readable by colour-blind eyes (the "inferno" scale of matplotlib, at ten places).
+/// Dark to bright, perceptually even and readable by colour-blind eyes (the "inferno" scale of matplotlib, at ten
+/// places).
 const SEQUENTIAL: [Rgb; 10] = [
     [0, 0, 4],
     [27, 12, 65],
@@ -66,7 +67,8 @@ pub(super) fn log_position(value: f64, top: f64, decades: f64) -> f64 {
 
 /// Linear RGB radiance to display colour, with a logarithmic curve that keeps the ratios of the channels.
 ///
-/// `white` is the luminance that becomes white. The curve is ln(1 + 500 L/white) / ln 501: dots and their faint surroundings are both seen.
+/// `white` is the luminance that becomes white. The curve is ln(1 + 500 L/white) / ln 501: dots and their faint
+/// surroundings are both seen.
 pub(super) fn tone_map(rgb: [f32; 3], white: f32) -> Rgb {
     const STRENGTH: f32 = 500.0;
     let luminance = luminance(rgb).max(0.0);

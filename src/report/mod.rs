@@ -1,7 +1,7 @@
 //! Report: one self-contained page with its pictures.
 //!
-//! Data in, files out: [`write()`] takes plain data ([`ReportInput`]) and knows nothing of how it was made. [`RowSurvey`] reads the matrix once
-//! and picks the rows that the page shows.
+//! Data in, files out: [`write()`] takes plain data ([`ReportInput`]) and knows nothing of how it was made.
+//! [`RowSurvey`] reads the matrix once and picks the rows that the page shows.
 
 pub(crate) mod chart;
 mod color;
@@ -113,7 +113,8 @@ impl Comparison {
 
 /// Writes `report.html` and its pictures into `dir`, which is made when it is not there.
 ///
-/// The page needs no other file: pictures are embedded, charts are inline. The files beside it are the same pictures for use elsewhere.
+/// The page needs no other file: pictures are embedded, charts are inline. The files beside it are the same pictures
+/// for use elsewhere.
 ///
 /// # Errors
 /// [`Error::Io`]; [`Error::Internal`] when the parts of `input` do not belong together.

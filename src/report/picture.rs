@@ -28,7 +28,8 @@ impl SrgbPicture {
         [self.pixels[i], self.pixels[i + 1], self.pixels[i + 2]]
     }
 
-    /// Every pixel repeated so often that the longer side has at least `side` pixels: small windows stay crisp in any viewer.
+    /// Every pixel repeated so often that the longer side has at least `side` pixels: small windows stay crisp in any
+    /// viewer.
     pub(super) fn enlarged(&self, side: usize) -> Self {
         let n = side.div_ceil(self.width.max(self.height).max(1)).max(1);
         Self::from_fn(self.width * n, self.height * n, |x, y| self.at(x / n, y / n))

@@ -7,7 +7,8 @@ use rayon::prelude::*;
 /// What one pass over matrix and material found.
 #[derive(Debug, Clone, Default)]
 pub struct RowSurvey {
-    /// Share of the arriving light that leaves inside each row's window, mean of the channels; `None` for rows without a measurement.
+    /// Share of the arriving light that leaves inside each row's window, mean of the channels; `None` for rows without
+    /// a measurement.
     pub albedo: Vec<Option<f64>>,
     /// ‖R̂ − R‖ / ‖R‖ of each row over its measured samples.
     pub error: Vec<Option<f64>>,
@@ -36,7 +37,8 @@ impl RowSurvey {
     /// Reads `matrix` in blocks; `reconstruct` gives the material's row of an index.
     ///
     /// # Errors
-    /// Those of [`MatrixReader::read`] and of `reconstruct`; [`Error::Internal`] when the two disagree on a row's length.
+    /// Those of [`MatrixReader::read`] and of `reconstruct`; [`Error::Internal`] when the two disagree on a row's
+    /// length.
     pub fn take(matrix: &MatrixReader, reconstruct: impl Fn(usize) -> Result<Vec<f32>> + Sync) -> Result<Self> {
         let header = matrix.header();
         let n = header.row_len();

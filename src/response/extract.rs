@@ -32,8 +32,8 @@ pub struct WindowGrid {
 const NEAR_SAMPLES: usize = 3;
 /// Cells around the lit point into which its edges reach: their reconstruction is doubted.
 const SHARP_SAMPLES: usize = 1;
-/// Error of the reconstruction of degree 6, RMS, over its difference from that of degree 4. Simulated dots with sharp edges have
-/// 1.9 at 3 px a sample, those that are blurred by most of a pixel 1: this keeps to the safe side.
+/// Error of the reconstruction of degree 6, RMS, over its difference from that of degree 4. Simulated dots with sharp
+/// edges have 1.9 at 3 px a sample, those that are blurred by most of a pixel 1: this keeps to the safe side.
 const DOUBT: f64 = 2.0;
 /// Pixels beyond a cell that its weights may reach.
 const STENCIL_PX: f64 = 5.0;
@@ -93,10 +93,10 @@ pub struct RowFindings {
 
 /// Responses of a window: R = (mean exitance over each cell) / flux, mm⁻², with variance.
 ///
-/// `light` is the dot's radiance without ambient light over [`window_rect`]; `weights` are one set for all channels, or three where each
-/// channel was measured at a place of its own ([`crate::capture::Sampling`]). The variance is that of the pixels, plus that of the
-/// reconstruction near the lit point (from what a lower degree would give), plus that of the flux (common to the row), plus the
-/// lit point's uncertainty times the slope of R.
+/// `light` is the dot's radiance without ambient light over [`window_rect`]; `weights` are one set for all channels, or
+/// three where each channel was measured at a place of its own ([`crate::capture::Sampling`]). The variance is that of
+/// the pixels, plus that of the reconstruction near the lit point (from what a lower degree would give), plus that of
+/// the flux (common to the row), plus the lit point's uncertainty times the slope of R.
 ///
 /// Not detected: light of other dots in the window, blur of the camera beyond its pixels, specular reflection.
 pub fn extract_row(

@@ -47,7 +47,8 @@ pub struct Flux {
 impl Irradiance {
     /// From the merged white-reference shot, the black one already subtracted, covering the whole photograph.
     ///
-    /// `radius_px`: half the side of the square over which it is averaged at a dot; falloff must be nearly linear over it.
+    /// `radius_px`: half the side of the square over which it is averaged at a dot; falloff must be nearly linear over
+    /// it.
     pub fn new(white: Radiance, rig: &Rig, radius_px: usize) -> Self {
         Self { white, sensitivity: Sensitivity::new(rig), reflectance: rig.white_reference.reflectance, radius_px }
     }

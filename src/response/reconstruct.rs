@@ -13,10 +13,10 @@ const EXTRA_PLACES: f64 = 3.0;
 
 /// Computes, for a quadrilateral of camera pixels, the weights with which pixel values give the mean over it.
 ///
-/// Around each pixel the light is taken for the polynomial of degree 6 per axis whose means over the 7 nearest pixels are
-/// their values (reconstruction from cell means, as `Colella1984` does with parabolas), blended smoothly between
-/// neighbouring pixels. Exact for polynomials to degree 6; for a Gaussian of standard deviation 1.5 px under a cell of 3 px
-/// the mean is right to 0.11 %, of 1 px to 0.17 % (tests). Plain overlap areas lose several per cent at a peak.
+/// Around each pixel the light is taken for the polynomial of degree 6 per axis whose means over the 7 nearest pixels
+/// are their values (reconstruction from cell means, as `Colella1984` does with parabolas), blended smoothly between
+/// neighbouring pixels. Exact for polynomials to degree 6; for a Gaussian of standard deviation 1.5 px under a cell of
+/// 3 px the mean is right to 0.11 %, of 1 px to 0.17 % (tests). Plain overlap areas lose several per cent at a peak.
 #[derive(Debug, Clone)]
 pub struct CellWeights {
     /// The weights at evenly spaced places between two pixels, for linear interpolation (error below 1e-4).
@@ -37,13 +37,14 @@ pub struct CellWeights {
 }
 
 impl CellWeights {
-    /// Weights for cells of about `cell_px` pixels a side, for a lens that blurs by `psf_px` (standard deviation, px) and pixels that see all of
-    /// their square.
+    /// Weights for cells of about `cell_px` pixels a side, for a lens that blurs by `psf_px` (standard deviation, px)
+    /// and pixels that see all of their square.
     pub fn new(cell_px: f64, psf_px: f64) -> Self {
         Self::sampled(cell_px, psf_px, 1.0, [0.0; 2])
     }
 
-    /// The same for pixels that see a square of side `aperture_px`, `offset_px` from their centre: one colour of a mosaic.
+    /// The same for pixels that see a square of side `aperture_px`, `offset_px` from their centre: one colour of a
+    /// mosaic.
     pub fn sampled(cell_px: f64, psf_px: f64, aperture_px: f64, offset_px: Point) -> Self {
         let places = |extra: f64| ((cell_px.round() + extra) as usize).clamp(3, 32);
         Self {
@@ -61,9 +62,9 @@ impl CellWeights {
 
     /// Sets the weights for the cell with these corners (camera px; top left, top right, bottom left, bottom right).
     ///
-    /// The cell's interior is mapped bilinearly between them, and the mean is with respect to area on the slab. `fine` is for
-    /// light that changes within a pixel or two; elsewhere a third of the places will do, at a quarter of the time. `doubted` asks for
-    /// [`Self::doubt`], too.
+    /// The cell's interior is mapped bilinearly between them, and the mean is with respect to area on the slab. `fine`
+    /// is for light that changes within a pixel or two; elsewhere a third of the places will do, at a quarter of the
+    /// time. `doubted` asks for [`Self::doubt`], too.
     pub fn set(&mut self, corners: [Point; 4], fine: bool, doubted: bool) {
         let corners = corners.map(|c| [c[0] - self.offset_px[0], c[1] - self.offset_px[1]]);
         let range = |a: usize| {
@@ -109,7 +110,8 @@ impl CellWeights {
         }
     }
 
-    /// Weights of the difference that a reconstruction of degree 4 would make, on the same pixels; none unless asked for.
+    /// Weights of the difference that a reconstruction of degree 4 would make, on the same pixels; none unless asked
+    /// for.
     pub fn doubt(&self) -> &[f32] {
         &self.doubt
     }
@@ -259,7 +261,8 @@ mod tests {
         let ([x0, y0], [width, _], w) = weights.get();
         let pixel = |k: usize| seen((x0 + (k % width) as isize) as f64, (y0 + (k / width) as isize) as f64);
         let found: f64 = w.iter().enumerate().map(|(k, w)| f64::from(*w) * pixel(k)).sum();
-        // Weights are f32: 1e-7 of the largest pixel in reach, times weights that a deconvolution makes larger than one.
+        // Weights are f32: 1e-7 of the largest pixel in reach, times weights that a deconvolution makes larger than
+        // one.
         assert!((found - mean(3, x, x + side) * mean(2, y, y + side)).abs() < 1e-5 * seen(7.0, 6.0), "{found}");
     }
 

@@ -83,7 +83,8 @@ impl Bench {
         }
     }
 
-    /// The photon noise of the truth: the standard error of all rows over the rows, both Euclidean; `None` without noise.
+    /// The photon noise of the truth: the standard error of all rows over the rows, both Euclidean; `None` without
+    /// noise.
     pub(super) fn photon_noise(&self) -> Option<f64> {
         let mut noise = self.noise.lock().map(|noise| noise.clone()).unwrap_or_default();
         // In the order of the rows, so that the sum does not depend on the threads.

@@ -1,5 +1,5 @@
-//! What a stopped run has made of a capture: rows of the truth wait in the matrix's scratch folder, photographs are in their place, and lines say
-//! which are whole.
+//! What a stopped run has made of a capture: rows of the truth wait in the matrix's scratch folder, photographs are in
+//! their place, and lines say which are whole.
 
 use super::bench::{Bench, DotNoise};
 use crate::output::{Earlier, WorkLog};
@@ -42,7 +42,8 @@ impl Made {
         Ok(Self { log, earlier, taken: AtomicUsize::new(0) })
     }
 
-    /// Takes part `number` over, if rows and photographs (`hashes` reads them) are what the stopped run has written; returns the photographs then.
+    /// Takes part `number` over, if rows and photographs (`hashes` reads them) are what the stopped run has written;
+    /// returns the photographs then.
     pub(super) fn take(
         &self,
         matrix: &MatrixWriter,

@@ -4,20 +4,23 @@
 //! `truth.rd.zarr`, the matrix that the photographs show, and `truth.toml`, the geometry and drift.
 //!
 //! # What is simulated
-//! - The slab: light in voxels of optical coefficients, per channel, by diffusion with first and last flights (`light/diffusion.rs` says what this
-//!   approximates and where it is wrong) or by photon Monte Carlo ([`monte_carlo`]). Each lit dot has its own box, centred on the dot, so that equal
-//!   surroundings give equal responses wherever the dot falls. What the camera sees of it is a continuous (C²) field; camera and truth integrate the same.
-//! - The projector: a homography, square pixels with a little blur, a black level, smooth falloff, a lamp that may flicker;
-//!   dots displaced by the shot's drift: a slow walk and jumps.
+//! - The slab: light in voxels of optical coefficients, per channel, by diffusion with first and last flights
+//!   (`light/diffusion.rs` says what this approximates and where it is wrong) or by photon Monte Carlo
+//!   ([`monte_carlo`]). Each lit dot has its own box, centred on the dot, so that equal surroundings give equal
+//!   responses wherever the dot falls. What the camera sees of it is a continuous (C²) field; camera and truth
+//!   integrate the same.
+//! - The projector: a homography, square pixels with a little blur, a black level, smooth falloff, a lamp that may
+//!   flicker; dots displaced by the shot's drift: a slow walk and jumps.
 //! - The frame: opaque, Lambertian. It only masks: the slab continues beneath it and its light there is not returned.
-//! - The camera: a tilted pinhole with radial distortion and vignetting, a point-spread function with a wide halo, pixels
-//!   that average over their area, a real device's sensor with photon and read noise, hot pixels, pedestal, rounding and
-//!   clipping, a response curve. It may move between lattice shots.
+//! - The camera: a tilted pinhole with radial distortion and vignetting, a point-spread function with a wide halo,
+//!   pixels that average over their area, a real device's sensor with photon and read noise, hot pixels, pedestal,
+//!   rounding and clipping, a response curve. It may move between lattice shots.
 //!
 //! Every imperfection is a [`Cause`] with a switch.
 //!
-//! Not simulated: specular reflection, depth of field, interreflection, colour crosstalk, fixed pattern noise but hot pixels.
-//! Responses are those of the design: π times the radiance at x_o towards the camera, per unit flux arriving at x_i, mm⁻².
+//! Not simulated: specular reflection, depth of field, interreflection, colour crosstalk, fixed pattern noise but hot
+//! pixels. Responses are those of the design: π times the radiance at x_o towards the camera, per unit flux arriving at
+//! x_i, mm⁻².
 
 mod bench;
 mod camera;
@@ -84,7 +87,8 @@ pub struct Summary {
 /// `truth.toml`: what a lab cannot know.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Truth {
-    /// Scale of the sensor: electrons per second and unit of radiance at the principal point. `None` without photographs.
+    /// Scale of the sensor: electrons per second and unit of radiance at the principal point. `None` without
+    /// photographs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub electrons_per_sec_per_radiance: Option<f64>,
     /// How far photon noise may put the matrix off the slab's own: see [`Summary::photon_noise`].
@@ -127,9 +131,9 @@ pub struct ShotTruth {
     pub camera_drift_px: Point,
 }
 
-/// Writes a simulated capture to `dir`, or with `options.truth_only` its truth alone. The same options give the same bytes, whatever the
-/// number of threads. What an earlier run for the same `dir` has made with the same options, which was killed or ended by [`Error::Io`], is not made
-/// again.
+/// Writes a simulated capture to `dir`, or with `options.truth_only` its truth alone. The same options give the same
+/// bytes, whatever the number of threads. What an earlier run for the same `dir` has made with the same options, which
+/// was killed or ended by [`Error::Io`], is not made again.
 ///
 /// # Errors
 /// [`Error::Setting`] for options out of range or a `dir` that is not empty (unless `options.force`); [`Error::Io`].

@@ -43,7 +43,8 @@ pub enum BenchKind {
     /// Camera nearly above the slab, half-millimetre cells, reference dots.
     #[default]
     Usual,
-    /// Camera far away and 30° off the normal, cells of 0.2 mm, no reference dots, a Gray code that moves from picture to picture, uneven light.
+    /// Camera far away and 30° off the normal, cells of 0.2 mm, no reference dots, a Gray code that moves from picture
+    /// to picture, uneven light.
     Oblique,
 }
 
@@ -113,8 +114,8 @@ pub struct SimulateOptions {
     pub window: [usize; 2],
     /// Side of an outgoing cell, mm. 0.5: responses of most materials fall by 3 to 4 decades within a window of 31.
     pub pitch_mm: f64,
-    /// Distance of lit points along the projector's axes, mm: 1 or 1x1.5 [default: the pitch along x, and along y what makes the
-    /// projector's pixels square]
+    /// Distance of lit points along the projector's axes, mm: 1 or 1x1.5 [default: the pitch along x, and along y what
+    /// makes the projector's pixels square]
     pub lit_pitch_mm: Option<Point>,
     /// Distance of the dots of one shot, in lit points: 8 or 8x6 [default: one and a half windows]
     pub spacing: Option<[usize; 2]>,
@@ -135,8 +136,8 @@ pub struct SimulateOptions {
     pub response_curve: Option<CameraCurve>,
     /// Leave `[noise]` out of the rig file: it is to be estimated from the photographs.
     pub rig_without_noise: bool,
-    /// The board is shot at the lattice's shortest exposure too: its black squares link the exposures of the references to those of
-    /// the lattice.
+    /// The board is shot at the lattice's shortest exposure too: its black squares link the exposures of the references
+    /// to those of the lattice.
     pub link_exposures: bool,
     /// What the rig file says of the response curve [default: linear, or srgb for srgb and film]
     #[serde(rename = "rig_response")]
@@ -147,8 +148,8 @@ pub struct SimulateOptions {
     pub nominal_times: bool,
     /// Camera pixels across an outgoing cell. 3: enough for sub-cell registration.
     pub camera_px_per_sample: f64,
-    /// The camera's pixels: 6000x4000. Slab and frame fill them as far as their shape allows, which decides `camera_px_per_sample`
-    /// [default: as many as slab and frame need]
+    /// The camera's pixels: 6000x4000. Slab and frame fill them as far as their shape allows, which decides
+    /// `camera_px_per_sample` [default: as many as slab and frame need]
     pub camera_size: Option<[usize; 2]>,
     /// Lens distortion, Brown's k1. −0.05: a good lens, 3 px at the corner of a picture of 1000; k2 is −k1/5.
     pub distortion: f64,
@@ -176,9 +177,11 @@ pub struct SimulateOptions {
     pub dot_projector_px: usize,
     /// Blur of a projector pixel (standard deviation), projector pixels.
     pub projector_blur_px: f64,
-    /// Distortion of its lens, Brown's k1 with the image's width for focal length. Usual: 0.01, 1 px at the corner of a picture of 300.
+    /// Distortion of its lens, Brown's k1 with the image's width for focal length. Usual: 0.01, 1 px at the corner of a
+    /// picture of 300.
     pub projector_distortion: f64,
-    /// Standard deviation per axis by which the projector moves between photographed patterns of the Gray code, projector px.
+    /// Standard deviation per axis by which the projector moves between photographed patterns of the Gray code,
+    /// projector px.
     pub gray_jitter_px: f64,
     /// No dots on the frame: drift is to be found from the sample's own.
     pub without_reference_dots: bool,
@@ -335,8 +338,9 @@ impl SimulateOptions {
         self.material.thickness_mm().or(self.thickness_mm).unwrap_or(4.0)
     }
 
-    /// Distance of the dots of one shot, in lit points: by default one and a half windows, and 24 outgoing samples at least,
-    /// so that their tails in each other's windows are below a thousandth of a peak (default materials and pitch).
+    /// Distance of the dots of one shot, in lit points: by default one and a half windows, and 24 outgoing samples at
+    /// least, so that their tails in each other's windows are below a thousandth of a peak (default materials and
+    /// pitch).
     pub fn spacing(&self) -> [usize; 2] {
         let samples = self.window.map(|w| (1.5 * w as f64).max(24.0));
         // The window's extent along the projector's axes: its sides when the projector stands upright or on its side.
@@ -432,7 +436,8 @@ impl SimulateOptions {
     }
 }
 
-/// A slow walk goes no farther than 3.4 times its root mean square (3.5 with some margin), jumps no farther than [`super::scene::JUMP_REACH`] of their size.
+/// A slow walk goes no farther than 3.4 times its root mean square (3.5 with some margin), jumps no farther than
+/// [`super::scene::JUMP_REACH`] of their size.
 fn reach_px(walk_px: f64, jump_px: f64) -> f64 {
     3.5 * walk_px + super::scene::JUMP_REACH * jump_px
 }

@@ -135,7 +135,8 @@ impl Studio {
         all.iter().map(|t| [told(t), t.secs()]).collect()
     }
 
-    /// Renders a shot, writes its photographs and, for dots, the rows of the truth. Returns the bytes of the photographs.
+    /// Renders a shot, writes its photographs and, for dots, the rows of the truth. Returns the bytes of the
+    /// photographs.
     pub(super) fn shoot(
         &self,
         options: &SimulateOptions,
@@ -267,8 +268,8 @@ impl Studio {
         PixelGrid::new(&self.bench.scene, last.map_or([0.0; 2], |l| l.camera_drift_px), psf::parts(options.psf_px))
     }
 
-    /// Sample and frame under a pattern: `sharp` is its brightness (0 to 1) at projector px on the frame and `rule` how a
-    /// pixel averages it, `blurred` its brightness on the sample.
+    /// Sample and frame under a pattern: `sharp` is its brightness (0 to 1) at projector px on the frame and `rule` how
+    /// a pixel averages it, `blurred` its brightness on the sample.
     ///
     /// An approximation on the sample: what it sends back under even light, times the blurred pattern in each pixel's
     /// middle: blurred over two samples it changes little within a pixel.

@@ -1,6 +1,7 @@
 //! Trade-off: what time, memory, bytes and accuracy cost each other on one matrix, measured.
 //!
-//! Every point of the table is a factorization that was run, saved, loaded and compared with the matrix: nothing is extrapolated.
+//! Every point of the table is a factorization that was run, saved, loaded and compared with the matrix: nothing is
+//! extrapolated.
 
 mod page;
 
@@ -56,8 +57,8 @@ pub struct TradePoint {
     pub precision: Precision,
     /// Factoring, from the store on disk to the material in memory; for coded ones with the coding.
     pub secs: f64,
-    /// Peak of the process's memory during it, bytes; `None` where the system does not tell. Allocators keep some of what earlier
-    /// factorizations used.
+    /// Peak of the process's memory during it, bytes; `None` where the system does not tell. Allocators keep some of
+    /// what earlier factorizations used.
     pub peak_bytes: Option<u64>,
     /// `bytes_f32`, half of it for f16, the whole file when coded.
     pub bytes: u64,

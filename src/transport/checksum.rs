@@ -1,10 +1,12 @@
 //! What tells that a store is as it was written.
 //!
-//! Every chunk ends with its own CRC-32C (the Zarr codec `crc32c`), which decoding verifies. Each array lists those of its chunks in the attribute
-//! [`CHUNKS`], in the order of the grid, so that exchanged, missing and additional chunks are seen; and the group's attribute [`GROUP`] has the BLAKE3 of
-//! the arrays' metadata, these lists in it, and of the attributes that it names, so that no word of them changes either.
+//! Every chunk ends with its own CRC-32C (the Zarr codec `crc32c`), which decoding verifies. Each array lists those of
+//! its chunks in the attribute [`CHUNKS`], in the order of the grid, so that exchanged, missing and additional chunks
+//! are seen; and the group's attribute [`GROUP`] has the BLAKE3 of the arrays' metadata, these lists in it, and of the
+//! attributes that it names, so that no word of them changes either.
 //!
-//! Not told: stores of versions without these attributes, and those that another program has written anew, whose chunks have other names or codecs.
+//! Not told: stores of versions without these attributes, and those that another program has written anew, whose chunks
+//! have other names or codecs.
 
 use base64::{Engine, prelude::BASE64_STANDARD};
 use rayon::prelude::*;
@@ -26,7 +28,8 @@ const TRAILER: usize = 4;
 /// In the list for a chunk that is not written, as nothing in it was measured.
 const NO_CHUNK: [u8; TRAILER] = [0xff; TRAILER];
 
-/// Adds the lists of their chunks to the metadata of the arrays in `root`, which are written; returns what [`GROUP`] says of them and of `attributes`.
+/// Adds the lists of their chunks to the metadata of the arrays in `root`, which are written; returns what [`GROUP`]
+/// says of them and of `attributes`.
 ///
 /// # Errors
 /// In words, what cannot be read or written.
@@ -140,7 +143,8 @@ pub(super) struct Checksums {
 }
 
 impl Checksums {
-    /// Verifies metadata and coordinates, and that every chunk of the rows is there and no other; `None` where there is nothing to verify.
+    /// Verifies metadata and coordinates, and that every chunk of the rows is there and no other; `None` where there is
+    /// nothing to verify.
     ///
     /// # Errors
     /// In words, what was changed.

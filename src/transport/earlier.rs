@@ -34,7 +34,8 @@ pub(crate) fn check(path: &Path, force: bool) -> Result<bool> {
     }
 }
 
-/// Whether attributes are such as this program alone writes. Others write format 2, too, by `docs/matrix-format.md`, but not its checksum; format 1 had none.
+/// Whether attributes are such as this program alone writes. Others write format 2, too, by `docs/matrix-format.md`,
+/// but not its checksum; format 1 had none.
 fn has_mark(attributes: &Map<String, Value>) -> bool {
     match attributes.get("acquire_format").and_then(Value::as_u64) {
         Some(1) => true,
@@ -43,7 +44,8 @@ fn has_mark(attributes: &Map<String, Value>) -> bool {
     }
 }
 
-/// Whether attributes and metadata are as they were written, with nothing added. Stores of the format that had no checksums pass.
+/// Whether attributes and metadata are as they were written, with nothing added. Stores of the format that had no
+/// checksums pass.
 fn unchanged(path: &Path, attributes: &Map<String, Value>) -> bool {
     let Some(covered) = attributes.get(checksum::GROUP).map(|group| &group["attributes"]) else { return true };
     let known =
@@ -122,7 +124,8 @@ mod tests {
         std::fs::write(&root, text).unwrap();
         write().unwrap();
         assert_eq!(MatrixReader::open(&path).unwrap().header(), &header);
-        // One that somebody has written by our description, whatever version he states; ours of the version that had no checksums.
+        // One that somebody has written by our description, whatever version he states; ours of the version that had no
+        // checksums.
         let stated = |version: i32| {
             let mut group: Value = serde_json::from_str(&std::fs::read_to_string(&root).unwrap()).unwrap();
             let attributes = group["attributes"].as_object_mut().unwrap();

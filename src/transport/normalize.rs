@@ -156,7 +156,8 @@ mod tests {
         let placed =
             |limit| place(RowView { response: &response, variance: &[0.0; 105], valid: &[1; 105] }, [7, 5], limit);
         assert_eq!(placed([3, 2]), Placement { shift: [2, 1], scale: 4.0, limited: false });
-        // (5, 3) is two columns off and (1, 1) too: nothing lies within one but the centre, and what is brighter is told.
+        // (5, 3) is two columns off and (1, 1) too: nothing lies within one but the centre, and what is brighter is
+        // told.
         assert_eq!(placed([1, 2]), Placement { shift: [0, 0], scale: 4.0, limited: true });
         assert_eq!(placed([2, 0]), Placement { shift: [0, 0], scale: 4.0, limited: true });
         // Where shifts are not asked for there is nothing to say.
@@ -165,7 +166,8 @@ mod tests {
 
     #[test]
     fn a_shift_needs_three_deviations_of_the_difference_of_two_intensities() {
-        // Channels' variances add up to 0.09 and 0.27: intensities have a ninth of it, the difference 0.04; three deviations are 0.6.
+        // Channels' variances add up to 0.09 and 0.27: intensities have a ninth of it, the difference 0.04; three
+        // deviations are 0.6.
         let shift = |more: f32| {
             let response = coloured(&[(5, 1, [1.0 + 3.0 * more, 1.0, 1.0]), (3, 2, [0.0, 1.0, 2.0])]);
             let mut variance = vec![0.0; 105];

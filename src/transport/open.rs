@@ -1,4 +1,5 @@
-//! Opening a store, whoever wrote it: what its arrays and attributes say, and what stands for those that it has not. `docs/matrix-format.md` is the description.
+//! Opening a store, whoever wrote it: what its arrays and attributes say, and what stands for those that it has not.
+//! `docs/matrix-format.md` is the description.
 
 use super::CHANNELS;
 use super::checksum::Checksums;
@@ -15,12 +16,14 @@ use zarrs::filesystem::FilesystemStore;
 
 /// Lit points up to this number are believed whatever a store holds: their places take 40 MB.
 const FEW_POINTS: usize = 1 << 20;
-/// More are believed when so many have a byte of responses. Constant responses compress 30,000 times, and a row has dozens of numbers.
+/// More are believed when so many have a byte of responses. Constant responses compress 30,000 times, and a row has
+/// dozens of numbers.
 const POINTS_A_BYTE: usize = 64;
-/// Offsets and pitches that differ by less than this share of a sample are the same: f32 keeps 1e-7 of the largest offset.
+/// Offsets and pitches that differ by less than this share of a sample are the same: f32 keeps 1e-7 of the largest
+/// offset.
 const SAME: f64 = 1e-3;
-/// A stated lit pitch further than this share from the distance of the lit points is that of the matrix which this one was cut out of: leaving out every
-/// other line doubles the distance, and measured places scatter by far less.
+/// A stated lit pitch further than this share from the distance of the lit points is that of the matrix which this one
+/// was cut out of: leaving out every other line doubles the distance, and measured places scatter by far less.
 const STALE: f64 = 0.25;
 
 /// How other programs spell the units of this store.
@@ -356,7 +359,8 @@ impl StoreGroup {
         }
     }
 
-    /// Refuses places under the names of the axes, as xarray's coordinates of the axes are written: they would not be read.
+    /// Refuses places under the names of the axes, as xarray's coordinates of the axes are written: they would not be
+    /// read.
     fn refuse_places_as_indices(&self) -> Result<()> {
         for name in ["x_i", "y_i"] {
             let Some(array) = self.array(name)? else { continue };

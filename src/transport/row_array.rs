@@ -1,4 +1,5 @@
-//! An array over lit points, samples and channels of a store, whatever its chunks, codecs and numbers are, and whoever wrote it.
+//! An array over lit points, samples and channels of a store, whatever its chunks, codecs and numbers are, and whoever
+//! wrote it.
 
 use super::CHANNELS;
 use rayon::prelude::*;
@@ -24,7 +25,8 @@ pub(super) struct RowLayout {
     pub(super) points: [usize; 2],
     /// Samples along dx and dy that are stored.
     pub(super) stored: [usize; 2],
-    /// Samples along dx and dy of a row as it is read: `stored`, or more where a crop has left the lit point beside the middle.
+    /// Samples along dx and dy of a row as it is read: `stored`, or more where a crop has left the lit point beside the
+    /// middle.
     pub(super) window: [usize; 2],
     /// Columns and lines of `window` before the first that is stored.
     pub(super) before: [usize; 2],
@@ -43,7 +45,8 @@ pub(super) struct RowArray {
 }
 
 impl RowArray {
-    /// Of an array, with its axes told by their names, or by their number where it has none. Says what is wrong, and what was expected and found.
+    /// Of an array, with its axes told by their names, or by their number where it has none. Says what is wrong, and
+    /// what was expected and found.
     pub(super) fn new(array: Array<FilesystemStore>) -> Result<Self, [String; 2]> {
         check_chunks(&array)?;
         let shape = array.shape();
@@ -103,7 +106,8 @@ impl RowArray {
         }
     }
 
-    /// Numbers of lit points, row-major; a range is part of one line of points, or some whole lines. Samples that are not stored are left as they are in `out`.
+    /// Numbers of lit points, row-major; a range is part of one line of points, or some whole lines. Samples that are
+    /// not stored are left as they are in `out`.
     pub(super) fn read(&self, rows: Range<usize>, layout: &RowLayout, out: &mut [f32]) -> Result<(), String> {
         let is = |t: zarrs::array::DataType| *self.array.data_type() == t;
         if is(data_type::float32()) {
@@ -186,7 +190,8 @@ impl RowArray {
         (2..5).any(|a| sides[a] < self.sides[a]).then_some(sides)
     }
 
-    /// [`Self::fetch`] chunk by chunk: the numbers of a row that lie side by side in such a chunk are too few for the general way, which is ten times slower.
+    /// [`Self::fetch`] chunk by chunk: the numbers of a row that lie side by side in such a chunk are too few for the
+    /// general way, which is ten times slower.
     fn gather<T, U>(
         &self,
         rows: &Range<usize>,
@@ -269,8 +274,8 @@ pub(super) fn dimension_names(array: &Array<FilesystemStore>) -> Option<Vec<Stri
     names.iter().map(|name| name.as_str().map(str::to_owned)).collect()
 }
 
-/// Refuses chunks, and chunks of shards, of no numbers or of more than [`CHUNK_NUMBERS`], from the metadata of an array in `folder`: the Zarr crate reckons
-/// with their sides when it opens the array. Says what was expected and found.
+/// Refuses chunks, and chunks of shards, of no numbers or of more than [`CHUNK_NUMBERS`], from the metadata of an array
+/// in `folder`: the Zarr crate reckons with their sides when it opens the array. Says what was expected and found.
 pub(super) fn check_metadata(folder: &Path) -> Result<(), String> {
     let there = ["zarr.json", ".zarray"].into_iter().find(|name| folder.join(name).is_file());
     let Some(name) = there else { return Ok(()) };

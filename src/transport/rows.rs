@@ -4,8 +4,8 @@ use super::{MatrixReader, RowBlock};
 use crate::Result;
 use std::ops::Range;
 
-/// About how many bytes a block of rows may take in memory, decoded: enough for the cores to share and for products to be quick, little
-/// enough that the allocator keeps its parts for the next block.
+/// About how many bytes a block of rows may take in memory, decoded: enough for the cores to share and for products to
+/// be quick, little enough that the allocator keeps its parts for the next block.
 const BLOCK_BYTES: usize = 48 << 20;
 
 /// One row of a [`RowBlock`]: three slices `[dy][dx][channel]`.

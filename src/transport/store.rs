@@ -10,8 +10,9 @@
 //! | `dx`, `dy` f64 | dx; dy | offset of the cell's centre from the lit point, mm |
 //! | `shot` i32 | y_i, x_i | number of the shot that lit it, an index into the attribute `shots` |
 //!
-//! Stores of other programs are read too, with defaults for what they leave out: `docs/matrix-format.md`.
-//! Everything else is in the group's attributes, see [`MatrixHeader`]; `findings` are the records ([`FindingRecord`]) of `warnings`, one for one.
+//! Stores of other programs are read too, with defaults for what they leave out: `docs/matrix-format.md`. Everything
+//! else is in the group's attributes, see [`MatrixHeader`]; `findings` are the records ([`FindingRecord`]) of
+//! `warnings`, one for one.
 
 use super::checksum::{self, Checksums};
 use super::open::{self, Opened};
@@ -30,7 +31,8 @@ use zarrs::filesystem::FilesystemStore;
 
 /// The version of this layout, attribute `acquire_format`.
 const FORMAT: u64 = 2;
-/// The versions that are read. In 1 the response was 0 where it was not measured, and `points` and `window` were attributes too.
+/// The versions that are read. In 1 the response was 0 where it was not measured, and `points` and `window` were
+/// attributes too.
 pub(super) const FORMATS: [u64; 2] = [1, FORMAT];
 /// The most lit points along an axis.
 pub(super) const MOST_POINTS: usize = 1 << 16;
@@ -44,10 +46,11 @@ type BoxedError = Box<dyn std::error::Error + Send + Sync>;
 const CHUNK_BYTES: usize = 4 << 20;
 /// Numbers that one thread looks through at a time.
 const CHECKED: usize = 1 << 16;
-/// Lines of chunks that are read at once, in numbers: chunks of several lines of points are decoded once for all of them up to here.
+/// Lines of chunks that are read at once, in numbers: chunks of several lines of points are decoded once for all of
+/// them up to here.
 const BAND_NUMBERS: usize = 1 << 26;
-/// Negative levels leave the bytes that do not repeat as they are: decoding is twice as fast as at level 1, for a tenth more bytes of measured
-/// noise, which no level compresses by much.
+/// Negative levels leave the bytes that do not repeat as they are: decoding is twice as fast as at level 1, for a tenth
+/// more bytes of measured noise, which no level compresses by much.
 const ZSTD_LEVEL: i32 = -1;
 
 /// What a matrix is, besides its numbers.
@@ -189,7 +192,8 @@ pub struct RowBlock {
     pub valid: Vec<u8>,
 }
 
-/// Writes a matrix. Rows come in any order from any thread; nothing appears under the final name before [`Self::finish`].
+/// Writes a matrix. Rows come in any order from any thread; nothing appears under the final name before
+/// [`Self::finish`].
 ///
 /// Rows wait uncompressed in a scratch file until all of a chunk are there.
 #[derive(Debug)]
@@ -207,8 +211,8 @@ impl MatrixWriter {
     /// Prepares to write the store `path`; an older store there is replaced by [`Self::finish`].
     ///
     /// # Errors
-    /// [`Error::Io`] when the folder of `path` cannot be written; [`Error::NotOurs`], [`Error::Changed`] when something other than a matrix of this
-    /// program is at `path`.
+    /// [`Error::Io`] when the folder of `path` cannot be written; [`Error::NotOurs`], [`Error::Changed`] when something
+    /// other than a matrix of this program is at `path`.
     pub fn create(path: &Path, header: MatrixHeader) -> Result<Self> {
         Self::new(path, header, ScratchFolder::new)
     }
@@ -218,8 +222,8 @@ impl MatrixWriter {
         Self::new(path, header, ScratchFolder::go_on)
     }
 
-    /// [`Self::go_on`] for a `path` in an output that is not finished: rows wait in its scratch folder `outer` and stay there when the store is written,
-    /// so that a run that is stopped afterwards need not measure them again.
+    /// [`Self::go_on`] for a `path` in an output that is not finished: rows wait in its scratch folder `outer` and stay
+    /// there when the store is written, so that a run that is stopped afterwards need not measure them again.
     pub(crate) fn go_on_in(outer: &Path, path: &Path, header: MatrixHeader) -> Result<Self> {
         let writer = Self::new(path, header, |_, path| ScratchFolder::go_on(outer, path))?;
         writer.keep_work();
@@ -258,7 +262,8 @@ impl MatrixWriter {
     /// Stores row `index` (row-major over (y_i, x_i)).
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Internal`] when the row has another length than the header says, or a value is not finite.
+    /// [`Error::Io`]; [`Error::Internal`] when the row has another length than the header says, or a value is not
+    /// finite.
     pub fn put(&self, index: usize, row: &Row) -> Result<()> {
         self.rows.put(index, row, false, &self.path)
     }
@@ -284,8 +289,8 @@ impl MatrixWriter {
         self.rows.adopt(indices, hash)
     }
 
-    /// What the stopped run had finished that this one goes on from ([`Self::go_on`]), if it worked on the same `key`; what is added from now on is
-    /// there for a next run.
+    /// What the stopped run had finished that this one goes on from ([`Self::go_on`]), if it worked on the same `key`;
+    /// what is added from now on is there for a next run.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -506,11 +511,12 @@ impl MatrixReader {
 
     /// Opens a store, this program's or another's, and reads everything but the rows.
     ///
-    /// What a store may leave out, and what stands for it then, is in `docs/matrix-format.md`. Not detected: a chunk of another program's store that is
-    /// lost, where its fill value is a number that could have been measured.
+    /// What a store may leave out, and what stands for it then, is in `docs/matrix-format.md`. Not detected: a chunk of
+    /// another program's store that is lost, where its fill value is a number that could have been measured.
     ///
     /// # Errors
-    /// [`Error::Io`] when there is nothing at `path`, [`Error::MatrixFormat`] when it is no matrix, [`Error::BrokenMatrix`] when it is not a whole one.
+    /// [`Error::Io`] when there is nothing at `path`, [`Error::MatrixFormat`] when it is no matrix,
+    /// [`Error::BrokenMatrix`] when it is not a whole one.
     pub fn open(path: &Path) -> Result<Self> {
         Self::open_with(path, &serde_json::Map::new())
     }
@@ -573,8 +579,9 @@ impl MatrixReader {
     /// Reads consecutive rows; callable from several threads.
     ///
     /// # Errors
-    /// [`Error::BrokenMatrix`] when a chunk is missing or damaged, [`Error::NotFinite`] for NaN or infinity where it was measured,
-    /// [`Error::MatrixFormat`] for numbers of a type that is not read, [`Error::Internal`] for rows that the matrix has not.
+    /// [`Error::BrokenMatrix`] when a chunk is missing or damaged, [`Error::NotFinite`] for NaN or infinity where it
+    /// was measured, [`Error::MatrixFormat`] for numbers of a type that is not read, [`Error::Internal`] for rows that
+    /// the matrix has not.
     pub fn read(&self, rows: std::ops::Range<usize>) -> Result<RowBlock> {
         self.read_parts(rows, true)
     }
@@ -656,7 +663,8 @@ impl MatrixReader {
         }
         for (field, values) in [("response", response), ("variance", variance)] {
             let settled = values.par_chunks_mut(CHECKED).zip(valid.par_chunks(CHECKED)).map(|(values, valid)| {
-                // Without a way out of the loop it is a matter of vector instructions; where is looked for only when there is something.
+                // Without a way out of the loop it is a matter of vector instructions; where is looked for only when
+                // there is something.
                 values.iter_mut().zip(valid).fold(true, |good, (v, &valid)| {
                     *v = if valid == 0 { 0.0 } else { *v };
                     good & v.is_finite()

@@ -1,5 +1,5 @@
-//! From where on something is a finding: stated once, for the stage that looks and for the record that tells. Each is a line of
-//! `docs/findings.md`.
+//! From where on something is a finding: stated once, for the stage that looks and for the record that tells. Each is a
+//! line of `docs/findings.md`.
 
 /// Two sources of one exposure time may differ by rounding to nominal values (1/30 for 1/32) before it is worth a word.
 pub(crate) const EXPOSURE_TOLERANCE: f64 = 0.07;
@@ -10,27 +10,32 @@ pub(crate) const DOUBT_SD: f64 = 5.0;
 /// A measured time is worth a word when it differs by more than this and by more than so many standard deviations.
 pub(crate) const TIME_TOLERANCE: f64 = 0.005;
 pub(crate) const TIME_SIGMA: f64 = 3.0;
-/// A time that is off by a third of a stop (ln 2 / 3) is the next setting, and none that a camera rounded (1/30 for 1/32 is 6 %; shutters are off by an eighth of a stop).
+/// A time that is off by a third of a stop (ln 2 / 3) is the next setting, and none that a camera rounded (1/30 for
+/// 1/32 is 6 %; shutters are off by an eighth of a stop).
 pub(crate) const REFUSED_TIME: f64 = 0.231;
-/// A slope of ln(actual) over ln(nominal) that is off by more is a response curve: times that are wrong one by one have none.
+/// A slope of ln(actual) over ln(nominal) that is off by more is a response curve: times that are wrong one by one have
+/// none.
 pub(crate) const REFUSED_SLOPE: f64 = 0.1;
 /// From this offset of all dots on, projector px, rows would be off by more than any stated uncertainty.
 pub(crate) const REFUSED_PROJECTOR_PX: f64 = 0.5;
 /// The white reference's level over the Gray code's that is off by more is refused: no lamp drifts so far in a session.
 pub(crate) const REFUSED_LEVEL: f64 = 0.1;
-/// Reference dots whose light is off by more than this, ln, from what the references say: exposure times as cameras round them explain 0.15, a
-/// dot of 9 instead of 8 projector px makes 0.24.
+/// Reference dots whose light is off by more than this, ln, from what the references say: exposure times as cameras
+/// round them explain 0.15, a dot of 9 instead of 8 projector px makes 0.24.
 pub(crate) const REFUSED_LIGHT: f64 = 0.2;
 /// Channels of the reference dots that are off by more than this from each other: the largest
 /// of 70 untouched captures differ by 0.056, of sRGB files in 8 bits by 0.083.
 pub(crate) const REFUSED_COLOUR: f64 = 0.15;
-/// Light of a black shot over that of white where the sample lies: a projector's black has a thousandth, a bad one a fiftieth.
+/// Light of a black shot over that of white where the sample lies: a projector's black has a thousandth, a bad one a
+/// fiftieth.
 pub(crate) const BRIGHTEST_BLACK: f64 = 0.1;
-/// So many pixels of the white reference that differ from their surroundings are dust; more are a pattern, or something in the way.
+/// So many pixels of the white reference that differ from their surroundings are dust; more are a pattern, or something
+/// in the way.
 pub(crate) const UNEVEN_SHARE: f64 = 0.03;
 /// Even light that is a larger share of a dot's light in its window is refused.
 pub(crate) const EVEN_REFUSED: f64 = 0.01;
-/// Code values that pile up below this share of the rig's saturation do so for another reason than that saturation is stated a little high.
+/// Code values that pile up below this share of the rig's saturation do so for another reason than that saturation is
+/// stated a little high.
 pub(crate) const CLIPS_BELOW: f64 = 0.98;
 /// A halo of this share is worth a word: an ordinary lens has about half a per cent.
 pub(crate) const STRAY_TOLD: f64 = 0.005;
@@ -41,9 +46,11 @@ pub(crate) const FRAME_MOVED_PX: f64 = 0.05;
 pub(crate) const MOVED_SIGMA: f64 = 5.0;
 /// Stripes of this share that are off the plane are more than edges of what stands around.
 pub(crate) const STRIPES_LEFT_OUT: f64 = 0.05;
-/// A part of the projector's map that is off by more, projector px, is seen in the rows beside their stated uncertainty.
+/// A part of the projector's map that is off by more, projector px, is seen in the rows beside their stated
+/// uncertainty.
 pub(crate) const MAP_BENDS_PX: f64 = 0.25;
-/// A point spread that differs by this much over the board, px, leaves a few per cent of the peaks where it is not the mean's.
+/// A point spread that differs by this much over the board, px, leaves a few per cent of the peaks where it is not the
+/// mean's.
 pub(crate) const SPREAD_VARIES_PX: f64 = 0.1;
 /// From this blur on a sharp dot's peak is known to two per cent and worse at 3 px a sample (docs/accuracy.md).
 pub(crate) const STRONG_BLUR_PX: f64 = 0.9;
@@ -57,9 +64,11 @@ pub(crate) const SATURATED_SHARE: f64 = 1e-3;
 pub(crate) const DARK_SHARE: f64 = 0.5;
 /// With less than a twentieth of the windows above black, a row is its dot and little else.
 pub(crate) const BLACK_SHARE: f64 = 0.95;
-/// Blur over more than this share of an outgoing sample (as a standard deviation) spreads much of the peak into its neighbours.
+/// Blur over more than this share of an outgoing sample (as a standard deviation) spreads much of the peak into its
+/// neighbours.
 pub(crate) const BLUR_SHARE: f64 = 1.0 / 3.0;
 /// Of the farthest drift that can be followed.
 pub(crate) const DRIFT_SHARE: f64 = 0.5;
-/// A window that leaves out more of the light than this is worth a warning: relit slabs are then darker by as much, which is what a careful white reference is good to.
+/// A window that leaves out more of the light than this is worth a warning: relit slabs are then darker by as much,
+/// which is what a careful white reference is good to.
 pub(crate) const LIGHT_OUTSIDE: f64 = 0.01;

@@ -42,8 +42,8 @@ pub enum CaptureWarning {
         #[serde(default)]
         photographs: usize,
     },
-    /// Photographs of 8 bits among such of more, or the other way round, while code values are in proportion to light: one rig cannot
-    /// describe both.
+    /// Photographs of 8 bits among such of more, or the other way round, while code values are in proportion to light:
+    /// one rig cannot describe both.
     DepthDiffers {
         /// The first such photograph.
         file: String,

@@ -6,8 +6,8 @@ use crate::words::count;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// What looking at a capture's files and at the pixels of some of its shots finds, and what stops the work. Lists name their first member
-/// and count the rest.
+/// What looking at a capture's files and at the pixels of some of its shots finds, and what stops the work. Lists name
+/// their first member and count the rest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "warning", rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -116,7 +116,8 @@ pub enum CheckWarning {
         /// The rig's saturation, beyond what 8 bits hold.
         saturation_dn: f64,
     },
-    /// The Gray code fits, with all dots on the slab, when the photographs of a pattern and its inverse are exchanged, and not as it is.
+    /// The Gray code fits, with all dots on the slab, when the photographs of a pattern and its inverse are exchanged,
+    /// and not as it is.
     GrayPairExchanged {
         /// The pattern's shot.
         shot: String,

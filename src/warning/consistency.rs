@@ -1,4 +1,5 @@
-//! What a capture says twice, and not alike: photographs of a stack, patterns and dots, light, references, the rig's figures.
+//! What a capture says twice, and not alike: photographs of a stack, patterns and dots, light, references, the rig's
+//! figures.
 
 use super::bounds::{
     BRIGHTEST_BLACK, CLIPS_BELOW, DOUBT_SD, EVEN_REFUSED, OTHER_SIZE, REFUSED_COLOUR, REFUSED_LEVEL, REFUSED_LIGHT,
@@ -73,6 +74,8 @@ pub enum ConsistencyWarning {
     DotsOffset {
         /// The field of `capture.toml` that disagrees with the Gray code at the first shot.
         field: String,
+        /// The shot of the board, where dots are off as they would be if its photographs were mirrored or turned.
+        board: Option<String>,
         /// By how much, projector px.
         offset_projector_px: [f64; 2],
         /// Standard deviation per axis.
@@ -111,6 +114,19 @@ pub enum ConsistencyWarning {
         at_px: [f64; 2],
         /// The least of the shots, DN/s.
         dn_per_sec: f64,
+    },
+    /// Light in one place of the sample that the rows of all shots have.
+    LightOnSample {
+        /// The black shot.
+        shot: String,
+        /// Where it is brightest, of the lit points, camera px.
+        at_px: [f64; 2],
+        /// Over the peak of the row of that point.
+        share: f64,
+        /// Its standard deviation.
+        share_sd: f64,
+        /// Lit points that have it.
+        places: usize,
     },
     /// A halo that no lens has.
     HaloImplausible {
@@ -242,7 +258,8 @@ pub enum ConsistencyWarning {
         /// Its black level less that of sample-black, DN, at all exposure times alike.
         difference_dn: f64,
     },
-    /// The rows of a shot have another level than those of other shots say of the same pairs of places, which are reciprocal.
+    /// The rows of a shot have another level than those of other shots say of the same pairs of places, which are
+    /// reciprocal.
     ShotLight {
         /// The shot that is farthest off.
         shot: String,
@@ -358,10 +375,19 @@ impl fmt::Display for ConsistencyWarning {
                     n => write!(f, "; {n} of {of} lattice shots are out of step with the patterns"),
                 }
             }
-            Self::DotsOffset { field, offset_projector_px: [x, y], sd_projector_px } => write!(
-                f,
-                "all dots are {x:+.2}, {y:+.2} projector px (± {sd_projector_px:.2}) from where [grid], [reference_dots] and Gray code put them together; the one that disagrees is {field}"
-            ),
+            Self::DotsOffset { field, board, offset_projector_px: [x, y], sd_projector_px } => {
+                write!(
+                    f,
+                    "all dots are {x:+.2}, {y:+.2} projector px (± {sd_projector_px:.2}) from where [grid], [reference_dots] and Gray code put them together; the one that disagrees is {field}"
+                )?;
+                match board {
+                    None => Ok(()),
+                    Some(shot) => write!(
+                        f,
+                        ", unless the photographs of shot \"{shot}\" are mirrored or turned: light from below the surface is displaced so then"
+                    ),
+                }
+            }
             Self::DotsStep { along_x: [ax, ay], along_y: [bx, by], sd_projector_px } => write!(
                 f,
                 "from one lit point to the next the dots are {ax:+.2}, {ay:+.2} projector px along x and {bx:+.2}, {by:+.2} along y (± {sd_projector_px:.3}) off what grid.step_projector_px says"
@@ -379,6 +405,13 @@ impl fmt::Display for ConsistencyWarning {
             Self::LightSpot { shot, at_px: [x, y], dn_per_sec } => write!(
                 f,
                 "a bright spot beside the sample, at camera px ({x:.0}, {y:.0}), {dn_per_sec:.1} DN/s, is in all lattice shots that were looked at and not in \"{shot}\": a reflection or a lamp, no light of the dots; left out where stray light is measured"
+            ),
+            Self::LightOnSample { shot, at_px: [x, y], share, share_sd, places } => write!(
+                f,
+                "the rows of other points have light at {} that is not the dots', and not in \"{shot}\": a reflection or a lamp; most at camera px ({x:.0}, {y:.0}), {:.2} % ± {:.2} % of the peak there",
+                count(*places, "lit point"),
+                100.0 * share,
+                100.0 * share_sd
             ),
             Self::HaloImplausible { share, most } => write!(
                 f,
@@ -541,13 +574,15 @@ super::record::catalogue!(ConsistencyWarning {
     Self::DotsOffset { field: name, offset_projector_px: [x, y], .. } if x.hypot(*y) >= REFUSED_PROJECTOR_PX =>
         "dots-offset", Warning, Dots, Accepted, vec![field(name)],
         bound("offset_projector_px", REFUSED_PROJECTOR_PX, "projector px");
-    Self::DotsOffset { field: name, .. } => "dots-offset", Warning, Dots, Told, vec![field(name)], None;
+    Self::DotsOffset { field: name, board, .. } => "dots-offset", Warning, Dots, Told,
+        [field(name)].into_iter().chain(board.as_deref().map(shot)).collect(), None;
     Self::DotsStep { .. } => "dots-step", Warning, Dots, Accepted, vec![field("grid.step_projector_px")], None;
     Self::BoardBlur { shot: name, .. } => "board-blur", Warning, Focus, Accepted, vec![shot(name)], None;
     Self::AmbientChanged { share, .. } if share.abs() > EVEN_REFUSED => "ambient-changed", Warning, Light, Accepted,
         vec![part("ambient light")], bound("share", EVEN_REFUSED, "");
     Self::AmbientChanged { .. } => "ambient-changed", Warning, Light, Told, vec![part("ambient light")], None;
     Self::LightSpot { shot: name, .. } => "light-spot", Warning, Light, Told, vec![shot(name), part("ambient light")], None;
+    Self::LightOnSample { shot: name, .. } => "light-on-sample", Warning, Light, Told, vec![shot(name), part("ambient light")], None;
     Self::HaloImplausible { most, .. } => "halo-implausible", Warning, Light, Accepted, vec![part("ambient light")],
         bound("share", *most, "");
     Self::LampLevel { shot: name, .. } => "lamp-level", Warning, Light, Corrected, vec![shot(name), part("lamp")], None;

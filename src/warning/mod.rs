@@ -1,8 +1,8 @@
 //! The catalogue of findings: typed, shown on the terminal and kept in the matrix, the material and the report.
 //!
-//! Each stage has an enum of its own, and its functions return that; [`Warning`] joins them, and [`FindingRecord`] is what all have. They
-//! stand here and not in the stages' folders because the header of a matrix keeps those of all stages: this module imports none of them.
-//! `docs/findings.md` lists them, with what to do about each.
+//! Each stage has an enum of its own, and its functions return that; [`Warning`] joins them, and [`FindingRecord`] is
+//! what all have. They stand here and not in the stages' folders because the header of a matrix keeps those of all
+//! stages: this module imports none of them. `docs/findings.md` lists them, with what to do about each.
 
 mod arrays;
 pub(crate) mod bounds;

@@ -168,7 +168,8 @@ pub struct Bound {
     pub unit: String,
 }
 
-/// A finding as all commands, the report and the matrix tell it; its figures are those of the [`super::Warning`] that gave it.
+/// A finding as all commands, the report and the matrix tell it; its figures are those of the [`super::Warning`] that
+/// gave it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct FindingRecord {
@@ -188,8 +189,8 @@ pub struct FindingRecord {
     pub done: Done,
 }
 
-/// A stage's findings: for each variant its name, severity, topic, what was done, culprits and bound. The match is exhaustive: a variant
-/// that is not listed does not compile.
+/// A stage's findings: for each variant its name, severity, topic, what was done, culprits and bound. The match is
+/// exhaustive: a variant that is not listed does not compile.
 macro_rules! catalogue {
     ($stage:ident { $($pattern:pat $(if $guard:expr)? => $id:literal, $severity:ident, $topic:ident, $done:ident, $culprit:expr, $bound:expr;)* }) => {
         impl $stage {

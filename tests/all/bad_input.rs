@@ -1,4 +1,5 @@
-//! Whatever is wrong with the input: exit 1, one message that names file and field, a hint, and no output that looks whole.
+//! Whatever is wrong with the input: exit 1, one message that names file and field, a hint, and no output that looks
+//! whole.
 
 use crate::common;
 use crate::common::{acquire, copy_folder};
@@ -45,7 +46,8 @@ impl Bench {
         names.into_iter().find(|p| p.to_string_lossy().contains("lattice")).unwrap()
     }
 
-    /// `build-matrix` must fail, naming all of `words`, and leave nothing beside the capture; `check` must have known it.
+    /// `build-matrix` must fail, naming all of `words`, and leave nothing beside the capture; `check` must have known
+    /// it.
     fn build_fails(&self, words: &[&str]) {
         let (capture, out) = (self.path("capture"), self.path("m.rd.zarr"));
         self.fails(&["build-matrix", capture.to_str().unwrap(), "--out", out.to_str().unwrap()], words);
@@ -150,7 +152,8 @@ fn a_head_of_a_thousand_megapixels_is_refused_before_anything_is_allocated() {
     let bench = Bench::new();
     let photograph = bench.lattice_photograph();
     let mut bytes = std::fs::read(&photograph).unwrap();
-    // Width and height behind the signature and the chunk's head; its checksum is then wrong, as a forger would mend it.
+    // Width and height behind the signature and the chunk's head; its checksum is then wrong, as a forger would mend
+    // it.
     bytes[16..24].copy_from_slice(&[0, 0, 0x7d, 0, 0, 0, 0x7d, 0]);
     let crc = crc32(&bytes[12..29]);
     bytes[29..33].copy_from_slice(&crc.to_be_bytes());

@@ -32,7 +32,8 @@ fn a_camera_of_six_times_the_pixels_gives_the_same_matrix_from_blocks_of_them() 
     assert!((working.px_per_sample.unwrap() / 18.0 - 1.0).abs() < 0.05, "{working:?}");
     assert!(warnings.is_empty(), "{warnings:?}");
     println!("{whole:?}\n{reduced:?}");
-    // The same light: noise is the same, and what the reconstruction adds at 9 px a sample is below a thousandth (docs/accuracy.md).
+    // The same light: noise is the same, and what the reconstruction adds at 9 px a sample is below a thousandth
+    // (docs/accuracy.md).
     assert!(reduced.rel_rmse < whole.rel_rmse + 1e-3);
     assert!((0.93..0.98).contains(&reduced.coverage), "{}", reduced.coverage);
     // And coarser, as asked.

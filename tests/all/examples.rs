@@ -1,15 +1,17 @@
 //! Every command that the help and the documentation show runs, and ends well.
 //!
-//! Collected are the "Examples:" of `acquire help COMMAND`, and of README.md and docs/*.md the lines of ``` blocks and the code
-//! spans that begin with `acquire` or `target/release/acquire`. Each help example, each span and each block has a folder of its
-//! own with the files that examples name ([`Bench`]); the lines of a block run one after the other, as a person types them.
+//! Collected are the "Examples:" of `acquire help COMMAND`, and of README.md and docs/*.md the lines of ``` blocks and
+//! the code spans that begin with `acquire` or `target/release/acquire`. Each help example, each span and each block
+//! has a folder of its own with the files that examples name ([`Bench`]); the lines of a block run one after the other,
+//! as a person types them.
 //!
 //! Examples are written for people, so a few rules stand between:
 //! - what follows two spaces or ` #` is a remark; a pipe (`| jq …`) is cut off: jq need not be there;
 //! - `[X | Y]` is run without, with X and with Y; `exr|npz` is run with each;
 //! - words that stand for something are replaced by [`STANDS_FOR`];
 //! - sizes are cut down by [`AT_MOST`], and [`ALSO`] adds what makes a command cheap;
-//! - what lies where an output is to go is removed before (a default name may be in the way of a second command of a block).
+//! - what lies where an output is to go is removed before (a default name may be in the way of a second command of a
+//!   block).
 //!
 //! An example that none of this makes runnable fails the test: mend the example, or add what it names to the bench.
 //! README's Python needs xarray, which is not required to build or test, and is not run.
@@ -182,7 +184,8 @@ fn voxels(path: &Path) {
     zip.finish().unwrap();
 }
 
-/// Responses that fall with the distance, as docs/matrix-format.md takes them: windows, and a full matrix of 32 × 24 points.
+/// Responses that fall with the distance, as docs/matrix-format.md takes them: windows, and a full matrix of 32 × 24
+/// points.
 fn arrays(folder: &Path) {
     let array = |to: &mut dyn std::io::Write, shape: &[u64], value: &dyn Fn(u64) -> f64| {
         let mut array = npyz::WriteOptions::new().default_dtype().shape(shape).writer(to).begin_nd().unwrap();
@@ -246,7 +249,8 @@ fn commands(example: &str) -> Vec<Vec<String>> {
     // Pieces between brackets: the odd ones are optional.
     let pieces: Vec<&str> = example.split(['[', ']']).collect();
     let piped = |text: &str| text.split(" | ").next().unwrap_or_default().to_owned();
-    // A pipe outside of brackets ends the command; one in brackets divides alternatives. jq's own brackets come after the pipe.
+    // A pipe outside of brackets ends the command; one in brackets divides alternatives. jq's own brackets come after
+    // the pipe.
     let end = pieces.iter().step_by(2).position(|p| p.contains(" | ")).map_or(pieces.len(), |k| 2 * k + 1);
     let pieces = &pieces[..end];
     let line = |chosen: Option<(usize, &str)>| {

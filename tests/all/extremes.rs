@@ -37,7 +37,8 @@ fn row_error(f: &Factored, index: usize, expected: impl Fn([f64; 2], usize) -> f
     error / peak
 }
 
-/// What the square root of an eigenvalue of AᵀA is off by when the products are in f64 (1e-15 of the largest) or in f32 (3e-7).
+/// What the square root of an eigenvalue of AᵀA is off by when the products are in f64 (1e-15 of the largest) or in f32
+/// (3e-7).
 fn gram_error(backend: Backend, largest: f64, value: f64) -> f64 {
     let relative: f64 = match backend {
         Backend::Full => return 0.0,
@@ -99,8 +100,8 @@ fn singular_values_are_those_of_extended_precision() {
             let (found, largest) = (&f.material.header.singular_values, table.normalized[0]);
             assert!(found.len() >= f.material.header.terms);
             for (k, (found, expected)) in found.iter().zip(&table.normalized).enumerate() {
-                // Normalized rows are held as f32: ‖δA‖ is at most one rounding of the Frobenius norm. Beyond that the full
-                // decomposition adds nothing, and the others what an eigenvalue of AᵀA is off by.
+                // Normalized rows are held as f32: ‖δA‖ is at most one rounding of the Frobenius norm. Beyond that the
+                // full decomposition adds nothing, and the others what an eigenvalue of AᵀA is off by.
                 let held = ROUNDING * table.normalized.iter().map(|v| v * v).sum::<f64>().sqrt();
                 let bound = held + gram_error(backend, largest, *expected);
                 let name = &table.name;
@@ -216,7 +217,8 @@ fn polynomials_of_a_steep_row_are_as_good_as_any_in_extended_precision() {
             let (found, optimal) = (left[c].sqrt(), best.residual_norm[c]);
             let rounding = 4.0 * ROUNDING * size[c].sqrt();
             // To degree 7 coefficients are below ten times the row. At 15 the columns' condition number is 4e11 and the
-            // best coefficients are near 1e6, of no use in f32: misfit and rounding together are least at 1.5 of the best.
+            // best coefficients are near 1e6, of no use in f32: misfit and rounding together are least at 1.5 of the
+            // best.
             let slack = if best.degree <= 7 { 1e-4 } else { 0.6 };
             assert!(found >= optimal - rounding, "degree {}: {found} beats the best, {optimal}", best.degree);
             assert!(found <= optimal * (1.0 + slack) + rounding, "degree {}: {found} {optimal}", best.degree);
@@ -462,7 +464,8 @@ fn every_model_takes_every_extreme_of_shape() {
         for model in [Model::Joint, Model::Peers2006] {
             let options = FactorOptions { model: Some(model), terms: Some(3), ..FactorOptions::default() };
             let f = run(&options, points, window, response).unwrap();
-            // All of them are of rank one, with entries that no rule calls negative. Peers2006 iterates to 1e-4 or better.
+            // All of them are of rank one, with entries that no rule calls negative. Peers2006 iterates to 1e-4 or
+            // better.
             let bound = if model == Model::Joint { ONE_TERM } else { 1e-3 };
             assert!(f.rel_rmse <= bound, "{name}, {model}: {}", f.rel_rmse);
             for i in (0..points[0] * points[1]).filter(|&i| response(i, [0.0; 2], 0) != 0.0) {
@@ -505,8 +508,8 @@ fn a_million_rows_of_rank_one_are_one_term() {
         let options = FactorOptions { backend: Some(backend), ..fixed(15, 1) };
         let f = run(&options, [1000, 1000], [3, 3], response).unwrap();
         assert_eq!(f.material.header.terms, 1, "{backend:?}: {:?}", f.material.header.singular_values);
-        // A million equal rows of norm ‖h‖: their rounding to f32 is independent and averages out. With the randomized back end vectors and the
-        // nine products of a row are rounded to f32, too, alike in all rows.
+        // A million equal rows of norm ‖h‖: their rounding to f32 is independent and averages out. With the randomized
+        // back end vectors and the nine products of a row are rounded to f32, too, alike in all rows.
         let roundings = if backend == Backend::Gram { 1.0 } else { 10.0 };
         let norm = (0..9).map(|k| profile([(k % 3) as f64 - 1.0, (k / 3) as f64 - 1.0], 1.0).powi(2)).sum::<f64>();
         let expected = (1e6 * norm).sqrt();

@@ -1,4 +1,5 @@
-//! From a matrix on disk to a material: recovery of known factors and the choices made from noise. `extremes.rs` has the extremes.
+//! From a matrix on disk to a material: recovery of known factors and the choices made from noise. `extremes.rs` has
+//! the extremes.
 
 use crate::common;
 use crate::matrices::{fixed, noise, profile, run, tucker, write};

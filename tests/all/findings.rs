@@ -1,4 +1,5 @@
-//! `check` says before what `build-matrix` says after: the same finding, put down to the same culprit, with the same exit status.
+//! `check` says before what `build-matrix` says after: the same finding, put down to the same culprit, with the same
+//! exit status.
 
 use crate::common;
 use crate::common::{acquire, copy_folder};
@@ -133,8 +134,8 @@ fn an_exchanged_pair_of_the_gray_code_is_the_cause_and_not_the_grid() {
         };
         original.shots.iter().position(|s| is(&s.pattern)).unwrap()
     };
-    // The coarsest has 128 projector px: its exchange mirrors the map. The next leaves none. Of the finest, which have edges where they had them
-    // before, an exchange does no harm.
+    // The coarsest has 128 projector px: its exchange mirrors the map. The next leaves none. Of the finest, which have
+    // edges where they had them before, an exchange does no harm.
     for (axis, bit) in [(0, 7), (0, 6), (1, 7), (1, 6)] {
         let (_folder, dir) = copy();
         let mut manifest = original.clone();

@@ -1,4 +1,5 @@
-//! Matrix stores that other programs write: any chunks and codecs, things left out, crops. (`python/tests` has the same from zarr-python, xarray and dask.)
+//! Matrix stores that other programs write: any chunks and codecs, things left out, crops. (`python/tests` has the same
+//! from zarr-python, xarray and dask.)
 
 use acquire::Error;
 use acquire::transport::{MatrixReader, RowBlock};

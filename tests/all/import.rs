@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 /// The capture of the checkout: 247 JPEG photographs.
 const CAPTURE: &str = "captures";
 
-/// A camera's folder with the capture's photographs as IMG_0001.JPG, IMG_0002.JPG, …, and the plan by which they were shot.
+/// A camera's folder with the capture's photographs as IMG_0001.JPG, IMG_0002.JPG, …, and the plan by which they were
+/// shot.
 struct Bench {
     folder: tempfile::TempDir,
     photographs: usize,

@@ -1,4 +1,5 @@
-//! Tests of whole commands and pipelines, one program of them all: each is a module, and `cargo test --test all pipeline::` runs those of one.
+//! Tests of whole commands and pipelines, one program of them all: each is a module, and `cargo test --test all
+//! pipeline::` runs those of one.
 
 #[path = "../common/mod.rs"]
 mod common;

@@ -1,4 +1,5 @@
-//! Merged radiance against the Cramér–Rao bound of the sensor that took the photographs; the example that merges a bracket.
+//! Merged radiance against the Cramér–Rao bound of the sensor that took the photographs; the example that merges a
+//! bracket.
 
 #[path = "../../examples/merge_bracket.rs"]
 #[allow(dead_code, unreachable_pub)]

@@ -132,7 +132,8 @@ fn shots_are_those_of_a_simulated_capture() {
     assert_eq!(simulated, lattice_shots([7, 5], [3, 3]));
 }
 
-/// The pictures of a simulated capture's own plan, seen by the camera that truth.toml describes, against its photographs.
+/// The pictures of a simulated capture's own plan, seen by the camera that truth.toml describes, against its
+/// photographs.
 #[test]
 fn pictures_show_what_the_simulated_photographs_show() {
     let (_folder, dir, truth) = simulated();
@@ -244,7 +245,8 @@ fn a_probe_asks_for_few_photographs_and_for_exposures_that_fit() {
     assert!(written.plan.grid.len() > without.grid.len() && choice.window < 15, "{choice:?}");
     assert!(written.plan.photographs() < without.photographs() / 4, "{choice:?}");
     assert!(choice.spacing.cross_talk <= 0.1 || choice.spacing.below_noise, "{choice:?}");
-    // The simulator sets its sensitivity so that the brightest dot reaches 0.7 of the range in 1/256 s; the plan goes to the third of a stop below.
+    // The simulator sets its sensitivity so that the brightest dot reaches 0.7 of the range in 1/256 s; the plan goes
+    // to the third of a stop below.
     let shortest = choice.shortest_secs.unwrap() * 256.0;
     assert!((0.75..1.05).contains(&shortest), "{choice:?}");
     // Where the probe's dots lie on the slab the plan's do too.
@@ -288,6 +290,7 @@ fn what_the_probe_says_of_cross_talk_is_what_a_capture_with_that_spacing_has() {
     };
     let (near, alone) = (light(spacing), light(15));
     let worst = (0..3).map(|c| near[c] / alone[c] - 1.0).fold(0.0, f64::max);
-    // Tails enter as means over rings of whole samples, and as the largest of four noisy rows: a quarter of so small a share.
+    // Tails enter as means over rings of whole samples, and as the largest of four noisy rows: a quarter of so small a
+    // share.
     assert!((worst / choice.cross_talk - 1.0).abs() < 0.25, "{worst} {choice:?}");
 }

@@ -22,7 +22,8 @@ struct Truth {
     slab_from_projector: Homography,
 }
 
-/// RMS over the slab of where camera and projector are believed to be against where they are, camera px and projector px.
+/// RMS over the slab of where camera and projector are believed to be against where they are, camera px and projector
+/// px.
 fn registration_rms(dir: &Path, report: &BuildReport) -> [f64; 2] {
     let truth: Truth = toml::from_str(&std::fs::read_to_string(dir.join("truth.toml")).unwrap()).unwrap();
     let found = &report.registration;
@@ -64,8 +65,8 @@ fn noise_free_captures(materials: &[SlabMaterial]) {
         let (_folder, dir) = common::capture(&options);
         let (matrix, report) = build(&dir);
         let found = compare(&matrix, &dir.join("truth.rd.zarr"));
-        // What is left is the reconstruction of the dots' edges from three pixels a sample, which depends on where dots lie on the pixels:
-        // 0.7 to 1.1 % over three seeds, worst on chessboards (0.9 % at 3.3 px a sample).
+        // What is left is the reconstruction of the dots' edges from three pixels a sample, which depends on where dots
+        // lie on the pixels: 0.7 to 1.1 % over three seeds, worst on chessboards (0.9 % at 3.3 px a sample).
         assert!(found.rel_rmse < 0.0125, "{material:?} {found:?}");
         assert!(found.drift_rms_px < 0.05, "{material:?} {found:?}");
         assert_eq!(found.valid, 1.0);
@@ -90,7 +91,8 @@ fn a_noisy_capture_gives_the_matrix_to_three_percent_and_its_variance_is_right()
     }
 }
 
-/// Photon noise makes the slab's light rough between the samples, which the reconstruction cannot follow: 3 %, not 1 % (20,000 photons).
+/// Photon noise makes the slab's light rough between the samples, which the reconstruction cannot follow: 3 %, not 1 %
+/// (20,000 photons).
 #[test]
 #[ignore = "slow: 6 s"]
 fn a_capture_by_monte_carlo_gives_its_matrix() {

@@ -1,4 +1,5 @@
-//! What a change of the capture must change in the matrix, and nothing else: turned, mirrored, scaled, permuted captures.
+//! What a change of the capture must change in the matrix, and nothing else: turned, mirrored, scaled, permuted
+//! captures.
 
 use crate::common;
 use acquire::capture::{Axis, Manifest, Pattern, Rig};
@@ -110,8 +111,8 @@ fn displaced(header: &MatrixHeader, expected: impl Iterator<Item = [f64; 2]>) ->
     header.lit_mm.iter().zip(expected).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).fold(0.0, f64::max)
 }
 
-/// Of a mirrored or turned picture, corners and dots are found by the same rules from another side: positions agree to some hundredths of a
-/// pixel (0.17 mm), responses to what that displaces them by.
+/// Of a mirrored or turned picture, corners and dots are found by the same rules from another side: positions agree to
+/// some hundredths of a pixel (0.17 mm), responses to what that displaces them by.
 const SEEN_FROM_ELSEWHERE: f64 = 0.01;
 const ELSEWHERE_MM: f64 = 0.01;
 
@@ -276,7 +277,8 @@ fn a_part_of_the_shots_gives_that_part_of_the_rows() {
         let (a, b) = (&found.1.response[range.clone()], &original.1.response[range]);
         let norm: f64 = b.iter().map(|v| f64::from(*v).powi(2)).sum();
         let error: f64 = a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum();
-        // What all shots tell together (the halo of the lens, the steadied white) is known a little less well from fewer.
+        // What all shots tell together (the halo of the lens, the steadied white) is known a little less well from
+        // fewer.
         assert!((error / norm).sqrt() < 1e-3, "row {row}: {}", (error / norm).sqrt());
         let off = displaced_row(&found.0, &original.0, row);
         assert!(off < 1e-3, "row {row}: {off}");

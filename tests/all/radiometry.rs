@@ -11,7 +11,8 @@ use acquire::transport::MatrixReader;
 use acquire::{ConsistencyWarning, Error, RadianceWarning, Warning};
 use std::path::Path;
 
-/// Marble that is the same everywhere: codes, times and the lamp do not depend on where light goes, and one dot's light is all that is solved for.
+/// Marble that is the same everywhere: codes, times and the lamp do not depend on where light goes, and one dot's light
+/// is all that is solved for.
 fn bench() -> SimulateOptions {
     SimulateOptions {
         material: SlabMaterial::homogeneous(),
@@ -55,10 +56,12 @@ fn time_errors(dir: &Path, matrix: &Path) -> Vec<f64> {
     errors.iter().map(|e| e - mean).collect()
 }
 
-/// Largest relative error of the saved curve between codes 10 and 245, its scale taken out, against the simulator's table of pairs.
+/// Largest relative error of the saved curve between codes 10 and 245, its scale taken out, against the simulator's
+/// table of pairs.
 fn curve_error(dir: &Path) -> f64 {
     let curve = Curve::read(&dir.join("calibration/response.toml")).unwrap();
-    // The pairs are dense in the root of light; only codes that are pairs are compared, so that nothing is interpolated in the truth.
+    // The pairs are dense in the root of light; only codes that are pairs are compared, so that nothing is interpolated
+    // in the truth.
     let pairs: Vec<(f64, f64)> = truth(dir).response_curve.iter().map(|p| (255.0 * p[1], p[0])).collect();
     let used = pairs.iter().filter(|(code, _)| (10.0..=245.0).contains(code));
     let errors: Vec<f64> = used
@@ -139,8 +142,8 @@ fn an_unknown_response_of_jpeg_files_is_found_to_two_percent_together_with_the_t
     let error = curve_error(&dir);
     assert!(error < 0.02, "curve off by {error}");
     let errors = time_errors(&dir, &matrix);
-    // 0.2 to 1.9 % over three seeds and two materials (the project aims at half a per cent): a curve that is a little steeper and times that are a little
-    // farther apart give almost the same stacks.
+    // 0.2 to 1.9 % over three seeds and two materials (the project aims at half a per cent): a curve that is a little
+    // steeper and times that are a little farther apart give almost the same stacks.
     assert!(errors.iter().all(|e| e.abs() < 0.02), "{errors:?}");
     let found = compare(&matrix, &dir.join("truth.rd.zarr"));
     // JPEG with a known curve and true times has 1.8 %.

@@ -1,4 +1,5 @@
-//! Simulated captures: what is written reads back, is the same for any number of threads, and is replaced only when asked.
+//! Simulated captures: what is written reads back, is the same for any number of threads, and is replaced only when
+//! asked.
 
 use acquire::{
     capture::{Manifest, Pattern, Rig},

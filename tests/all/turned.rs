@@ -22,7 +22,8 @@ fn gives_its_matrix(name: &str, options: &SimulateOptions) {
     let out = dir.with_extension("rd.zarr");
     let report = build_matrix(&dir, &BuildOptions::default(), &out, &Progress::silent()).unwrap();
     let found = compare(&out, &dir.join("truth.rd.zarr"));
-    // The reconstruction's 0.4 to 1.1 % at three pixels a sample; an axis, a sign or a mirror that is wrong somewhere costs tens of per cent.
+    // The reconstruction's 0.4 to 1.1 % at three pixels a sample; an axis, a sign or a mirror that is wrong somewhere
+    // costs tens of per cent.
     assert!(found.rel_rmse < 0.0125 && found.valid == 1.0, "{name}: {found:?}");
     assert!(found.coverage > 0.88, "{name}: {found:?}");
     assert!(found.drift_rms_px < 0.03, "{name}: {found:?}");

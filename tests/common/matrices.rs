@@ -10,7 +10,8 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use std::path::Path;
 
-/// The header of a matrix with samples of half a millimetre, lit points `lit_pitch_mm` apart at known places, and nothing else known.
+/// The header of a matrix with samples of half a millimetre, lit points `lit_pitch_mm` apart at known places, and
+/// nothing else known.
 pub(crate) fn header(points: [usize; 2], window: [usize; 2], lit_pitch_mm: [f64; 2]) -> MatrixHeader {
     let rows = points[0] * points[1];
     let place = |i: usize| [(i % points[0]) as f64 * lit_pitch_mm[0], (i / points[0]) as f64 * lit_pitch_mm[1]];

@@ -5,8 +5,9 @@ use acquire::progress::Progress;
 use acquire::simulate::{SimulateOptions, simulate};
 use std::path::{Path, PathBuf};
 
-/// The default bench with coarser voxels and a looser solver: a chessboard takes half of the processor time or less. Photographs and truth are of the same light,
-/// so the two still agree; rows of one medium, though, differ by where their dots lie on the voxels, and nearly opaque slabs need the default's.
+/// The default bench with coarser voxels and a looser solver: a chessboard takes half of the processor time or less.
+/// Photographs and truth are of the same light, so the two still agree; rows of one medium, though, differ by where
+/// their dots lie on the voxels, and nearly opaque slabs need the default's.
 pub(crate) fn bench() -> SimulateOptions {
     SimulateOptions { voxels_per_sample: 1, tolerance: 1e-4, ..SimulateOptions::default() }
 }

@@ -1,4 +1,5 @@
-//! A sensor as physics has it, written apart from both the estimator and the simulator, and what can be known from its codes.
+//! A sensor as physics has it, written apart from both the estimator and the simulator, and what can be known from its
+//! codes.
 #![allow(dead_code)]
 
 use rand::Rng;
@@ -57,8 +58,8 @@ impl PhotonSensor {
         (0..n).map(|_| code(rng)).collect()
     }
 
-    /// Fisher information of one code value about the mean count of electrons, from the exact probabilities of all codes;
-    /// codes at or above saturation are one outcome: that they are is known, how far is not.
+    /// Fisher information of one code value about the mean count of electrons, from the exact probabilities of all
+    /// codes; codes at or above saturation are one outcome: that they are is known, how far is not.
     pub(crate) fn information(&self, electrons: f64) -> f64 {
         let (m, read) = (electrons.max(1e-9), self.read_noise_electrons);
         let sd = (m + read * read).sqrt();

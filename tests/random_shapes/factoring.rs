@@ -80,7 +80,8 @@ fn a_crop_is_factored_no_worse_than_the_factored_matrix_is_cropped() {
         let cropped = crop(&matrix.header, |i| whole[i].clone(), first, points, window);
         let own = part.error(&rows_of(&part.factored(&options).material)).sqrt();
         let (of_whole, size) = (part.error(&cropped).sqrt(), part.energy().sqrt());
-        // Sharing maps may add a hundredth to the squared error; beyond it the best of that rank is not worse than any other of that rank.
+        // Sharing maps may add a hundredth to the squared error; beyond it the best of that rank is not worse than any
+        // other of that rank.
         let tolerance = 1.01_f64.sqrt() * of_whole + storing(terms) * size;
         assert!(own <= tolerance, "{own:e}, cropped {of_whole:e} of {size:e}");
     });
@@ -104,8 +105,8 @@ fn a_changed_matrix_is_factored_to_the_changed_material() {
         let size = matrix.energy().sqrt();
         let off: f64 =
             expected.iter().flatten().zip(found.iter().flatten()).map(|(a, b)| f64::from(a - b).powi(2)).sum();
-        // What is known to rounding turns terms by as much over the distance of the last singular value that is kept to the first that is
-        // not. A polynomial of degree 3 on a row whose intensities lie close together magnifies that.
+        // What is known to rounding turns terms by as much over the distance of the last singular value that is kept to
+        // the first that is not. A polynomial of degree 3 on a row whose intensities lie close together magnifies that.
         let [last, next] =
             [terms - 1, terms].map(|j| a.singular_values.get(j).copied().unwrap_or(0.0) / a.singular_values[0]);
         let turned = if next > 0.0 { 1.0 / (last - next).max(F64) } else { 1.0 };

@@ -1,5 +1,5 @@
-//! What holds for every matrix and every material, tried on random shapes and values: few points and small windows that are not square,
-//! displaced peaks, entries and rows that were not measured, rows of zeros, numbers from 1e-30 to 1e30.
+//! What holds for every matrix and every material, tried on random shapes and values: few points and small windows that
+//! are not square, displaced peaks, entries and rows that were not measured, rows of zeros, numbers from 1e-30 to 1e30.
 //!
 //! The shapes are the same at every run. `PROPTEST_RNG_SEED=2 PROPTEST_CASES=500` tries others.
 
@@ -132,9 +132,9 @@ fn joint(terms: usize) -> FactorOptions {
     }
 }
 
-/// What storing `terms` orthonormal terms as f32 changes, over ‖R‖: rows are divided by the peak, then weights, both factors, shared maps and
-/// their amounts, and what comes out are rounded once each, which differs for every term, and as many terms may be left out as are no larger
-/// than rounding.
+/// What storing `terms` orthonormal terms as f32 changes, over ‖R‖: rows are divided by the peak, then weights, both
+/// factors, shared maps and their amounts, and what comes out are rounded once each, which differs for every term, and
+/// as many terms may be left out as are no larger than rounding.
 fn storing(terms: usize) -> f64 {
     F32 * (2.0 + 6.0 * (terms as f64).sqrt())
 }

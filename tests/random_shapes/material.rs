@@ -2,8 +2,8 @@
 
 use super::*;
 
-/// A material of random numbers of size one. Kinds: all planes one's own or shared on either side, with a profile or not, shared maps,
-/// polynomials.
+/// A material of random numbers of size one. Kinds: all planes one's own or shared on either side, with a profile or
+/// not, shared maps, polynomials.
 pub(crate) fn material(case: Case, kind: usize) -> Material {
     let mut draw = Draw::new(case.seed ^ 2);
     let (model, [a, b], profile, degree) = [
@@ -68,8 +68,8 @@ pub(crate) fn material(case: Case, kind: usize) -> Material {
 
 pub(crate) const KINDS: usize = 8;
 
-/// Row `i` by the formula of docs/materials.md, and what an error of each rounding may be relative to: Σ |g f h m|, and where polynomials make
-/// colours of it Σ |β_p| (1 + p² · 2 Σ |g f h m| / (range)), as |dL_p/du| ≤ p².
+/// Row `i` by the formula of docs/materials.md, and what an error of each rounding may be relative to: Σ |g f h m|, and
+/// where polynomials make colours of it Σ |β_p| (1 + p² · 2 Σ |g f h m| / (range)), as |dL_p/du| ≤ p².
 pub(crate) fn formula(m: &Material, i: usize) -> (Vec<[f64; 3]>, f64) {
     let h = &m.header;
     let samples = h.extended[0] * h.extended[1];

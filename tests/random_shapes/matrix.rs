@@ -21,7 +21,8 @@ pub(crate) fn place(k: usize, window: [usize; 2]) -> ([usize; 2], usize) {
 }
 
 impl Matrix {
-    /// `response(row, sample, channel)`, without variance, all measured; points stand at every second sample along x and every third along y.
+    /// `response(row, sample, channel)`, without variance, all measured; points stand at every second sample along x
+    /// and every third along y.
     pub(crate) fn of(
         points: [usize; 2],
         window: [usize; 2],
@@ -42,7 +43,8 @@ impl Matrix {
         Self { rows: (0..n).map(&mut row).collect(), header }
     }
 
-    /// Bells of three widths, each point and channel with its own amounts of them, a twentieth of noise; of some rows the peak is displaced.
+    /// Bells of three widths, each point and channel with its own amounts of them, a twentieth of noise; of some rows
+    /// the peak is displaced.
     pub(crate) fn coloured(case: Case) -> Self {
         let mut draw = Draw::new(case.seed);
         let n = case.points[0] * case.points[1];

@@ -39,7 +39,8 @@ fn points_of_a_material_are_its_rows_however_they_are_asked_for() {
                         assert!(off <= tolerance, "way {way}, row {i}, {d:?}: {found:?} {:?}", expected[k]);
                     }
                 }
-                // Places in mm are known to rounding of a lattice of up to 7 points; a neighbour's value is of the rows' size.
+                // Places in mm are known to rounding of a lattice of up to 7 points; a neighbour's value is of the
+                // rows' size.
                 let found = evaluator.between(x_i, x_o);
                 let sizes = (0..m.header.rows()).map(|i| formula(&m, i).1).fold(0.0, f64::max);
                 for c in 0..3 {
@@ -77,7 +78,8 @@ fn draws_have_a_density_that_sums_to_one_and_is_that_of_the_draws() {
             // Products of few f64 for each of up to 49 samples.
             assert!((total - 1.0).abs() <= 1e3 * F64, "row {i}: {total}");
             for (count, p) in counts.into_iter().zip(&probabilities) {
-                // A sample has an interval of the uniform draws and one of the others; of evenly spaced ones each counts to within one.
+                // A sample has an interval of the uniform draws and one of the others; of evenly spaced ones each
+                // counts to within one.
                 let off = (f64::from(count) / DRAWS as f64 - p).abs();
                 assert!(off <= 2.0 / DRAWS as f64 + 1e3 * F64, "row {i}: {count} of {DRAWS}, {p}");
             }
@@ -134,7 +136,8 @@ fn exported_arrays_make_the_same_rows() {
                     let value = value[0].clamp(low, high);
                     let terms = (0..=degree).map(|p| powers[at + p] * value.powi(p as i32));
                     let (sum, sizes) = terms.fold((0.0, 0.0), |(s, a), t| (s + t, a + t.abs()));
-                    // f64; powers of a degree of up to 4 over a range of 1 to 3 cancel to what the sum of their sizes shows.
+                    // f64; powers of a degree of up to 4 over a range of 1 to 3 cancel to what the sum of their sizes
+                    // shows.
                     let tolerance = 200.0 * F64 * (sizes + size);
                     assert!((sum - colour[c]).abs() <= tolerance, "{sum} {}", colour[c]);
                 }

@@ -31,8 +31,9 @@ fn sources(case: Case, scale: f64) -> Vec<(Source, f64, Option<Stored>)> {
     all
 }
 
-/// What relighting may be off by per unit of flux and of the largest response: sums of 5 terms, 42 rows and 4 neighbours; powers of a degree of
-/// up to 4 lose (1 + √2)⁴ = 34; transforms of some hundred samples, about as much. All in f64.
+/// What relighting may be off by per unit of flux and of the largest response: sums of 5 terms, 42 rows and 4
+/// neighbours; powers of a degree of up to 4 lose (1 + √2)⁴ = 34; transforms of some hundred samples, about as much.
+/// All in f64.
 const RELIGHTING: f64 = 1e3 * F64;
 
 #[test]

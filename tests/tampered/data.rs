@@ -92,7 +92,8 @@ pub(crate) struct Mistake {
     /// Changes of capture.toml and rig.toml, after the steps.
     #[serde(default)]
     pub edits: Vec<Edit>,
-    /// What a right message names: `photograph`, `shot`, `first-shot` of those that were changed; anything else is a word of its own.
+    /// What a right message names: `photograph`, `shot`, `first-shot` of those that were changed; anything else is a
+    /// word of its own.
     #[serde(default)]
     pub names: Vec<String>,
     /// Names of findings that are right.

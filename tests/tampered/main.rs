@@ -1,8 +1,8 @@
 //! Mistakes that laboratories make, made in simulated captures: what does the program say, and how wrong is its matrix?
 //!
-//! The mistakes are data, mistakes/; so are the captures, captures.toml. docs/testing.md says how to add one. Variables of the environment:
-//! `MISTAKE` and `CAPTURE` choose by parts of names, with commas between them; `ACQUIRE` names another program; `KEEP` a folder where
-//! the captures stay; `WRITE=1` writes docs/tampered.md and the lines `today`.
+//! The mistakes are data, mistakes/; so are the captures, captures.toml. docs/testing.md says how to add one. Variables
+//! of the environment: `MISTAKE` and `CAPTURE` choose by parts of names, with commas between them; `ACQUIRE` names
+//! another program; `KEEP` a folder where the captures stay; `WRITE=1` writes docs/tampered.md and the lines `today`.
 
 #[path = "../common/mod.rs"]
 mod common;

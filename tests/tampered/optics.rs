@@ -1,4 +1,5 @@
-//! What happens to light: the lamp, the room, the lens. Every value becomes a sum of photographed ones, and gets the noise it lacks.
+//! What happens to light: the lamp, the room, the lens. Every value becomes a sum of photographed ones, and gets the
+//! noise it lacks.
 
 use crate::capture::{Capture, Place};
 use crate::data::Operation;
@@ -9,7 +10,8 @@ use rand_pcg::Pcg64;
 /// Photographed light with its weights, and light that is added.
 pub(crate) type Parts = (Vec<(f64, f64)>, f64);
 
-/// Writes the sum of each pixel's parts. Noise: of the sum as it would have been photographed, less what the parts have brought.
+/// Writes the sum of each pixel's parts. Noise: of the sum as it would have been photographed, less what the parts have
+/// brought.
 pub(crate) fn write_light(capture: &Capture, place: Place, parts: impl Iterator<Item = Parts>, generator: &mut Pcg64) {
     let sensor = &capture.sensor;
     let code = |(parts, added): Parts| {

@@ -98,7 +98,8 @@ pub(crate) enum Each {
     InOne,
 }
 
-/// Every mistake in every capture that it can be made in. `KEEP` of the environment names a folder where the captures stay.
+/// Every mistake in every capture that it can be made in. `KEEP` of the environment names a folder where the captures
+/// stay.
 pub(crate) fn all<'a>(
     mistakes: &[&'a Mistake],
     untouched: &'a [Untouched<'a>],

@@ -44,7 +44,8 @@ pub(crate) fn markdown(mistakes: &[&Mistake], untouched: &[Untouched], runs: &[R
     text
 }
 
-/// The outcome; with a matrix, its error over the untouched one's, and the share of entries within two standard deviations.
+/// The outcome; with a matrix, its error over the untouched one's, and the share of entries within two standard
+/// deviations.
 fn cell(mistake: &Mistake, untouched: &Untouched, runs: &[Run]) -> String {
     if mistake.cannot.contains_key(&untouched.capture.id) {
         return "–".into();

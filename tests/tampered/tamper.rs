@@ -101,7 +101,8 @@ fn make(capture: &mut Capture, step: &Step, generator: &mut Pcg64) -> Vec<Place>
     chosen
 }
 
-/// The light of the shot beside this one. Where that stays as it is there are two of one pattern, each with noise of its own.
+/// The light of the shot beside this one. Where that stays as it is there are two of one pattern, each with noise of
+/// its own.
 fn delay(capture: &Capture, place: Place, (share, ahead): (f64, bool), chosen: &[Place], generator: &mut Pcg64) {
     let shot = capture.beside(place.0, ahead).unwrap();
     let source = (shot, place.1.min(capture.shots[shot].photographs.len() - 1));

@@ -21,7 +21,8 @@ pub fn shade(path: &str) -> Result<([f32; 3], [f64; 3])> {
     let response = evaluator.between(x_i, x_o);
     println!("R_d({x_i:?}, {x_o:?}) = {response:?} mm⁻²");
 
-    // The share of the light into one lit point that leaves near it, by drawing offsets: weight each by 1 / probability.
+    // The share of the light into one lit point that leaves near it, by drawing offsets: weight each by 1 /
+    // probability.
     let (lit, draws, cell_mm2) = (material.header.rows() / 2, 1000, material.header.pitch_mm.powi(2));
     let mut left = [0.0; 3];
     for n in 0..draws {

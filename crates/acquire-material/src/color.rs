@@ -12,7 +12,8 @@ pub(crate) struct Colors {
 impl Colors {
     /// For polynomials of `degree`.
     pub(crate) fn new(degree: usize) -> Self {
-        // On [−1, 1] powers lose (1 + √2)^P of the digits, 6 of f64's 16 at the highest degree, 15: none that an f32 shows.
+        // On [−1, 1] powers lose (1 + √2)^P of the digits, 6 of f64's 16 at the highest degree, 15: none that an f32
+        // shows.
         let unit = |p: usize| (0..=degree).map(|q| f32::from(u8::from(q == p))).collect::<Vec<_>>();
         Self { powers: (0..=degree).map(|p| legendre::monomials(&unit(p), -1.0, 1.0)).collect() }
     }
@@ -56,7 +57,8 @@ impl Interval {
     }
 }
 
-/// The three polynomials at arguments `u`. Plain loops: what goes through a closure is not compiled for the vector instructions at hand.
+/// The three polynomials at arguments `u`. Plain loops: what goes through a closure is not compiled for the vector
+/// instructions at hand.
 #[inline(always)]
 pub(crate) fn colors<const N: usize>(coefficients: &[[f64; CHANNELS]], u: [f64; N]) -> [[f64; N]; CHANNELS] {
     let mut sums = [[0.0; N]; CHANNELS];

@@ -1,7 +1,8 @@
 //! Relighting without rows: lit points as weighted impulses, convolved with the offset factors.
 //!
-//! Without a colour polynomial the exitance is Σ_j (Σ_i Φ_i g_j f_j(i) δ(x_i)) ∗ h_j. Impulses lie
-//! where the shares of the light do; offset factors are cut to the window that rows of one shift have measured. All terms are summed before the one transform back.
+//! Without a colour polynomial the exitance is Σ_j (Σ_i Φ_i g_j f_j(i) δ(x_i)) ∗ h_j. Impulses lie where the shares of
+//! the light do; offset factors are cut to the window that rows of one shift have measured. All terms are summed before
+//! the one transform back.
 
 use crate::exitance::Exitance;
 use crate::parallel::*;
@@ -16,8 +17,9 @@ use std::sync::Arc;
 
 type Spectrum = Vec<Complex<f64>>;
 
-/// What the parts of a relighting cost on one core, ns (AMD EPYC with AVX-512, `cargo bench --bench evaluate`): a transform per sample and
-/// binary digit of their number, a term of a sample of a plane, and adding a sample of a channel to an image once.
+/// What the parts of a relighting cost on one core, ns (AMD EPYC with AVX-512, `cargo bench --bench evaluate`): a
+/// transform per sample and binary digit of their number, a term of a sample of a plane, and adding a sample of a
+/// channel to an image once.
 const TRANSFORM_NS: f64 = 0.6;
 const TERM_NS: f64 = 0.05;
 const ADD_NS: f64 = 0.5;
@@ -183,7 +185,8 @@ fn add_term(
     Ok(())
 }
 
-/// Fourier transforms of real images of one size; spectra are column by column, the half that is not the other's conjugate.
+/// Fourier transforms of real images of one size; spectra are column by column, the half that is not the other's
+/// conjugate.
 struct Transform {
     size: [usize; 2],
     lines: Arc<dyn RealToComplex<f64>>,

@@ -1,7 +1,9 @@
-//! Entry and exit maps: how much more or less light enters at a point of the slab, and leaves at one, than the terms say.
+//! Entry and exit maps: how much more or less light enters at a point of the slab, and leaves at one, than the terms
+//! say.
 //!
-//! R̂_c(x_i, x_o) = a_c(x_i) e_c(x_o) M_c(x_i, x_o − x_i). Between the samples of its grid e is bilinear, beyond them it is that of the
-//! nearest. In the fit both are chosen so that every row has its albedo and the slab under even light its exitance; see docs/materials.md.
+//! R̂_c(x_i, x_o) = a_c(x_i) e_c(x_o) M_c(x_i, x_o − x_i). Between the samples of its grid e is bilinear, beyond them
+//! it is that of the nearest. In the fit both are chosen so that every row has its albedo and the slab under even light
+//! its exitance; see docs/materials.md.
 
 use crate::{CHANNELS, Material, Point};
 use serde::{Deserialize, Serialize};

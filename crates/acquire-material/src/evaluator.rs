@@ -7,8 +7,8 @@ use crate::{CHANNELS, Layout, Material, Point, Result, offset_plane};
 
 /// A material rearranged so that a query touches a few contiguous pieces of memory.
 ///
-/// Holds its factors once more, as f32 (padded to four terms), and the sums that sampling needs: about as much again for the offset factors.
-/// Queries do not allocate and can be made from any number of threads.
+/// Holds its factors once more, as f32 (padded to four terms), and the sums that sampling needs: about as much again
+/// for the offset factors. Queries do not allocate and can be made from any number of threads.
 #[derive(Debug, Clone)]
 pub struct Evaluator {
     layout: Layout,
@@ -148,11 +148,11 @@ impl Evaluator {
         Some(std::array::from_fn(|c| (entry[c] * exit[c] * value[c]) as f32))
     }
 
-    /// R̂_d(x_i, x_o) of the lit point and the sample that are nearest to two points of the slab, mm⁻²; 0 outside the window of the lit point
-    /// or further than half a step from all lit points.
+    /// R̂_d(x_i, x_o) of the lit point and the sample that are nearest to two points of the slab, mm⁻²; 0 outside the
+    /// window of the lit point or further than half a step from all lit points.
     ///
-    /// The offset is kept: the sample is that nearest to x_o − x_i from the lit point, however far x_i is from it. Otherwise a response would
-    /// jump by its peak wherever the nearest lit point changes.
+    /// The offset is kept: the sample is that nearest to x_o − x_i from the lit point, however far x_i is from it.
+    /// Otherwise a response would jump by its peak wherever the nearest lit point changes.
     pub fn nearest(&self, x_i: Point, x_o: Point) -> [f32; 3] {
         let u = self.lattice.map(x_i);
         let cell: [Option<usize>; 2] = std::array::from_fn(|a| {
@@ -167,13 +167,15 @@ impl Evaluator {
 
     /// R̂_d(x_i, x_o), mm⁻², between lit points and between samples.
     ///
-    /// Bilinear in x_i between the rows of the four lit points around it, each taken at the offset x_o − x_i, and bilinear in the offset
-    /// between the four samples around it. A material with a colour polynomial interpolates the normalized intensity between samples, then the
-    /// colours between rows. Entry maps are interpolated with the rows; the exit map is that of x_o. Beyond the outermost lit points or samples by up to half a step the outermost are taken, further out it is 0.
+    /// Bilinear in x_i between the rows of the four lit points around it, each taken at the offset x_o − x_i, and
+    /// bilinear in the offset between the four samples around it. A material with a colour polynomial interpolates the
+    /// normalized intensity between samples, then the colours between rows. Entry maps are interpolated with the rows;
+    /// the exit map is that of x_o. Beyond the outermost lit points or samples by up to half a step the outermost are
+    /// taken, further out it is 0.
     ///
-    /// At lit points and samples it is [`Self::response`]. Between them its error is that of bilinear interpolation, an eighth of the second
-    /// difference: largest at the peak of a response that is narrower than a sample, and where two materials meet between lit points.
-    /// Samples are averages over their cells and are not sharpened.
+    /// At lit points and samples it is [`Self::response`]. Between them its error is that of bilinear interpolation, an
+    /// eighth of the second difference: largest at the peak of a response that is narrower than a sample, and where two
+    /// materials meet between lit points. Samples are averages over their cells and are not sharpened.
     pub fn between(&self, x_i: Point, x_o: Point) -> [f32; 3] {
         let u = self.lattice.map(x_i);
         let half = |a: usize| (self.layout.window[a] / 2) as f64;
@@ -221,18 +223,20 @@ impl Evaluator {
         self.color(index, planes.map(|v| v / inside)).map(|v| v * inside)
     }
 
-    /// A pair of an offset from lit point `index`, drawn for its response, and the probability of it; `None` for a row that is not there or
-    /// of which nothing is modelled. `random` is uniform in [0, 1).
+    /// A pair of an offset from lit point `index`, drawn for its response, and the probability of it; `None` for a row
+    /// that is not there or of which nothing is modelled. `random` is uniform in [0, 1).
     ///
-    /// Offsets are whole samples along x and y; a point that is uniform in the sample's cell (`pitch_mm` wide) around it has the density
-    /// `probability` / `pitch_mm`². The probability is nearly proportional to the mean of the planes (with a colour polynomial: to the normalized
-    /// intensity), without entry and exit maps, and at least a hundredth of that of a uniform choice, so that it is positive wherever the response may be.
+    /// Offsets are whole samples along x and y; a point that is uniform in the sample's cell (`pitch_mm` wide) around
+    /// it has the density `probability` / `pitch_mm`². The probability is nearly proportional to the mean of the planes
+    /// (with a colour polynomial: to the normalized intensity), without entry and exit maps, and at least a hundredth
+    /// of that of a uniform choice, so that it is positive wherever the response may be.
     pub fn sample(&self, index: usize, random: f64) -> Option<Sampled> {
         let shift = *self.shift.get(index)?;
         self.tree.sample(self.factors(index), self.layout, shift, random)
     }
 
-    /// The probability with which [`Self::sample`] draws an offset, exactly; 0 outside the modelled window and for a row that is not there.
+    /// The probability with which [`Self::sample`] draws an offset, exactly; 0 outside the modelled window and for a
+    /// row that is not there.
     pub fn probability(&self, index: usize, offset: [isize; 2]) -> f64 {
         self.shift.get(index).map_or(0.0, |&s| self.tree.probability(self.factors(index), self.layout, s, offset))
     }

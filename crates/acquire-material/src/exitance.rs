@@ -64,8 +64,8 @@ pub struct Exitance {
 }
 
 impl Canvas {
-    /// The smallest canvas whose samples lie where the lattice point `node` does, on which light anywhere between `corners`, the ends of the
-    /// lit area, or at a lit point leaves with its whole window.
+    /// The smallest canvas whose samples lie where the lattice point `node` does, on which light anywhere between
+    /// `corners`, the ends of the lit area, or at a lit point leaves with its whole window.
     ///
     /// # Errors
     /// [`Error::TooSparse`] when the lit points are too far apart for their pitch.
@@ -104,7 +104,8 @@ impl Canvas {
         })
     }
 
-    /// The samples around a place (in samples) and their bilinear shares, which sum to one where all four are on the canvas.
+    /// The samples around a place (in samples) and their bilinear shares, which sum to one where all four are on the
+    /// canvas.
     pub(crate) fn around(&self, at: Point) -> impl Iterator<Item = (u32, f64)> + use<> {
         let [width, height] = self.size;
         let base = at.map(|v| if (v - v.round()).abs() < NEAR { v.round() } else { v.floor() });

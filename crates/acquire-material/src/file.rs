@@ -19,12 +19,14 @@ const LARGEST_MM: f64 = 1e9;
 #[derive(Serialize, Deserialize)]
 struct Metadata {
     format: u32,
-    /// For tensors in half precision, in the order of [`MaterialHeader::shapes`]: numbers are to be multiplied by 2 to this power.
+    /// For tensors in half precision, in the order of [`MaterialHeader::shapes`]: numbers are to be multiplied by 2 to
+    /// this power.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     half_exponents: Option<Vec<i32>>,
     #[serde(flatten)]
     header: MaterialHeader,
-    /// Last in the text: BLAKE3 of the text with zeros in its place and of all tensors. Files of earlier versions have none.
+    /// Last in the text: BLAKE3 of the text with zeros in its place and of all tensors. Files of earlier versions have
+    /// none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     blake3: Option<String>,
 }
@@ -65,7 +67,8 @@ fn verify(text: &str, stated: &str, file: &SafeTensors<'_>) -> Result<(), String
 pub enum Precision {
     /// As they are, 4 bytes each.
     F32,
-    /// Rounded to 11 bits, 2 bytes each, not for colour polynomials; every tensor scaled by a power of two so that its largest number is near 2¹⁵.
+    /// Rounded to 11 bits, 2 bytes each, not for colour polynomials; every tensor scaled by a power of two so that its
+    /// largest number is near 2¹⁵.
     F16,
     /// Transformed, quantized and entropy coded, see the module `coded`.
     Coded,
@@ -98,12 +101,12 @@ fn half_exponent(values: &[f32]) -> i32 {
 }
 
 impl Material {
-    /// The bytes of a plain file in half precision; each number is off by 2⁻¹² of itself at most, those below 1e-9 of their tensor's
-    /// largest by more.
+    /// The bytes of a plain file in half precision; each number is off by 2⁻¹² of itself at most, those below 1e-9 of
+    /// their tensor's largest by more.
     ///
     /// # Errors
-    /// Those of [`Self::to_bytes`]; [`Error::Option`] for a material with colour polynomials, which magnify what rounding does to the
-    /// intensity: to several times the response on a chessboard.
+    /// Those of [`Self::to_bytes`]; [`Error::Option`] for a material with colour polynomials, which magnify what
+    /// rounding does to the intensity: to several times the response on a chessboard.
     pub fn to_half_bytes(&self) -> Result<Vec<u8>> {
         if let Some(degree) = self.header.degree {
             return Err(Error::Option {
@@ -165,7 +168,8 @@ impl Material {
         serialize(views, Some([(KEY.to_owned(), text)].into_iter().collect())).map_err(Error::internal)
     }
 
-    /// Reads a material from memory, plain or coded (told apart by the first bytes); every length, range and number is checked.
+    /// Reads a material from memory, plain or coded (told apart by the first bytes); every length, range and number is
+    /// checked.
     ///
     /// # Errors
     /// [`Error::Damaged`].

@@ -17,7 +17,8 @@ impl Lattice {
         let middle = points.map(|p| (p as f64 - 1.0) / 2.0);
         let place = |k: usize| [(k % points[0]) as f64 - middle[0], (k / points[0]) as f64 - middle[1]];
         let mean = [0, 1].map(|a| lit_mm.iter().map(|p| p[a]).sum::<f64>() / n);
-        // On a full grid the two coordinates are orthogonal: each slope by itself. to_mm[r][c]: mm along r for a step along c.
+        // On a full grid the two coordinates are orthogonal: each slope by itself. to_mm[r][c]: mm along r for a step
+        // along c.
         let slope = |r: usize, c: usize| {
             let square: f64 = (0..lit_mm.len()).map(|k| place(k)[c].powi(2)).sum();
             let along: f64 = lit_mm.iter().enumerate().map(|(k, p)| place(k)[c] * (p[r] - mean[r])).sum();

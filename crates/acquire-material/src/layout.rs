@@ -5,7 +5,8 @@
 pub struct Layout {
     /// Samples that were measured, along x and y; odd.
     pub window: [usize; 2],
-    /// Samples of the common window, odd: `window` + 2 · the largest shift, or fewer where the rim has nothing to model.
+    /// Samples of the common window, odd: `window` + 2 · the largest shift, or fewer where the rim has nothing to
+    /// model.
     pub extended: [usize; 2],
 }
 
@@ -32,8 +33,8 @@ impl Layout {
         Some(at(0)? + at(1)? * self.extended[0])
     }
 
-    /// Calls `each(window_index, extended_index, length)` for every line of a window shifted by `shift`, as far as it lies on the
-    /// common window: `length` samples along x from there.
+    /// Calls `each(window_index, extended_index, length)` for every line of a window shifted by `shift`, as far as it
+    /// lies on the common window: `length` samples along x from there.
     pub fn for_each_line(&self, shift: [i16; 2], mut each: impl FnMut(usize, usize, usize)) {
         let lead = self.lead(shift);
         let range = |a: usize| {
@@ -52,7 +53,8 @@ impl Layout {
         }
     }
 
-    /// Calls `each(window_index, extended_index)` for every sample of a window shifted by `shift` that lies on the common window.
+    /// Calls `each(window_index, extended_index)` for every sample of a window shifted by `shift` that lies on the
+    /// common window.
     pub fn for_each(&self, shift: [i16; 2], mut each: impl FnMut(usize, usize)) {
         self.for_each_line(shift, |k, e, length| (0..length).for_each(|x| each(k + x, e + x)));
     }

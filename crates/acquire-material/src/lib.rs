@@ -112,7 +112,8 @@ pub struct MaterialHeader {
     pub pitch_mm: f64,
     /// Mean distance of lit points along x and y, mm.
     pub lit_pitch_mm: Point,
-    /// Samples along x and y of the common window, on which the offset factors live, see [`Layout`]; R̂_d is 0 outside it.
+    /// Samples along x and y of the common window, on which the offset factors live, see [`Layout`]; R̂_d is 0 outside
+    /// it.
     pub extended: [usize; 2],
     /// T, the number of terms.
     pub terms: usize,
@@ -128,16 +129,18 @@ pub struct MaterialHeader {
     /// Where the exit map lies; `None` without entry and exit maps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exit_grid: Option<ExitGrid>,
-    /// P, the degree of the colour polynomial. `None` without a polynomial: three planes are then R, G and B, and a single plane is the response
-    /// of all three channels.
+    /// P, the degree of the colour polynomial. `None` without a polynomial: three planes are then R, G and B, and a
+    /// single plane is the response of all three channels.
     pub degree: Option<usize>,
     /// The normalized intensities that the Legendre basis maps to −1 and 1; arguments are clamped to them.
     pub intensity_range: [f32; 2],
-    /// Leading singular values of the rows as they were factored, descending; more than T of them. Empty for [`Model::Peers2006`].
+    /// Leading singular values of the rows as they were factored, descending; more than T of them. Empty for
+    /// [`Model::Peers2006`].
     pub singular_values: Vec<f64>,
     /// The spectral norm that noise alone would have, in the unit of `singular_values`.
     pub noise_level: f64,
-    /// Findings of the measurement and of the factorization, as `acquire` writes them: an object with a `kind` and its figures each.
+    /// Findings of the measurement and of the factorization, as `acquire` writes them: an object with a `kind` and its
+    /// figures each.
     pub warnings: Vec<serde_json::Value>,
     /// Version, options, and the provenance of the matrix.
     pub provenance: serde_json::Value,
@@ -145,11 +148,11 @@ pub struct MaterialHeader {
 
 /// A factored material.
 ///
-/// Plane k at incident point i and sample e = d − shift_i of the common window is
-/// v_k(i, e) = m_k(e) Σ_j g_j f_{k,j}(i) h_{k,j}(e), where the profile m is 1 when there is none. With a colour polynomial there
-/// is one plane, the normalized intensity, and R̂_c = Σ_p β_{c,p}(i) L_p(v) with Legendre polynomials L_p on
-/// [`MaterialHeader::intensity_range`] for the powers of `Kurt2013`, eqs. (1)–(4); without one R̂_c is plane c, or the only plane.
-/// Where there are entry and exit maps, that is multiplied by a_c(i) and by e_c at the place where the light leaves, see [`ExitGrid`].
+/// Plane k at incident point i and sample e = d − shift_i of the common window is v_k(i, e) = m_k(e) Σ_j g_j f_{k,j}(i)
+/// h_{k,j}(e), where the profile m is 1 when there is none. With a colour polynomial there is one plane, the normalized
+/// intensity, and R̂_c = Σ_p β_{c,p}(i) L_p(v) with Legendre polynomials L_p on [`MaterialHeader::intensity_range`] for
+/// the powers of `Kurt2013`, eqs. (1)–(4); without one R̂_c is plane c, or the only plane. Where there are entry and
+/// exit maps, that is multiplied by a_c(i) and by e_c at the place where the light leaves, see [`ExitGrid`].
 ///
 /// Tensors are row-major with the shapes named at each; N = x × y lit points.
 #[derive(Debug, Clone, PartialEq)]
@@ -257,7 +260,8 @@ impl MaterialHeader {
         self.incident_planes.max(self.offset_planes)
     }
 
-    /// Tensors that may be stored, in the order of [`Material::stored`]; those that a material has not have the shape \[0\].
+    /// Tensors that may be stored, in the order of [`Material::stored`]; those that a material has not have the shape
+    /// \[0\].
     pub(crate) fn shapes(&self) -> [(&'static str, Vec<usize>); 9] {
         let (n, [ex, ey]) = (self.rows(), self.extended);
         let profile = if self.profile { vec![self.offset_planes, ey, ex] } else { vec![0] };
@@ -276,8 +280,9 @@ impl MaterialHeader {
         ]
     }
 
-    /// Every number that such a material stores as 4 bytes, the papers' count: weights, factors, profile, coefficients, entry and exit maps, the shifts when
-    /// there are any, and the intensity range when there is a polynomial; metadata and positions are not counted.
+    /// Every number that such a material stores as 4 bytes, the papers' count: weights, factors, profile, coefficients,
+    /// entry and exit maps, the shifts when there are any, and the intensity range when there is a polynomial; metadata
+    /// and positions are not counted.
     pub fn bytes_f32(&self, shifted: bool) -> u64 {
         let tensors: usize = self.shapes().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
         let shifts = if shifted { 2 * self.rows() } else { 0 };

@@ -38,8 +38,8 @@ pub struct LightImage {
 pub const FIXED_SET: [Light; 4] = [Light::Spot, Light::Stripes, Light::Gradient, Light::Uniform];
 
 impl Light {
-    /// Radiant flux that each cell of the lit area receives: the irradiance at its middle (an image: its mean over the cell) times the
-    /// cell's area. [`Light::Point`] takes the cells of [`Quadrature::of_points`].
+    /// Radiant flux that each cell of the lit area receives: the irradiance at its middle (an image: its mean over the
+    /// cell) times the cell's area. [`Light::Point`] takes the cells of [`Quadrature::of_points`].
     ///
     /// # Errors
     /// [`Error::Option`] for a point outside the grid, or on cells that are not those of lit points.
@@ -81,7 +81,8 @@ impl Light {
 }
 
 impl LightImage {
-    /// Mean over a part of the image, pixels counted by the share that lies in it; `from` and `to` are shares of its sides.
+    /// Mean over a part of the image, pixels counted by the share that lies in it; `from` and `to` are shares of its
+    /// sides.
     fn mean(&self, from: Point, to: Point) -> [f64; 3] {
         let overlaps = |a: usize| {
             let n = self.size[a];
@@ -191,7 +192,8 @@ mod tests {
             // A cell of 1 mm².
             let expected = (-((u - 0.5).powi(2) + (v - 0.5).powi(2)) / 0.045).exp();
             assert!(spot[k].iter().all(|f| (f - expected).abs() < 1e-14), "rounding: {:?} {expected}", spot[k]);
-            // Eighths of the side in turn: u = .1 lies in the first, .3, .5, .7 and .9 in the third, fifth, sixth and eighth.
+            // Eighths of the side in turn: u = .1 lies in the first, .3, .5, .7 and .9 in the third, fifth, sixth and
+            // eighth.
             assert_eq!(stripes[k], [[1.0, 1.0, 1.0, 0.0, 0.0][k % 5]; 3]);
             assert!(gradient[k].iter().all(|f| (f - u).abs() < 1e-15), "rounding: {:?}", gradient[k]);
             assert_eq!(uniform[k], [1.0; 3]);

@@ -1,5 +1,5 @@
-//! The formula of [`Material`] written down once more, as loops over points and offsets, and materials for tests on which an
-//! exchanged axis, a wrong channel or a wrong sign shows.
+//! The formula of [`Material`] written down once more, as loops over points and offsets, and materials for tests on
+//! which an exchanged axis, a wrong channel or a wrong sign shows.
 
 use super::{ExitGrid, Material, MaterialHeader, Model};
 
@@ -13,11 +13,13 @@ pub(super) const WINDOW: [usize; 2] = [7, 5];
 pub(super) const EXTENDED: [usize; 2] = [9, 7];
 /// Side of a sample, mm.
 pub(super) const PITCH_MM: f64 = 0.5;
-/// Where the first lit point is, mm, and the steps to the next along each index: a lattice that is turned and sheared a little.
+/// Where the first lit point is, mm, and the steps to the next along each index: a lattice that is turned and sheared a
+/// little.
 pub(super) const ORIGIN_MM: [f64; 2] = [1.25, -2.0];
 pub(super) const STEPS_MM: [[f64; 2]; 2] = [[0.75, 0.0625], [-0.03125, 1.0]];
 
-/// Joint, non-negative with a profile, grey with a profile, and a cubic colour; positive and negative numbers of size one.
+/// Joint, non-negative with a profile, grey with a profile, and a cubic colour; positive and negative numbers of size
+/// one.
 pub(super) fn materials() -> Vec<Material> {
     let kinds = [
         (Model::Joint, [1, 3], false, None),

@@ -1,10 +1,10 @@
 //! Light that falls on the slab, and the rows that answer for it.
 //!
-//! Rows were measured at some points of the lit area, light falls everywhere. At a point x between lit points the response is taken to be
-//! the bilinear mean of the rows of the four lit points around x, each at the same offset d, where these points really are: a lattice with
-//! the drift of every point. The exitance is then an integral over the lit area, summed over cells of the outgoing pitch, so that an even
-//! slab under even light is even, however its lit points were moved. What it costs is that light and material are not resolved below the
-//! distance of lit points.
+//! Rows were measured at some points of the lit area, light falls everywhere. At a point x between lit points the
+//! response is taken to be the bilinear mean of the rows of the four lit points around x, each at the same offset d,
+//! where these points really are: a lattice with the drift of every point. The exitance is then an integral over the
+//! lit area, summed over cells of the outgoing pitch, so that an even slab under even light is even, however its lit
+//! points were moved. What it costs is that light and material are not resolved below the distance of lit points.
 
 use crate::exitance::{Canvas, Shape};
 use crate::lattice::{Corners, Lattice};
@@ -75,8 +75,8 @@ pub struct Quadrature {
 }
 
 impl Quadrature {
-    /// The lit area in cells of the outgoing pitch (finer where lit points are closer than that); each cell's light is shared by the rows
-    /// of the lit points of `shape` around it. `area` may be that of another shape of the same slab.
+    /// The lit area in cells of the outgoing pitch (finer where lit points are closer than that); each cell's light is
+    /// shared by the rows of the lit points of `shape` around it. `area` may be that of another shape of the same slab.
     pub fn new(area: &LitArea, shape: &Shape<'_>) -> Self {
         let canvas = area.canvas;
         let own = Lattice::of(shape.points, shape.lit_mm, shape.lit_pitch_mm);

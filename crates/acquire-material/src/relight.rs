@@ -12,12 +12,13 @@ use std::collections::BTreeMap;
 /// Numbers in a block of a material's rows.
 const BLOCK: usize = 1 << 20;
 
-/// The exitance of a material under several lights at once, each given as the flux into every cell of `quadrature` ([`crate::Light::flux`]).
+/// The exitance of a material under several lights at once, each given as the flux into every cell of `quadrature`
+/// ([`crate::Light::flux`]).
 ///
-/// Where the material has an exit map, it multiplies what leaves at each sample of the canvas: the light that enters between lit points leaves
-/// through the surface as it is where it leaves. Rows without light are not evaluated. The rows of a material without a colour polynomial are
-/// added by convolution where that is faster: what they leave between samples that differ by more than 15 decades is rounding. `done` is told of
-/// rows as they are added.
+/// Where the material has an exit map, it multiplies what leaves at each sample of the canvas: the light that enters
+/// between lit points leaves through the surface as it is where it leaves. Rows without light are not evaluated. The
+/// rows of a material without a colour polynomial are added by convolution where that is faster: what they leave
+/// between samples that differ by more than 15 decades is rounding. `done` is told of rows as they are added.
 ///
 /// # Errors
 /// [`crate::Error::Internal`].
@@ -201,8 +202,8 @@ mod tests {
             let fluxes = vec![(0..naive::ROWS).map(|i| [0, 1, 2].map(|c| flux(i, c))).collect::<Vec<_>>()];
             let out = relight(&m, &points_of(&m), &fluxes, &|_| {}).unwrap();
             let canvas = out[0].canvas;
-            // The lit area begins .45 mm left of the first point and .53 mm above it, a sample and one and a half, and ends 3.45 mm right
-            // of it and 2.8 mm below; half a window of 7 × 5 around that.
+            // The lit area begins .45 mm left of the first point and .53 mm above it, a sample and one and a half, and
+            // ends 3.45 mm right of it and 2.8 mm below; half a window of 7 × 5 around that.
             assert_eq!(canvas.origin_mm, [1.25 - 1.0 * 0.5 - 3.0 * 0.5, -2.0 - 1.0 * 0.5 - 2.0 * 0.5]);
             assert_eq!(canvas.size, [1 + 7 + 1 + 6, 1 + 6 + 1 + 4]);
             for c in 0..3 {
@@ -276,7 +277,8 @@ mod tests {
         assert_eq!(e.white(), 597.0);
         let mut e = Exitance::new(Canvas { origin_mm: [0.0; 2], size: [2, 1], pitch_mm: 1.0 });
         e.planes = [vec![0.0, 4.0], vec![0.72, 2.0], vec![8.0, -1.0]];
-        // 0.18 of white is 46.1 % in sRGB (117.6), a half 73.5 % (187.5, rounded to even or up by f32), beyond white is white.
+        // 0.18 of white is 46.1 % in sRGB (117.6), a half 73.5 % (187.5, rounded to even or up by f32), beyond white is
+        // white.
         let found = e.tone_mapped(4.0);
         assert_eq!([found[0], found[1], found[2], found[3], found[5]], [0, 118, 255, 255, 0]);
         assert!(found[4] == 187 || found[4] == 188, "{}", found[4]);
@@ -295,8 +297,8 @@ mod tests {
             };
             LitArea::of(&shape).is_err()
         };
-        // Four windows of 129² are 66,564 samples, 64 times that 2064². A canvas is as wide as a window (129), than the points are apart,
-        // and than half of that on both sides.
+        // Four windows of 129² are 66,564 samples, 64 times that 2064². A canvas is as wide as a window (129), than the
+        // points are apart, and than half of that on both sides.
         assert!(!refused(967.0) && refused(969.0));
     }
 }

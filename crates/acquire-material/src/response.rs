@@ -1,8 +1,9 @@
 //! The response of rows: a product of matrices, then the colour polynomial, with the vector instructions at hand.
 //!
-//! Every value of a material is Σ_j g_j f_j h_j of its planes, see [`Material`]; here for many samples of many rows at once, in
-//! [`crate::Evaluator`] for single pairs of points, from factors that lie otherwise in memory. Colours are those of [`colors`] in both.
-//! Sums and polynomials are evaluated in f64, in an order that depends neither on the rows beside a row nor on the number of threads.
+//! Every value of a material is Σ_j g_j f_j h_j of its planes, see [`Material`]; here for many samples of many rows at
+//! once, in [`crate::Evaluator`] for single pairs of points, from factors that lie otherwise in memory. Colours are
+//! those of [`colors`] in both. Sums and polynomials are evaluated in f64, in an order that depends neither on the rows
+//! beside a row nor on the number of threads.
 
 use crate::color::{Colors, Interval, colors};
 use crate::parallel::*;
@@ -177,7 +178,8 @@ impl<'a> Responses<'a> {
         self.material.weights.get(term).map_or(0.0, |&g| f64::from(g) * f64::from(f))
     }
 
-    /// m_k h_{k,j} where rows shifted by `shift` have measured it: `each(x, y, values)` gets pieces of the lines of their window.
+    /// m_k h_{k,j} where rows shifted by `shift` have measured it: `each(x, y, values)` gets pieces of the lines of
+    /// their window.
     pub(crate) fn window_map(
         &self,
         plane: usize,
@@ -202,7 +204,8 @@ impl<'a> Responses<'a> {
         out
     }
 
-    /// R̂_d of the rows `indices`, mm⁻², into `out`, \[rows\]\[channel\]\[dy\]\[dx\]; rows that are not there are zeros.
+    /// R̂_d of the rows `indices`, mm⁻², into `out`, \[rows\]\[channel\]\[dy\]\[dx\]; rows that are not there are
+    /// zeros.
     pub fn by_channel(&self, indices: &[usize], out: &mut [f64]) {
         self.each(indices, out, |index, values, _, out| {
             out.fill(0.0);
@@ -226,8 +229,8 @@ impl<'a> Responses<'a> {
         });
     }
 
-    /// Plane `plane` of the rows `indices` on the common window, \[rows\]\[y\]\[x\]; rows that are not there are zeros. The only plane of a
-    /// material with a colour polynomial is the normalized intensity.
+    /// Plane `plane` of the rows `indices` on the common window, \[rows\]\[y\]\[x\]; rows that are not there are zeros.
+    /// The only plane of a material with a colour polynomial is the normalized intensity.
     pub fn plane(&self, plane: usize, indices: &[usize]) -> Vec<f64> {
         let samples = self.layout.len();
         let mut out = vec![0.0; indices.len() * samples];
@@ -243,8 +246,8 @@ impl<'a> Responses<'a> {
         out
     }
 
-    /// Multiplies the factors of a few rows at a time, and calls `finish` with each row, its planes (each padded to the stride of the
-    /// maps), a buffer and its part of `out`.
+    /// Multiplies the factors of a few rows at a time, and calls `finish` with each row, its planes (each padded to the
+    /// stride of the maps), a buffer and its part of `out`.
     fn each<V: Send>(
         &self,
         indices: &[usize],
@@ -311,7 +314,8 @@ impl<'a> Responses<'a> {
     }
 }
 
-/// Calls `each` with parts of `out` and of `indices`, on all cores with the feature `threads`, and with a buffer that parts share.
+/// Calls `each` with parts of `out` and of `indices`, on all cores with the feature `threads`, and with a buffer that
+/// parts share.
 fn for_each_part<V: Send, B>(
     out: &mut [V],
     len: usize,

@@ -1,9 +1,10 @@
 //! Drawing offsets for a row's response: a tree of sums over the common window, as factored as the material.
 //!
-//! The sum of a row over a square of samples is Σ_j g_j f_j(i) H_j(square), H_j the sum of h_j over it: one tree serves all rows. From the whole
-//! window on, one of the four quarters is chosen with a probability proportional to its sum (0 when negative), down to a sample. The
-//! probability of a sample is the product of those choices, whatever the sums were: it is known exactly where rows are cut by their shifts
-//! and where negative samples cancel, only less close to the response.
+//! The sum of a row over a square of samples is Σ_j g_j f_j(i) H_j(square), H_j the sum of h_j over it: one tree serves
+//! all rows. From the whole window on, one of the four quarters is chosen with a probability proportional to its sum (0
+//! when negative), down to a sample. The probability of a sample is the product of those choices, whatever the sums
+//! were: it is known exactly where rows are cut by their shifts and where negative samples cancel, only less close to
+//! the response.
 
 use crate::{Layout, Material, offset_plane};
 
@@ -204,7 +205,8 @@ impl Tree {
     }
 }
 
-/// Σ_j g_j f_j H_j of four quarters. Plain loops: what goes through a closure is not compiled for the vector instructions at hand.
+/// Σ_j g_j f_j H_j of four quarters. Plain loops: what goes through a closure is not compiled for the vector
+/// instructions at hand.
 #[inline(always)]
 fn products(g: &[f64], f: &[f32], sums: &[f32]) -> [f64; 4] {
     let (g, f) = (g.as_chunks::<LANES>().0, f.as_chunks::<LANES>().0);

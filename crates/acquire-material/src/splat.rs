@@ -9,8 +9,9 @@ const BANDS: usize = 8;
 
 /// Adds the rows `indices` to every image; `line(k, channel, dy, out)` writes line `dy` of the k-th of them.
 ///
-/// A row is added once for every share that it has in the light of `quadrature`. Each band of an image is filled by one thread, in the order
-/// of rows: the sums do not depend on the number of threads. Images lie on the quadrature's canvas.
+/// A row is added once for every share that it has in the light of `quadrature`. Each band of an image is filled by one
+/// thread, in the order of rows: the sums do not depend on the number of threads. Images lie on the quadrature's
+/// canvas.
 pub fn splat(
     images: &mut [Exitance],
     indices: &[usize],
@@ -90,7 +91,8 @@ mod tests {
     use super::*;
     use crate::{LitArea, Shape};
 
-    /// Two lights on 4 × 1 points of which rows 2 and 3 are added, with windows of 3 × 3; some entries were not measured.
+    /// Two lights on 4 × 1 points of which rows 2 and 3 are added, with windows of 3 × 3; some entries were not
+    /// measured.
     #[test]
     fn every_share_of_a_cells_light_leaves_with_the_offsets_of_its_row() {
         let lit_mm = [[0.0, 0.1], [1.0, -0.1], [2.05, 0.05], [3.1, 0.0]];

@@ -1,13 +1,14 @@
 //! Plants all mutants of the given files into their sources at once, each behind `crate::mutant(k)`.
 //!
-//! `mutants ROOT DROPPED FILE...` rewrites the files below ROOT in place and prints two kinds of lines, fields separated by tabs:
+//! `mutants ROOT DROPPED FILE...` rewrites the files below ROOT in place and prints two kinds of lines, fields
+//! separated by tabs:
 //!
 //! - `mutant`, number, file, line, column, what is replaced, function;
-//! - `place`, file, first byte, byte after the last, numbers: what the rewritten file has there belongs to these mutants, so that an
-//!   error of the compiler tells which of them do not compile.
+//! - `place`, file, first byte, byte after the last, numbers: what the rewritten file has there belongs to these
+//!   mutants, so that an error of the compiler tells which of them do not compile.
 //!
-//! DROPPED lists the mutants not to plant, one a line: file, line, column, what. Nothing is planted in tests, constants, patterns,
-//! types, `const fn` and the arguments of macros.
+//! DROPPED lists the mutants not to plant, one a line: file, line, column, what. Nothing is planted in tests,
+//! constants, patterns, types, `const fn` and the arguments of macros.
 
 mod operators;
 mod rewrite;

@@ -15,7 +15,8 @@ fn opened(numbers: &[usize]) -> String {
     format!("{OPEN}{}{NAMED}", numbers.join(","))
 }
 
-/// Where edits at one position stand: ends of inner expressions before those of outer ones, then beginnings of outer before inner.
+/// Where edits at one position stand: ends of inner expressions before those of outer ones, then beginnings of outer
+/// before inner.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Order {
     EndAtDepth(std::cmp::Reverse<usize>),

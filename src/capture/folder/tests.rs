@@ -275,7 +275,8 @@ fn dots_lie_on_the_projector_s_picture_and_windows_are_no_finer_than_the_camera_
 
 #[test]
 fn a_large_grid_of_which_next_to_nothing_is_lit_is_a_slip_of_the_pen() {
-    // 256 × 256 points may be unlit; beyond, one in 4096: four dots do for 20 479 points, were they so many, and not for 65 792.
+    // 256 × 256 points may be unlit; beyond, one in 4096: four dots do for 20 479 points, were they so many, and not
+    // for 65 792.
     let points = |points| refused(|m, _| m.grid.points = points);
     assert_eq!((points([256, 256]), points([257, 256]).as_deref()), (None, Some("grid.points")));
     let lit = |n: usize| {

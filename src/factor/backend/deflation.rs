@@ -69,7 +69,8 @@ fn orthogonal_to(v: &mut Mat<f64>, earlier: &[f64], m: usize) {
 
 /// The same, and scales v to unit length; the length that it had. A zero stays.
 ///
-/// Twice: of a vector that nearly vanishes the first time, what is left is mostly rounding along the earlier ones (`Giraud2005`).
+/// Twice: of a vector that nearly vanishes the first time, what is left is mostly rounding along the earlier ones
+/// (`Giraud2005`).
 fn orthogonalize(v: &mut Mat<f64>, earlier: &[f64], m: usize) -> f64 {
     let mut lengths = [0.0; 2];
     for length in &mut lengths {

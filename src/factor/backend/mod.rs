@@ -1,9 +1,9 @@
 //! Leading singular values and right singular vectors of rows that come in blocks.
 //!
 //! Error modelling (`Bilgili2011`, `Kurt2013`) takes the best rank-1 term, then the best rank-1 term of what that
-//! leaves, and so on. The best rank-1 term in least squares is the leading singular triplet, and deflating by it
-//! leaves the other triplets as they are (`Eckart1936`): T steps of it are the truncated SVD. [`Backend::Deflation`] takes the steps one
-//! by one; the others compute the same at once.
+//! leaves, and so on. The best rank-1 term in least squares is the leading singular triplet, and deflating by it leaves
+//! the other triplets as they are (`Eckart1936`): T steps of it are the truncated SVD. [`Backend::Deflation`] takes the
+//! steps one by one; the others compute the same at once.
 
 mod deflation;
 mod dense;
@@ -20,12 +20,15 @@ use rayon::prelude::*;
 pub enum Backend {
     /// The whole matrix in memory, bidiagonalized in f64: 1e-14.
     Full,
-    /// Eigenvectors of the Gram matrix over columns in f64, one pass: σ_k to 1e-16 σ_1/σ_k, so that those below 1e-8 σ_1 are lost.
+    /// Eigenvectors of the Gram matrix over columns in f64, one pass: σ_k to 1e-16 σ_1/σ_k, so that those below 1e-8
+    /// σ_1 are lost.
     Gram,
-    /// Block Krylov subspace from a random start (`Musco2015`), products in f32, as many passes as the asked accuracy needs, then power
-    /// passes on the found vectors, whose products are as accurate as each is large: down to 1e-6, less where the spectrum is flat.
+    /// Block Krylov subspace from a random start (`Musco2015`), products in f32, as many passes as the asked accuracy
+    /// needs, then power passes on the found vectors, whose products are as accurate as each is large: down to 1e-6,
+    /// less where the spectrum is flat.
     Randomized,
-    /// One term after the other by power iteration on what the earlier ones leave, as the papers describe it, in f32: slow, 1e-4 to 1e-6.
+    /// One term after the other by power iteration on what the earlier ones leave, as the papers describe it, in f32:
+    /// slow, 1e-4 to 1e-6.
     Deflation,
 }
 
@@ -61,7 +64,8 @@ pub(super) struct LowRank {
     pub vectors: Vec<f64>,
     /// Passes over the rows that it took.
     pub passes: usize,
-    /// ‖AᵀA v − σ² v‖ / (2 σ_1 σ), the largest of all triplets: what their singular values are off by, over σ_1, or less.
+    /// ‖AᵀA v − σ² v‖ / (2 σ_1 σ), the largest of all triplets: what their singular values are off by, over σ_1, or
+    /// less.
     pub residual: f64,
 }
 
@@ -86,8 +90,8 @@ pub(super) fn choose(rows: usize, columns: usize, accuracy: f64) -> Backend {
     }
 }
 
-/// The `k` leading singular values and right vectors, fewer when the matrix is smaller than that; back ends that iterate may add some that
-/// are less accurate. `start` are right vectors for them to begin with, \[any, columns\].
+/// The `k` leading singular values and right vectors, fewer when the matrix is smaller than that; back ends that
+/// iterate may add some that are less accurate. `start` are right vectors for them to begin with, \[any, columns\].
 ///
 /// # Errors
 /// Those of the source; [`Error::Internal`] when a decomposition does not converge.
@@ -124,8 +128,8 @@ pub(super) struct Triplets {
     pub right: Vec<f64>,
 }
 
-/// A last pass: left vectors A v_j / σ_j. Weights are their lengths, which are right to the square of what the right vectors are off by;
-/// for approximate right vectors both sides are rotated to singular vectors of the projected rows.
+/// A last pass: left vectors A v_j / σ_j. Weights are their lengths, which are right to the square of what the right
+/// vectors are off by; for approximate right vectors both sides are rotated to singular vectors of the projected rows.
 ///
 /// # Errors
 /// Those of the source.
@@ -215,7 +219,8 @@ fn eigen(gram: MatRef<'_, f64>, k: usize) -> Result<(Vec<f64>, Mat<f64>)> {
     Ok((values.into_iter().map(f64::sqrt).collect(), vectors))
 }
 
-/// The `k` largest eigenvalues of a symmetric positive matrix (lower half), descending, none below zero, and their vectors.
+/// The `k` largest eigenvalues of a symmetric positive matrix (lower half), descending, none below zero, and their
+/// vectors.
 pub(super) fn eigenpairs(gram: MatRef<'_, f64>, k: usize) -> Result<(Vec<f64>, Mat<f64>)> {
     let eigen = gram
         .self_adjoint_eigen(Side::Lower)
@@ -328,7 +333,8 @@ pub(super) mod tests {
                 let low = low_rank(&rows, 15, backend, 1e-6, None).unwrap();
                 let t = triplets(&rows, &low, 15, false).unwrap();
                 let worst = (0..15).map(|j| (t.weights[j] - sigma(j)).abs()).fold(0.0, f64::max);
-                // The f32 rows themselves are off by about 1e-7; a flat spectrum has no vectors to converge to, but values.
+                // The f32 rows themselves are off by about 1e-7; a flat spectrum has no vectors to converge to, but
+                // values.
                 assert!(worst < tolerance, "{name} {backend:?}: {worst:e} after {} passes", low.passes);
             }
         }
@@ -346,7 +352,8 @@ pub(super) mod tests {
         }
     }
 
-    /// Rank 0 to 2, equal singular values, equal rows, and rows that differ by thirty decades; the largest is one, as rows are factored.
+    /// Rank 0 to 2, equal singular values, equal rows, and rows that differ by thirty decades; the largest is one, as
+    /// rows are factored.
     #[test]
     fn rows_at_the_extremes_are_composed_again_by_every_back_end() {
         let bump = |d: usize, at: f64| (-(d as f64 - at).powi(2) / 20.0).exp();

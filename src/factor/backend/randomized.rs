@@ -1,6 +1,6 @@
-//! Block Krylov iteration from a random start (`Musco2015`): every pass over the rows multiplies the newest block by AᵀA, and the
-//! leading triplets are taken from the span of all blocks (Rayleigh–Ritz). A power iteration forgets the earlier blocks, and needs
-//! about the square of the passes for the same accuracy.
+//! Block Krylov iteration from a random start (`Musco2015`): every pass over the rows multiplies the newest block by
+//! AᵀA, and the leading triplets are taken from the span of all blocks (Rayleigh–Ritz). A power iteration forgets the
+//! earlier blocks, and needs about the square of the passes for the same accuracy.
 
 use super::{LowRank, Rows, eigenpairs, product};
 use crate::Result;
@@ -56,13 +56,14 @@ pub(super) fn block_krylov(rows: &dyn Rows, k: usize, accuracy: f64, start: Opti
     refined(rows, ritz, k, accuracy, passes)
 }
 
-/// Power passes on Ritz vectors. A product in f32 is off by a share of what is multiplied: in a block of mixed vectors by that share of
-/// σ_1², which hides small values, in a Ritz vector by that share of σ_1 σ.
+/// Power passes on Ritz vectors. A product in f32 is off by a share of what is multiplied: in a block of mixed vectors
+/// by that share of σ_1², which hides small values, in a Ritz vector by that share of σ_1 σ.
 fn refined(rows: &dyn Rows, mut ritz: Ritz, k: usize, accuracy: f64, mut passes: usize) -> Result<LowRank> {
     for _ in 0..MOST_REFINEMENTS {
         let image = gram_times(rows, ritz.vectors.as_ref())?;
         passes += 1;
-        // The image itself, each vector to unit length, is one power step nearer; what it was multiplied from tells the error.
+        // The image itself, each vector to unit length, is one power step nearer; what it was multiplied from tells the
+        // error.
         let told = Ritz::new(&ritz.vectors, &image, ritz.vectors.ncols())?;
         let converged = told.converged(k, accuracy, false);
         let mut vectors = image;
@@ -117,8 +118,8 @@ impl Ritz {
         self.values.first().copied().unwrap_or(0.0)
     }
 
-    /// Whether the first `k` singular values are right to `accuracy` σ_1: |σ − √θ| ≤ residual / (2 √θ), or as well as f32
-    /// can tell: in products of Ritz vectors, or of mixed ones.
+    /// Whether the first `k` singular values are right to `accuracy` σ_1: |σ − √θ| ≤ residual / (2 √θ), or as well as
+    /// f32 can tell: in products of Ritz vectors, or of mixed ones.
     fn converged(&self, k: usize, accuracy: f64, mixed: bool) -> bool {
         let largest = self.largest();
         let floor = |theta: f64| F32_RESIDUAL * if mixed { largest } else { (largest * theta).sqrt() };
@@ -169,8 +170,8 @@ fn beside(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
     Mat::from_fn(b.nrows(), left + b.ncols(), |i, j| if j < left { a[(i, j)] } else { b[(i, j - left)] })
 }
 
-/// An orthonormal basis of what `block` has outside the span of `basis`; columns that have nothing there but rounding become random.
-/// `None` when none has.
+/// An orthonormal basis of what `block` has outside the span of `basis`; columns that have nothing there but rounding
+/// become random. `None` when none has.
 fn orthonormal_rest(
     basis: &Mat<f64>,
     mut block: Mat<f64>,

@@ -240,7 +240,8 @@ fn conditions_are_the_median_and_the_largest_over_rows() {
     }
 }
 
-/// Channels are a line and a square of the intensity, whose squares sum to nothing; rows of noise of variance `noise`, which say `stated`.
+/// Channels are a line and a square of the intensity, whose squares sum to nothing; rows of noise of variance `noise`,
+/// which say `stated`.
 fn squares(noise: f64, stated: f64) -> super::super::test_matrices::StoredMatrix {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
@@ -282,7 +283,8 @@ fn a_degree_goes_as_far_as_the_polynomial_stands_out_of_the_stated_noise() {
 
 #[test]
 fn the_noise_of_a_row_is_its_own_with_rounding_and_that_of_its_place_apart() {
-    // Steep rows of which the place is known to a fifth of a sample (0.25 mm); in some samples that is all of the stated variance.
+    // Steep rows of which the place is known to a fifth of a sample (0.25 mm); in some samples that is all of the
+    // stated variance.
     let value = |i: usize, k: usize, c: usize| {
         let (x, y) = ((k % 5) as f64 - 2.2, (k / 5) as f64 - 0.7);
         (2.0 + i as f64 + c as f64) * (-(0.3 * x * x + 0.5 * y * y + 0.2 * x * y)).exp()

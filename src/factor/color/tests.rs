@@ -153,7 +153,8 @@ fn significance_is_a_share_over_what_independent_and_common_errors_would_give() 
 
 #[test]
 fn conditions_are_ratios_of_pivots_that_only_grow() {
-    // u = −1, 0, 1: Legendre columns (1,1,1), u and (1, −.5, 1), whose part beyond the constant is (.5, −1, .5): pivots √3, √2, √1.5.
+    // u = −1, 0, 1: Legendre columns (1,1,1), u and (1, −.5, 1), whose part beyond the constant is (.5, −1, .5): pivots
+    // √3, √2, √1.5.
     let basis = PolynomialBasis::new(&[-1.0, 0.0, 1.0], 6);
     let expected = [1.0, 1.5_f64.sqrt(), 2.0_f64.sqrt(), 2.0_f64.sqrt(), 2.0_f64.sqrt()];
     for (found, expected) in basis.conditions(4).iter().zip(expected) {
@@ -237,8 +238,8 @@ fn degrees_whose_coefficients_rounding_would_spoil_are_damped_and_the_error_says
 
 #[test]
 fn a_row_makes_use_of_the_degrees_that_rounding_leaves_more_than_half_of() {
-    // q_p has coefficients of about c_p / width^p, c = √3, 3.4, 6.6: half is left where they are 1.7 / 6e-8 at the most, so that degree 1
-    // needs a width of 6e-8, degree 2 one of 3e-4, degree 3 one of 6e-3.
+    // q_p has coefficients of about c_p / width^p, c = √3, 3.4, 6.6: half is left where they are 1.7 / 6e-8 at the
+    // most, so that degree 1 needs a width of 6e-8, degree 2 one of 3e-4, degree 3 one of 6e-3.
     for (width, count) in [(1e-4, 2), (1e-3, 3), (2e-2, 4)] {
         let found = PolynomialBasis::new(&near_the_end(width), 3).significance(&[1.0; 60], &[1.0; 60], &[]);
         assert_eq!(found.len(), count, "{width}");

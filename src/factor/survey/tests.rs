@@ -130,7 +130,8 @@ fn the_first_pass_finds_what_a_loop_over_all_entries_does() {
             assert_eq!(found.len(), expected.len());
             let largest = expected.iter().copied().fold(0.0, f64::max);
             for (a, b) in found.iter().zip(expected) {
-                // Variances are f32, and that of the place, up to a hundred times that of photons, was taken out of them.
+                // Variances are f32, and that of the place, up to a hundred times that of photons, was taken out of
+                // them.
                 assert!((a - b).abs() < 1e-5 * largest, "{content:?} {name}: {a} {b}");
             }
         };

@@ -104,7 +104,8 @@ fn a_joint_material_is_the_triplets_in_the_unit_of_the_matrix() {
         for i in 0..ROWS {
             for s in 0..45 {
                 let (r, e) = (value(m, i, s / 3, s % 3), exact(terms, i, s / 3, s % 3));
-                // Rows and factors are f32; maps that channels share may leave a hundredth of what the terms leave, squared.
+                // Rows and factors are f32; maps that channels share may leave a hundredth of what the terms leave,
+                // squared.
                 let most = 1e-6 + 0.1 * SIGMA[terms..].iter().map(|s| s * s).sum::<f64>().sqrt();
                 assert!((r - e).abs() < most, "T {terms} row {i} sample {s}: {r} {e}");
             }
@@ -120,8 +121,8 @@ fn a_joint_material_is_the_triplets_in_the_unit_of_the_matrix() {
 
 #[test]
 fn the_noise_chooses_the_terms_above_it_and_says_why() {
-    // Independent entries of variance v: √v (√45 + √12), here 0.55, between the third value and the fourth; little enough that
-    // channels differ by more.
+    // Independent entries of variance v: √v (√45 + √12), here 0.55, between the third value and the fourth; little
+    // enough that channels differ by more.
     let sides = 45.0_f64.sqrt() + 12.0_f64.sqrt();
     let matrix = matrix((0.55 / sides).powi(2) as f32, |i, e, c| exact(4, i, e, c), |_, _| true);
     let found = made(&matrix, &options(Model::Joint));

@@ -8,7 +8,8 @@ use crate::radiance::merge::BLOCK;
 use crate::radiance::{FileNoise, Sensor};
 use rayon::prelude::*;
 
-/// Two photographs whose light adds up to that of two others: a pattern, its inverse, white and black, all of one exposure time.
+/// Two photographs whose light adds up to that of two others: a pattern, its inverse, white and black, all of one
+/// exposure time.
 #[derive(Debug, Clone)]
 pub struct LightSum {
     /// Code values of the pattern and its inverse, R G B interleaved, the same pixels in each.
@@ -17,8 +18,8 @@ pub struct LightSum {
     pub whole: Samples,
     /// Linear light of black in that exposure time, DN; little.
     pub black: Vec<f32>,
-    /// How much half the inverse's linear light less half the pattern's (of any curve near the right one) grows from pixel to pixel along the picture's
-    /// rows and columns, DN.
+    /// How much half the inverse's linear light less half the pattern's (of any curve near the right one) grows from
+    /// pixel to pixel along the picture's rows and columns, DN.
     pub slope: [Vec<f32>; 2],
 }
 
@@ -58,33 +59,37 @@ const COMPRESSED_LAMP_SD: f64 = 0.004;
 const MOVED_SD_PX: f64 = 0.7;
 /// The same where they have not.
 const HELD_SD_PX: f64 = 1e-6;
-/// Unknowns of a light sum: the lamp's change in either part, and how far these moved against each other along both axes.
+/// Unknowns of a light sum: the lamp's change in either part, and how far these moved against each other along both
+/// axes.
 const PER_SUM: usize = 4;
 /// A light sum tells about the curve where both parts have at least this share of it.
 const LEAST_SHARE: f64 = 0.1;
 const ITERATIONS: usize = 15;
-/// What a movement leaves is alike all along an edge: all samples of a sum tell no more than those of one profile, eight px across a rising and a falling
-/// edge each.
+/// What a movement leaves is alike all along an edge: all samples of a sum tell no more than those of one profile,
+/// eight px across a rising and a falling edge each.
 const PROFILE_SAMPLES: f64 = 16.0;
-/// A pattern and its inverse that lie this near to each other, camera px, add up but for noise, and no movement is unknown: what JPEG does to edges
-/// looks like 0.05 px, photons and the curve's own error like 0.02 (still captures of tests/all/radiometry.rs).
+/// A pattern and its inverse that lie this near to each other, camera px, add up but for noise, and no movement is
+/// unknown: what JPEG does to edges looks like 0.05 px, photons and the curve's own error like 0.02 (still captures of
+/// tests/all/radiometry.rs).
 const STILL_PX: f64 = 0.1;
 /// Fewer samples with light of both parts tell no variance of their own.
 const LEAST_SHARED: usize = 50;
 /// Compression errs for a block of pixels together: so many are one observation when curves are compared.
 const BLOCK_PIXELS: f64 = 64.0;
 
-/// Estimates ln g(z), g being the light of code value z, as a monotone curve; one for all channels, or one each when the Bayesian
-/// information criterion says that they differ.
+/// Estimates ln g(z), g being the light of code value z, as a monotone curve; one for all channels, or one each when
+/// the Bayesian information criterion says that they differ.
 ///
-/// Weighted least squares over all unknowns at once: the curve's coefficients, the light of each pixel (eliminated), one exposure time
-/// a setting with the prior `times_sd`. As in `MitsunagaNayar1999` curve and exposure ratios are found together; stacks alone leave the ambiguity
-/// g → g^γ, t → t^γ (`GrossbergNayar2003`), which here is settled by light sums: g(pattern) + g(inverse) = g(white) + g(black) holds for one γ
-/// only. A projector that moves between pattern and inverse breaks that at the edges of stripes, where alone both have light: the movement is an
-/// unknown of each sum, and what it leaves unexplained is added to the sum's variance. Weights are otherwise those of photon statistics and of rounding and compression, at predicted values, not at the noisy ones.
+/// Weighted least squares over all unknowns at once: the curve's coefficients, the light of each pixel (eliminated),
+/// one exposure time a setting with the prior `times_sd`. As in `MitsunagaNayar1999` curve and exposure ratios are
+/// found together; stacks alone leave the ambiguity g → g^γ, t → t^γ (`GrossbergNayar2003`), which here is settled by
+/// light sums: g(pattern) + g(inverse) = g(white) + g(black) holds for one γ only. A projector that moves between
+/// pattern and inverse breaks that at the edges of stripes, where alone both have light: the movement is an unknown of
+/// each sum, and what it leaves unexplained is added to the sum's variance. Weights are otherwise those of photon
+/// statistics and of rounding and compression, at predicted values, not at the noisy ones.
 ///
-/// `None` when the stacks have too little in common. Not detected: a curve that changes between photographs (automatic tone
-/// mapping), crosstalk of channels (a colour matrix before the curve).
+/// `None` when the stacks have too little in common. Not detected: a curve that changes between photographs (automatic
+/// tone mapping), crosstalk of channels (a colour matrix before the curve).
 pub fn estimate_curve(
     stacks: &[Stack],
     sums: &[LightSum],
@@ -290,8 +295,8 @@ impl Problem<'_> {
         system
     }
 
-    /// Light sums: g(a) exp(−α) + g(b) exp(−β) + s · ∇(b − a)/2 = g(white) + black, α and β being the lamp's changes, s how far b has moved
-    /// against a. With the slope of both, no term of s² is left.
+    /// Light sums: g(a) exp(−α) + g(b) exp(−β) + s · ∇(b − a)/2 = g(white) + black, α and β being the lamp's changes, s
+    /// how far b has moved against a. With the slope of both, no term of s² is left.
     fn add_sum(
         &self,
         number: usize,
@@ -425,8 +430,9 @@ impl SumSample {
 }
 
 impl Problem<'_> {
-    /// How far patterns and inverses have moved against each other, camera px, root mean square over the sums, by a solution that knows of no movement: what is
-    /// left of a sum changes its sign from the rising to the falling edges of its stripes where it moved, and does not where the curve is wrong.
+    /// How far patterns and inverses have moved against each other, camera px, root mean square over the sums, by a
+    /// solution that knows of no movement: what is left of a sum changes its sign from the rising to the falling edges
+    /// of its stripes where it moved, and does not where the curve is wrong.
     fn moved_px(&self, fit: &Fit) -> Option<f64> {
         let sensor =
             Sensor::with_curve(self.noise, Some(fit.curve(vec![vec![0.0; CODES]; fit.curves])?), self.options.file);
@@ -448,7 +454,8 @@ impl Problem<'_> {
         Some((squares / self.sums.len().max(1) as f64).sqrt())
     }
 
-    /// Variance of a sum's relative residual where both parts have light, beyond that of noise: by the median of its absolute values.
+    /// Variance of a sum's relative residual where both parts have light, beyond that of noise: by the median of its
+    /// absolute values.
     fn unexplained(&self, sum: &LightSum, sensor: &Sensor, lamps: [f64; 2], moved: [f64; 2]) -> f64 {
         if !self.moving {
             return 0.0;
@@ -471,7 +478,8 @@ impl Problem<'_> {
         };
         let samples = residuals.len() as f64;
         let own = ((1.4826 * middle(&mut residuals)).powi(2) - middle(&mut noise)).max(0.0);
-        // A movement of a good part of a pixel is no slope: a term of its third power is left, a twelfth of it across edges about a pixel wide.
+        // A movement of a good part of a pixel is no slope: a term of its third power is left, a twelfth of it across
+        // edges about a pixel wide.
         let third = (moved[0].powi(2) + moved[1].powi(2)) / 12.0 * middle(&mut explained);
         (own + third * third) * (samples / PROFILE_SAMPLES).max(1.0)
     }

@@ -14,7 +14,8 @@ fn sensor() -> Sensor {
     Sensor::with_curve(&noise, None, FileNoise::default())
 }
 
-/// Pixels of light spread over five decades, most of them dark, as photographs of `actual` times that are said to be `stated`.
+/// Pixels of light spread over five decades, most of them dark, as photographs of `actual` times that are said to be
+/// `stated`.
 fn stack(stated: &[f64], actual: &[f64], settings: &[usize], seed: u64) -> Stack {
     let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
     let read = Normal::new(0.0, READ).unwrap();
@@ -111,8 +112,8 @@ fn a_stack_without_noise_gives_the_ratio_and_the_information_of_its_photons() {
     let ratio = found.log_scale[1] - found.log_scale[0];
     // f32 values.
     assert!((ratio - 1.1f64.ln()).abs() < 1e-5, "{found:?}");
-    // One pixel tells the ratio by w₁ w₂ / (w₁ + w₂), w being signal² / variance; those nearer than four standard deviations to black or to
-    // saturation tell nothing.
+    // One pixel tells the ratio by w₁ w₂ / (w₁ + w₂), w being signal² / variance; those nearer than four standard
+    // deviations to black or to saturation tell nothing.
     let Samples::F32(first) = &exposures[0].samples else { panic!() };
     let information = |wanted: &dyn Fn(usize) -> bool| {
         let (mut sum, mut counted) = (0.0, 0);
@@ -151,7 +152,8 @@ fn a_stack_without_noise_gives_the_ratio_and_the_information_of_its_photons() {
 fn noise_that_the_rig_understates_makes_scales_less_certain() {
     let mut exposures = clean([0.02, 0.08], [0.02, 0.08]);
     let calm = stack_scales(&[&exposures], &sensor(), 1).unwrap();
-    // Two standard deviations up and down in turn: χ² is about four times its degrees of freedom, shared by the two exposures.
+    // Two standard deviations up and down in turn: χ² is about four times its degrees of freedom, shared by the two
+    // exposures.
     let Samples::F32(v) = &mut exposures[0].samples else { panic!() };
     for (k, code) in v.iter_mut().enumerate() {
         let y = f64::from(*code) - BLACK;
@@ -287,7 +289,8 @@ fn all_three_channels_of_a_pixel_are_taken() {
 
 #[test]
 fn bright_pixels_are_all_picked_and_dark_ones_as_many_of_each_level() {
-    // 900 pixels of green 22 and 23 DN a centisecond, 40 of 300, 25 of 9000, which saturate the longer exposure; red and blue say other things.
+    // 900 pixels of green 22 and 23 DN a centisecond, 40 of 300, 25 of 9000, which saturate the longer exposure; red
+    // and blue say other things.
     let light = |p: usize| {
         if p % 37 == 5 {
             9000.0

@@ -81,7 +81,8 @@ fn exposure(secs: f64, codes: &[u16]) -> Exposure {
     Exposure { samples: Samples::U16(codes.to_vec()), secs }
 }
 
-/// One sample as the documentation of [`merge`] has it, in f64: (value, variance, exposures used); `None` is a saturated exposure.
+/// One sample as the documentation of [`merge`] has it, in f64: (value, variance, exposures used); `None` is a
+/// saturated exposure.
 fn naive(measured: &[(f64, Option<f64>)]) -> (f64, f64, u8) {
     let (mut sum_y, mut sum_t, mut least, mut kept) = (0.0, 0.0, 0.0f64, vec![]);
     for &(t, y) in measured {
@@ -115,7 +116,8 @@ fn every_sample_is_the_mean_of_least_variance_of_its_own_exposures() {
     // 909 samples: more than are merged together, and not a multiple of that.
     let rect = Rect { x: 4, y: 9, width: 101, height: 3 };
     let times = [0.004, 0.03, 0.11, 0.9];
-    // Five decades of light, three channels apart, off by a few percent from exposure to exposure; dark ones fall below black.
+    // Five decades of light, three channels apart, off by a few percent from exposure to exposure; dark ones fall below
+    // black.
     let code = |k: usize, t: f64| {
         let light = 20.0 * 10f64.powf(5.0 * ((k * 37) % 303) as f64 / 303.0) * [1.0, 3.0, 0.4][k % 3];
         let off = 1.0 + 0.04 * ((k as f64) * 1.3 + 40.0 * t).sin();
@@ -232,7 +234,8 @@ fn encoded_photographs_add_the_variance_of_their_code_values_by_the_curves_slope
     let merged = merge(&[Exposure { samples: Samples::U8(codes.clone()), secs: 0.25 }], rect, &sensor);
     for (k, &code) in codes.iter().enumerate() {
         let (light, slope) = srgb(f64::from(code));
-        // Noise of the code makes its light too large by half the second derivative times the variance: 1.4 slopes over (code + 14).
+        // Noise of the code makes its light too large by half the second derivative times the variance: 1.4 slopes over
+        // (code + 14).
         let coding = compression[k % 3] + 1.0 / 12.0;
         let bias = 0.5 * 1.4 * slope / (f64::from(code) + 0.055 * 255.0) * coding;
         let expected = (light - bias) / 0.25;

@@ -79,7 +79,8 @@ fn saturation_is_where_codes_pile_up_and_not_just_the_largest() {
     assert_eq!(saturation(&clipped), ((15_300.0f64 * 0.98).round(), true));
 }
 
-/// Two photographs of 2 × 3 blocks and three columns more, 19 × 24 px, that differ by `difference(x, y, c)` about `level`.
+/// Two photographs of 2 × 3 blocks and three columns more, 19 × 24 px, that differ by `difference(x, y, c)` about
+/// `level`.
 fn pair(level: impl Fn(usize, usize, usize) -> f64, difference: impl Fn(usize, usize, usize) -> f64) -> [Samples; 2] {
     let at = |k: usize| (k / 3 % 19, k / 57, k % 3);
     [0.5, -0.5].map(|half| {
@@ -271,7 +272,8 @@ fn gain_and_read_noise_are_slope_and_height_of_the_line_with_the_errors_of_least
 #[test]
 fn blocks_that_stripes_cross_and_those_beside_them_are_left_out() {
     let mut grid = on_line(30.0, 0.45);
-    // One channel at (5, 3) is 2.3 times the line, five standard deviations being 1.9; what is around it is off by a third, as the blur of an edge makes it.
+    // One channel at (5, 3) is 2.3 times the line, five standard deviations being 1.9; what is around it is off by a
+    // third, as the blur of an edge makes it.
     for y in 2..=4 {
         for x in 4..=6 {
             for c in 0..3 {

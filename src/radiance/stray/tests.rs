@@ -266,7 +266,8 @@ fn alone(k: usize) -> [f64; RADII_PX.len()] {
     std::array::from_fn(|j| if j == k { 100.0 } else { 0.0 })
 }
 
-/// Blocks that see 100 of the first halo and a hundredth of it, off by so much; and one for each of the others, where nothing is.
+/// Blocks that see 100 of the first halo and a hundredth of it, off by so much; and one for each of the others, where
+/// nothing is.
 fn rows_off(by: impl Iterator<Item = f64>) -> Vec<Weighted> {
     by.map(|off| (alone(0), 1.0 + off)).chain((1..RADII_PX.len()).map(|k| (alone(k), 0.0))).collect()
 }
@@ -277,14 +278,15 @@ fn a_block_that_is_off_by_five_times_what_most_are_is_left_out_and_thirty_must_s
         let even = (0..40).map(|k| if k % 2 == 0 { usual } else { -usual });
         100.0 * fit_without_outliers(rows_off(even.chain([one]))).unwrap().0[0]
     };
-    // The mean of the 41 is off by a 41st of the one. What most are off by is less than the noise, 1: 5 · 41/40 is the limit.
+    // The mean of the 41 is off by a 41st of the one. What most are off by is less than the noise, 1: 5 · 41/40 is the
+    // limit.
     for (usual, one) in [(0.5, 5.1), (0.5, 5.15), (0.5, -5.1), (0.5, -5.15)] {
         let kept = (one * 40.0 / 41.0_f64).abs() <= 5.0;
         let expected = if kept { 1.0 + one / 41.0 } else { 1.0 };
         assert!((fitted(usual, one) - expected).abs() < 1e-9, "{one}: {}", fitted(usual, one));
     }
-    // Above the noise the limit is 5 · 1.4826 times the median of the 49 residuals: 8 zeros, 20 of 2 − x/41, 20 of 2 + x/41, and x · 40/41 of the outlier x.
-    // The median is 2 − x/41; x · 40/41 = 7.413 (2 − x/41) gives x = 12.82.
+    // Above the noise the limit is 5 · 1.4826 times the median of the 49 residuals: 8 zeros, 20 of 2 − x/41, 20 of 2 +
+    // x/41, and x · 40/41 of the outlier x. The median is 2 − x/41; x · 40/41 = 7.413 (2 − x/41) gives x = 12.82.
     assert!((fitted(2.0, 12.6) - (1.0 + 12.6 / 41.0)).abs() < 1e-9, "{}", fitted(2.0, 12.6));
     assert!((fitted(2.0, 13.05) - 1.0).abs() < 1e-9, "{}", fitted(2.0, 13.05));
     // With the 8 others.
@@ -295,7 +297,8 @@ fn a_block_that_is_off_by_five_times_what_most_are_is_left_out_and_thirty_must_s
 
 #[test]
 fn residuals_beyond_the_noise_make_the_share_less_certain() {
-    // Ten blocks for each of 9 halos, off by ±3 noises: 9 · 90 over 81 degrees of freedom are 10 times the noise's variance.
+    // Ten blocks for each of 9 halos, off by ±3 noises: 9 · 90 over 81 degrees of freedom are 10 times the noise's
+    // variance.
     let rows: Vec<Weighted> = (0..90).map(|k| (alone(k / 10), if k % 2 == 0 { 4.0 } else { -2.0 })).collect();
     let (shares, sd) = non_negative(&rows).unwrap();
     assert!(shares.iter().all(|s| (s - 0.01).abs() < 1e-12), "{shares:?}");

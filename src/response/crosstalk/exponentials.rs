@@ -1,9 +1,10 @@
 //! The kernel that the fit starts from: what falls off as a sum of exponentials does.
 //!
-//! Where dots of one shot are about as far apart as their light reaches, no sample tells how much of it is which dot's, and multiplicative
-//! steps stay near where they began. In an even, absorbing medium light falls off as a mixture of exponentials of positive weights (the point-source
-//! solution e^(−μr)/r is one, and so are sums of such over depths and reflections, but for the closest samples). The weights are those of
-//! non-negative least squares over all samples with all dots that light each: one minimum, wherever the search begins.
+//! Where dots of one shot are about as far apart as their light reaches, no sample tells how much of it is which dot's,
+//! and multiplicative steps stay near where they began. In an even, absorbing medium light falls off as a mixture of
+//! exponentials of positive weights (the point-source solution e^(−μr)/r is one, and so are sums of such over depths
+//! and reflections, but for the closest samples). The weights are those of non-negative least squares over all samples
+//! with all dots that light each: one minimum, wherever the search begins.
 
 use super::fit::{ASSUMED_SD, Fit};
 use super::kernel::interpolate;
@@ -12,7 +13,8 @@ use super::kernel::interpolate;
 const SHORTEST_SAMPLES: f64 = 1.5;
 const LONGEST_REACHES: f64 = 0.5;
 const LENGTHS: usize = 12;
-/// Nodes near the dot have a weight each, samples: there light falls off as the dot's side and the medium's first scattering want.
+/// Nodes near the dot have a weight each, samples: there light falls off as the dot's side and the medium's first
+/// scattering want.
 const FREE_SAMPLES: f64 = 3.0;
 
 /// What is known to no better than this share of the brightest sample.
@@ -127,8 +129,8 @@ mod tests {
 
     const WINDOW: Window = Window { samples: [21, 17], pitch_mm: 0.5 };
 
-    /// Point sources below the surface and their mirrors above it, as diffusion has them (Farrell, Patterson & Wilson 1992): not a sum of
-    /// exponentials in r near the dot. Lengths in mm.
+    /// Point sources below the surface and their mirrors above it, as diffusion has them (Farrell, Patterson & Wilson
+    /// 1992): not a sum of exponentials in r near the dot. Lengths in mm.
     fn dipole(r: f64, depth: f64, mirror: f64, decay: f64) -> f64 {
         let part = |z: f64| {
             let d = r.hypot(z);
@@ -156,7 +158,8 @@ mod tests {
 
     #[test]
     fn the_tails_of_broad_media_are_told_from_their_neighbours_a_window_away() {
-        // Depth, mirror and decay of media whose light reaches a fifth to a whole window (10.5 × 8.5 mm); dots a window apart and less.
+        // Depth, mirror and decay of media whose light reaches a fifth to a whole window (10.5 × 8.5 mm); dots a window
+        // apart and less.
         for (depth, mirror, decay) in [(0.4, 1.1, 1.5), (0.8, 2.0, 3.0), (0.3, 0.9, 4.5), (1.5, 4.0, 6.0)] {
             for spacing in [21, 17, 13] {
                 let (mut rows, truth) = shot(spacing, &|r| dipole(r, depth, mirror, decay));
@@ -168,7 +171,8 @@ mod tests {
                 let after = sum(&rows[9]) / truth[9].iter().sum::<f64>() - 1.0;
                 let corner = f64::from(rows[9].row.response[0]) / truth[9][0] - 1.0;
                 println!("{decay} {spacing}: light {before:+.4} {after:+.4}, corner {corner:+.4}");
-                // What falls off within the window's own rim is told apart to a hundredth of the light; of what does not, a tenth of what was there may stay.
+                // What falls off within the window's own rim is told apart to a hundredth of the light; of what does
+                // not, a tenth of what was there may stay.
                 assert!(after.abs() < (0.1 * before).max(0.01), "{decay} {spacing}: {before} {after}");
             }
         }

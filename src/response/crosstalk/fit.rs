@@ -15,7 +15,8 @@ const ROUNDS: usize = 30;
 pub(super) const ASSUMED_SD: f64 = 0.2;
 /// The model is never trusted to better than this.
 const LEAST_SD: f64 = 0.03;
-/// What the model misses is larger than what it leaves of the samples that it was fitted to (on simulated slabs up to 2 times).
+/// What the model misses is larger than what it leaves of the samples that it was fitted to (on simulated slabs up to 2
+/// times).
 const OPTIMISM: f64 = 1.7;
 /// A sample is its own dot's when this share of its light is modelled to be.
 const OWN_SHARE: f64 = 0.8;
@@ -53,9 +54,10 @@ pub(super) struct Layout {
 
 /// Fits the model to the rows of some shots, which must be whole: every dot that was lit is in its shot.
 ///
-/// `window` is that of the rows, `size_mm` the slab's. Minimizes no likelihood exactly: each factor is scaled by the mean of measured over
-/// modelled light, weighted by how much of the light is its own and how well it was measured (the multiplicative steps of
-/// Richardson1972 and Lucy1974), which keeps all of them positive. `None` when the rows hold no light.
+/// `window` is that of the rows, `size_mm` the slab's. Minimizes no likelihood exactly: each factor is scaled by the
+/// mean of measured over modelled light, weighted by how much of the light is its own and how well it was measured (the
+/// multiplicative steps of Richardson1972 and Lucy1974), which keeps all of them positive. `None` when the rows hold no
+/// light.
 ///
 /// Not detected: kernels that are not round (a slanted grain): their excess is in the model's stated error.
 pub fn fit_tails(shots: &[Vec<LitRow>], window: &Window, size_mm: Point) -> Option<TailModel> {
@@ -229,8 +231,9 @@ impl<'a> Fit<'a> {
         self.outgoing.iter_mut().zip(&steps).for_each(|(b, s)| *b *= s.factor());
     }
 
-    /// What the model misses at each node, where a dot has its samples to itself. Beyond, nothing tells it: the larger of the last such and of
-    /// what is missed where dots share, growing with distance (on simulated chessboards and veined marble this states 0.8 to 3 times the truth).
+    /// What the model misses at each node, where a dot has its samples to itself. Beyond, nothing tells it: the larger
+    /// of the last such and of what is missed where dots share, growing with distance (on simulated chessboards and
+    /// veined marble this states 0.8 to 3 times the truth).
     fn relative_sd(&self) -> Vec<f64> {
         let n = self.layout.nodes;
         let (mut sum, mut weight, mut all) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);

@@ -2,11 +2,12 @@
 //!
 //! # Model
 //!
-//! The light of all dots j of a shot at the slab's point x is Σ_j F_j · a_j · b(x) · K(|x − x_j|): F_j is the dot's flux, K a
-//! kernel of the distance alone, a_j how much of the light goes in at x_j and b(x) how much comes out at x, both relative to the slab's mean. It is
-//! fitted to the rows as extracted ([`fit_tails`]). What the model leaves unexplained at x is shared among the dots in proportion to what each is
-//! uncertain by ([`TailModel::separate`]): close to its own dot a row keeps what was measured, less the others' modelled tails;
-//! close to another dot it becomes the model, with the model's variance. Only what cannot be told apart is modelled.
+//! The light of all dots j of a shot at the slab's point x is Σ_j F_j · a_j · b(x) · K(|x − x_j|): F_j is the dot's
+//! flux, K a kernel of the distance alone, a_j how much of the light goes in at x_j and b(x) how much comes out at x,
+//! both relative to the slab's mean. It is fitted to the rows as extracted ([`fit_tails`]). What the model leaves
+//! unexplained at x is shared among the dots in proportion to what each is uncertain by ([`TailModel::separate`]):
+//! close to its own dot a row keeps what was measured, less the others' modelled tails; close to another dot it becomes
+//! the model, with the model's variance. Only what cannot be told apart is modelled.
 
 mod exponentials;
 mod fit;

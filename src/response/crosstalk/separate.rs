@@ -37,9 +37,9 @@ impl Separation {
 impl TailModel {
     /// Leaves in each row of a shot the light of its own dot; `shot` must hold all dots that were lit.
     ///
-    /// With own model p, own and others' model variances v and u: R = p + v/(v+u) · (measured − model of all), the best linear estimate given the
-    /// model's errors; what noise adds is not traded against the model, so that samples that no other dot reaches stay as measured. Its
-    /// variance is the measurement's times (v/(v+u))² plus v·u/(v+u).
+    /// With own model p, own and others' model variances v and u: R = p + v/(v+u) · (measured − model of all), the best
+    /// linear estimate given the model's errors; what noise adds is not traded against the model, so that samples that
+    /// no other dot reaches stay as measured. Its variance is the measurement's times (v/(v+u))² plus v·u/(v+u).
     pub fn separate(&self, shot: &mut [LitRow], window: &Window) -> Separation {
         let mut found = Separation::default();
         for (c, model) in self.channels.iter().enumerate() {
@@ -64,8 +64,8 @@ impl TailModel {
         reach
     }
 
-    /// The smallest distance between dots of a square lattice, in samples, at which separated rows are uncertain by no more than `share` of
-    /// themselves (Euclidean norm) because of the others; `None` when two windows are not enough.
+    /// The smallest distance between dots of a square lattice, in samples, at which separated rows are uncertain by no
+    /// more than `share` of themselves (Euclidean norm) because of the others; `None` when two windows are not enough.
     ///
     /// Of an even slab: the two maps are left out.
     pub fn spacing_for(&self, share: f64, window: &Window) -> Option<usize> {
@@ -73,7 +73,8 @@ impl TailModel {
         (2..=most).find(|&spacing| self.left_at(spacing as f64, window).rms_share <= share)
     }
 
-    /// What the other dots of a square lattice of this distance, in samples, leave separated rows uncertain by. Of an even slab.
+    /// What the other dots of a square lattice of this distance, in samples, leave separated rows uncertain by. Of an
+    /// even slab.
     pub fn left_at(&self, spacing_samples: f64, window: &Window) -> LeftByOthers {
         let side = spacing_samples * window.pitch_mm;
         let (mut error, mut square, mut all, mut light) = (0.0, 0.0, 0.0, 0.0);
@@ -105,12 +106,13 @@ impl TailModel {
 pub struct LeftByOthers {
     /// Euclidean norm of its samples' standard deviations, of that of the row.
     pub rms_share: f64,
-    /// Their sum, of the row's light: what its albedo is uncertain by where the model errs in all samples alike, as it does in a medium that falls off
-    /// otherwise than it says.
+    /// Their sum, of the row's light: what its albedo is uncertain by where the model errs in all samples alike, as it
+    /// does in a medium that falls off otherwise than it says.
     pub light_share: f64,
 }
 
-/// What one dot of a shot brings to a sample: its light per unit of its incident factor, over the flux of the row's own dot, and the model's relative variance there.
+/// What one dot of a shot brings to a sample: its light per unit of its incident factor, over the flux of the row's own
+/// dot, and the model's relative variance there.
 struct Share {
     sample: u32,
     dot: u32,

@@ -81,7 +81,8 @@ fn rows_of_an_uneven_slab_are_told_apart() {
         }
         let (rel_rmse, coverage) = error(&shots);
         assert!(rel_rmse < after, "{spacing}: {rel_rmse}");
-        // The stated error is no more than an estimate where dots overlap: not half of the samples may be outside of it.
+        // The stated error is no more than an estimate where dots overlap: not half of the samples may be outside of
+        // it.
         assert!(coverage > 0.8, "{spacing}: {coverage}");
     }
 }
@@ -309,7 +310,8 @@ fn the_spacing_that_does_is_the_least_at_which_neighbours_and_the_dot_itself_lea
 fn a_dots_light_is_followed_to_a_thousandth_of_what_it_is_half_a_window_away() {
     let mut model = known_model();
     let exponential = |width: f64| Kernel::new(0.25, (0..60).map(|k| (-0.25 * f64::from(k) / width).exp()).collect());
-    // Half of 7 samples are 1.75 mm; a thousandth is 6.9 widths further, in steps of a sample: at 2.07 mm beyond it 2.5, at 0.69 1.
+    // Half of 7 samples are 1.75 mm; a thousandth is 6.9 widths further, in steps of a sample: at 2.07 mm beyond it
+    // 2.5, at 0.69 1.
     (model.channels[0].kernel, model.channels[1].kernel) = (exponential(0.3), exponential(0.1));
     assert_eq!((model.reach_mm(0, &WIDE), model.reach_mm(1, &WIDE)), (4.25, 2.75));
     // A broad kernel is followed two windows, 7 mm, and to the end of the step.

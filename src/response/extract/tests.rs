@@ -149,8 +149,9 @@ const FINE: [(f64, f64); 6] = [
     (0.932_469_514_203_152, 0.171_324_492_379_170),
 ];
 
-/// Weights of pixels for the mean over [a, b] (px along one axis) at the places of a quadrature, as the documentation of [`CellWeights`]
-/// describes them, the other way round: the light at a place is the slope of the polynomial through the running sums at `n` + 1 pixel edges.
+/// Weights of pixels for the mean over [a, b] (px along one axis) at the places of a quadrature, as the documentation
+/// of [`CellWeights`] describes them, the other way round: the light at a place is the slope of the polynomial through
+/// the running sums at `n` + 1 pixel edges.
 fn naive_weights(n: usize, [a, b]: [f64; 2], places: &[(f64, f64)]) -> std::collections::BTreeMap<usize, f64> {
     // Slope at x of the polynomial through running sums of pixel `of` alone; the pixels are `n` around `pixel`.
     let slope = |pixel: f64, of: f64, x: f64| {
@@ -268,7 +269,8 @@ fn around_the_dot_a_sample_is_doubted_by_twice_the_difference_of_both_degrees() 
 
 #[test]
 fn what_noise_makes_of_the_difference_is_no_doubt() {
-    // Noise of half the difference, and of more than it; only at pixels that the difference counts much, or the mean's own noise would be all.
+    // Noise of half the difference, and of more than it; only at pixels that the difference counts much, or the mean's
+    // own noise would be all.
     for share in [0.5, 3.0] {
         let mut picture = seen(texture);
         for tap in taps(4, 2).iter().filter(|t| t.difference.abs() > 0.1 * t.mean.abs()) {
@@ -443,8 +445,8 @@ fn cells_whose_pixels_lie_beyond_the_picture_are_left_out_and_no_others() {
     // A rectangle that the window's own asks for changes nothing.
     let grid = WindowGrid::new(&WINDOW, CENTER_MM, &upright());
     assert_eq!(crop(window_rect(&grid, SIZE_PX).unwrap()).0, row);
-    // Cell i begins at 3.3 + 6.2 (4.3 + 0.5 (i − 4.5)) = 16.01 + 3.1 i px across and needs the 3 pixels before; cell j at 15.29 + 3.7 j. The
-    // last ones end at 43.91 and 33.79 px and need pixels 47 and 37.
+    // Cell i begins at 3.3 + 6.2 (4.3 + 0.5 (i − 4.5)) = 16.01 + 3.1 i px across and needs the 3 pixels before; cell j
+    // at 15.29 + 3.7 j. The last ones end at 43.91 and 33.79 px and need pixels 47 and 37.
     let Rect { x, y, width, height } = whole.rect;
     let columns = |r: &Row| (0..9).filter(|i| r.valid[3 * (2 * 9 + i)]).collect::<Vec<_>>();
     let rows = |r: &Row| (0..5).filter(|j| r.valid[3 * (9 * j + 4)]).collect::<Vec<_>>();

@@ -37,8 +37,8 @@ fn srgb(linear: f64) -> f64 {
     if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 
-/// A toe and a shoulder: (1 + k) vⁿ/(vⁿ + k), the saturating curve of Naka and Rushton (`NakaRushton1966`) scaled to end
-/// at 1, with k such that mid-grey stays where it is.
+/// A toe and a shoulder: (1 + k) vⁿ/(vⁿ + k), the saturating curve of Naka and Rushton (`NakaRushton1966`) scaled to
+/// end at 1, with k such that mid-grey stays where it is.
 fn film(v: f64) -> f64 {
     let slope = FILM_GREY.powf(FILM_EXPONENT - 1.0);
     let k = slope * (1.0 - FILM_GREY) / (1.0 - slope);

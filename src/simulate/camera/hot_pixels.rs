@@ -39,7 +39,8 @@ mod tests {
         let mut currents: Vec<f64> = hot.iter().map(|h| f64::from(h.1)).collect();
         currents.sort_by(f64::total_cmp);
         let (median, mean) = (currents[10_000], currents.iter().sum::<f64>() / 2e4);
-        // Standard errors: 1.25 · 1.5/√20000 = 1.3 % of the median, √(e^2.25 − 1)/√20000 = 2 % of the mean; five of each.
+        // Standard errors: 1.25 · 1.5/√20000 = 1.3 % of the median, √(e^2.25 − 1)/√20000 = 2 % of the mean; five of
+        // each.
         assert!((median / 200.0 - 1.0).abs() < 0.07, "{median}");
         assert!((mean / (200.0 * (0.5 * 1.5f64 * 1.5).exp()) - 1.0).abs() < 0.1, "{mean}");
         assert!(hot_pixels(1000, 0.0, 5).is_empty());

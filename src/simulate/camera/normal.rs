@@ -72,7 +72,8 @@ impl Normals {
     }
 }
 
-/// ln of a positive normal number, to 2e-7 relative or absolute: exponent by bits, 2 artanh((m − 1)/(m + 1)) by its series.
+/// ln of a positive normal number, to 2e-7 relative or absolute: exponent by bits, 2 artanh((m − 1)/(m + 1)) by its
+/// series.
 #[inline(always)]
 fn ln(v: f32) -> f32 {
     let bits = v.to_bits() as i32;

@@ -33,8 +33,8 @@ impl ExposureTime {
         Self { numerator: (self.secs() * stops.exp2() * 1e6).round() as u32, denominator: 1_000_000 }
     }
 
-    /// What EXIF says of it: off by a random amount of `stops_error` (root mean square) that only depends on the time and `seed`,
-    /// then its usual name when `nominal`.
+    /// What EXIF says of it: off by a random amount of `stops_error` (root mean square) that only depends on the time
+    /// and `seed`, then its usual name when `nominal`.
     pub(crate) fn told(self, stops_error: f64, nominal: bool, seed: u64) -> Self {
         let key = (u64::from(self.numerator) << 32) | u64::from(self.denominator);
         let uniform = (mix_seed(mix_seed(seed, 0xe81f), key) >> 11) as f64 / (1u64 << 53) as f64;
@@ -86,8 +86,8 @@ impl PhotographWriter {
         Self { format, size_px, data: Vec::new(), bytes: Vec::new() }
     }
 
-    /// Writes interleaved RGB code values, a JPEG's up to 255, and returns the file's length. `taken_secs` counts from the
-    /// capture's first photograph.
+    /// Writes interleaved RGB code values, a JPEG's up to 255, and returns the file's length. `taken_secs` counts from
+    /// the capture's first photograph.
     ///
     /// # Errors
     /// [`Error::Io`].

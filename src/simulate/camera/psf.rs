@@ -7,7 +7,8 @@ pub(crate) const HALO_PX: f64 = 20.0;
 /// Kernels end at this many standard deviations.
 const REACH: f64 = 4.0;
 
-/// Into how many parts along each axis a pixel is cut, so that weights at whole parts stand for a Gaussian of `core_px`.
+/// Into how many parts along each axis a pixel is cut, so that weights at whole parts stand for a Gaussian of
+/// `core_px`.
 pub(crate) fn parts(core_px: f64) -> usize {
     match core_px {
         0.0 => 1,
@@ -17,9 +18,9 @@ pub(crate) fn parts(core_px: f64) -> usize {
     }
 }
 
-/// What pixels see of an interleaved RGB picture whose pixels are cut into `parts` along each axis: 1 − `glare` of the light
-/// blurred with a Gaussian of standard deviation `core_px`, `glare` of it with one of [`HALO_PX`], averaged over the parts. Light is
-/// conserved but for the borders, beyond which the outermost pixels go on.
+/// What pixels see of an interleaved RGB picture whose pixels are cut into `parts` along each axis: 1 − `glare` of the
+/// light blurred with a Gaussian of standard deviation `core_px`, `glare` of it with one of [`HALO_PX`], averaged over
+/// the parts. Light is conserved but for the borders, beyond which the outermost pixels go on.
 pub(crate) fn see(picture: Vec<f32>, size_px: [usize; 2], parts: usize, core_px: f64, glare: f64) -> Vec<f32> {
     let cut = size_px.map(|s| s * parts);
     let halo = (glare > 0.0).then(|| gaussian(&whole(picture.clone(), size_px, parts), size_px, HALO_PX));

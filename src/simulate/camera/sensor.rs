@@ -282,8 +282,9 @@ mod tests {
                 let (mean, variance) = moments(&expose(&sensor, &vec![electrons as f32; n], &[], 1.0, 1.0, 9));
                 let signal = gain * electrons;
                 let expected = gain * signal + (gain * read).powi(2) + 1.0 / 12.0;
-                // Five standard errors of each. Rounding adds 1/12 only where noise covers a code value or so: with less
-                // its mean is off by exp(−2π²σ²)/π at most and its variance by four times exp(−2π²σ²) (Widrow 1996).
+                // Five standard errors of each. Rounding adds 1/12 only where noise covers a code value or so: with
+                // less its mean is off by exp(−2π²σ²)/π at most and its variance by four times exp(−2π²σ²) (Widrow
+                // 1996).
                 let uneven = (-2.0 * (std::f64::consts::PI.powi(2)) * (expected - 1.0 / 12.0)).exp();
                 let error = (mean - noise.black_dn - signal).abs();
                 assert!(
@@ -334,7 +335,8 @@ mod tests {
                 let electrons = codes.iter().map(|&c| (f64::from(c) - black) / gain);
                 let m = electrons.clone().sum::<f64>() / n as f64;
                 let third = electrons.map(|e| (e - m).powi(3)).sum::<f64>() / n as f64;
-                // The third central moment of photons is their mean, noise adds none; its standard error is about √(15 σ⁶/n).
+                // The third central moment of photons is their mean, noise adds none; its standard error is about √(15
+                // σ⁶/n).
                 let variance = mean + f64::from(sensor.read_electrons).powi(2) + 1.0 / (12.0 * gain * gain);
                 let error = 5.0 * (15.0 * variance.powi(3) / n as f64).sqrt();
                 assert!((third - mean).abs() < error, "{kind:?} {mean}: {third}, within {error}");

@@ -129,7 +129,8 @@ fn the_order_of_layers_is_seen() {
     assert!(above < 0.6 * plain && below > 0.9 * plain && below < plain, "{plain} {above} {below}");
 }
 
-/// What leaves through the top all over the slab, by 20,000 layers in f64: summed over the plane, the field obeys the equation in depth alone.
+/// What leaves through the top all over the slab, by 20,000 layers in f64: summed over the plane, the field obeys the
+/// equation in depth alone.
 fn reflectance_in_depth(layers: &[(Optics, f64)], refractive_index: f64) -> f64 {
     let n = 20_000;
     let thickness: f64 = layers.iter().map(|l| l.1).sum();
@@ -200,8 +201,8 @@ fn the_solvers_layers_end_where_the_materials_do() {
     assert!(layers.len() < 40 && (layers.iter().sum::<f64>() - 4.0).abs() < 1e-9, "{}", layers.len());
 }
 
-/// Every named medium in slabs of 0.05 to 50 mm at pitches of 0.05 to 2 mm: finite, no brighter than its light, and balanced to a
-/// thousandth, which [`SolverSlab::solve`] itself demands.
+/// Every named medium in slabs of 0.05 to 50 mm at pitches of 0.05 to 2 mm: finite, no brighter than its light, and
+/// balanced to a thousandth, which [`SolverSlab::solve`] itself demands.
 #[test]
 fn every_extreme_converges() {
     let media = table::MEDIA.iter().filter(|m| !m.measured || ["spectralon", "ketchup"].contains(&m.name));

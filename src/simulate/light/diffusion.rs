@@ -2,34 +2,37 @@
 //!
 //! Finite volumes on voxels that are square over the plane and thin near the surface, with the harmonic mean of D
 //! between neighbours. A voxel has the mean σ'_s and σ_a of what it covers, which is continuous in its place, so that a
-//! grid that follows its dot sees the material move smoothly; the grid's layers end where the material's do, unless those are thinner.
+//! grid that follows its dot sees the material move smoothly; the grid's layers end where the material's do, unless
+//! those are thinner.
 //!
 //! # Boundaries
-//! Light that meets the inside of the top or bottom is reflected in part: φ − 2AD ∂φ/∂n = 0 with A = (1 + F_dr)/(1 − F_dr)
-//! (Groenhuis et al. 1983; n points inwards). The net flux through the surface is then D ∂φ/∂n = φ_s/(2A), and as nothing
-//! comes in, this is what escapes: the exitance. From a cell centre dz/2 deep it is φ/(dz/(2D) + 2A), which is how
-//! both the operator and the exitance have it, so that energy balances to the solver's tolerance. At the sides of the
-//! voxel box the field is taken to decay as the slab's slowest mode does, exp(−κr): D ∂φ/∂n = −Dκφ.
+//! Light that meets the inside of the top or bottom is reflected in part: φ − 2AD ∂φ/∂n = 0 with A = (1 + F_dr)/(1 −
+//! F_dr) (Groenhuis et al. 1983; n points inwards). The net flux through the surface is then D ∂φ/∂n = φ_s/(2A), and as
+//! nothing comes in, this is what escapes: the exitance. From a cell centre dz/2 deep it is φ/(dz/(2D) + 2A), which is
+//! how both the operator and the exitance have it, so that energy balances to the solver's tolerance. At the sides of
+//! the voxel box the field is taken to decay as the slab's slowest mode does, exp(−κr): D ∂φ/∂n = −Dκφ.
 //!
 //! # Source
 //! Of each unit of flux that arrives, 1 − F enters (Fresnel at normal incidence) and is scattered once, isotropically,
-//! along its first path: q₁(z) = (1 − F) σ'_s exp(−σ'_t z). The absorbed share of the first collisions and what
-//! crosses the slab unscattered are lost, as they should be. Under a dot this light then makes [`FLIGHTS`] flights along fixed rays
-//! (`first_flights.rs`), and only what is scattered at their ends, q₃, is the source of the diffusion equation: light this
-//! young is not diffuse.
+//! along its first path: q₁(z) = (1 − F) σ'_s exp(−σ'_t z). The absorbed share of the first collisions and what crosses
+//! the slab unscattered are lost, as they should be. Under a dot this light then makes [`FLIGHTS`] flights along fixed
+//! rays (`first_flights.rs`), and only what is scattered at their ends, q₃, is the source of the diffusion equation:
+//! light this young is not diffuse.
 //!
 //! # What the camera sees
 //! Radiance, not exitance: the last flight from q₁, q₂, q₃ and σ'_s φ to the eye (`last_flight.rs`). First
 //! scattering is exact in it, but for the voxels.
 //!
 //! # Where diffusion is wrong
-//! `docs/simulation.md` has its error against photon Monte Carlo per material: 5 to 14 % of `rel_rmse` (the exitance alone, without first and last
-//! flights, is off by 12 to 93 %). What remains:
-//! - What was scattered more than once is no sharper than voxels. Voxels of two thirds the width take a third off the error, for twice the time.
-//! - Near the surface diffusion's field is not transport's: tails are off by up to 10 %, by more
-//!   where light is absorbed within few free paths. Other boundary factors (Fresnel's moments, Milne's exact extrapolation) and
+//! `docs/simulation.md` has its error against photon Monte Carlo per material: 5 to 14 % of `rel_rmse` (the exitance
+//! alone, without first and last flights, is off by 12 to 93 %). What remains:
+//! - What was scattered more than once is no sharper than voxels. Voxels of two thirds the width take a third off the
+//!   error, for twice the time.
+//! - Near the surface diffusion's field is not transport's: tails are off by up to 10 %, by more where light is
+//!   absorbed within few free paths. Other boundary factors (Fresnel's moments, Milne's exact extrapolation) and
 //!   Grosjean's D [`dEonIrving2011`] do better at one of these and worse at the other; they are not used.
-//! - Scattering is isotropic, σ'_s for σ_s, whatever the medium's mean cosine; light by way of the bottom face is left out.
+//! - Scattering is isotropic, σ'_s for σ_s, whatever the medium's mean cosine; light by way of the bottom face is left
+//!   out.
 //!
 //! [`dEonIrving2011`]: https://doi.org/10.1145/1964921.1964951
 
@@ -42,9 +45,11 @@ use super::solution::Solution;
 use crate::simulate::slab::{boundary_factor, normal_reflectance};
 use crate::{Error, Result};
 
-/// A solve takes 6 to 9 iterations, some tens when coefficients jump a thousandfold; one that takes this many has failed.
+/// A solve takes 6 to 9 iterations, some tens when coefficients jump a thousandfold; one that takes this many has
+/// failed.
 const MOST_ITERATIONS: usize = 400;
-/// Share of the light that may be missing from the balance before a solution is refined, how often it is, and the share at which it has failed.
+/// Share of the light that may be missing from the balance before a solution is refined, how often it is, and the share
+/// at which it has failed.
 const REFINED_ABOVE: f64 = 1e-4;
 const MOST_REFINEMENTS: usize = 6;
 const FAILED_ABOVE: f64 = 1e-3;
@@ -101,7 +106,8 @@ impl SolverSlab {
         Ok(solution)
     }
 
-    /// π times the radiance towards the eye above each column of what `flux` scatters there the first time, mm⁻²: exact, without a solve.
+    /// π times the radiance towards the eye above each column of what `flux` scatters there the first time, mm⁻²:
+    /// exact, without a solve.
     pub(crate) fn first_radiance(&self, domain: &Domain, flux: &[f64], channel: usize, eye_mm: [f64; 3]) -> Vec<f32> {
         let refractive_index = self.volume.refractive_index;
         let enters = domain.entering_per_mm2(refractive_index);
@@ -159,8 +165,8 @@ impl SolverSlab {
         (columns, sides)
     }
 
-    /// The conductance through the sides of the box per mm of depth; 0 inside. The slowest mode of a column has one decay: that of
-    /// the column's mean coefficients.
+    /// The conductance through the sides of the box per mm of depth; 0 inside. The slowest mode of a column has one
+    /// decay: that of the column's mean coefficients.
     fn sides(&self, domain: &Domain, coefficients: &Coefficients, diffusion: &[f64]) -> Vec<f64> {
         let [nx, ny] = domain.voxels;
         let (h, plane) = (domain.voxel_mm, nx * ny);

@@ -5,19 +5,20 @@ use crate::{Error, Result, geometry::Point};
 
 /// The most voxels of a box: 40 to 90 bytes each.
 const MOST_VOXELS: usize = 1 << 26;
-/// Flights that light scattered by the beam makes before it diffuses. 2: a third of the error of none in clear media, three quarters of it in
-/// marble, for about the time of the solve; in cream, the densest, more flights make it worse.
+/// Flights that light scattered by the beam makes before it diffuses. 2: a third of the error of none in clear media,
+/// three quarters of it in marble, for about the time of the solve; in cream, the densest, more flights make it worse.
 const FLIGHTS: usize = 2;
 
-/// The first layer is at most this part of a voxel's width and of the shortest mean free path, but no less than [`THINNEST`] of the width.
+/// The first layer is at most this part of a voxel's width and of the shortest mean free path, but no less than
+/// [`THINNEST`] of the width.
 const FIRST_OF_VOXEL: f64 = 1.0 / 3.0;
 
 const FIRST_OF_PATH: f64 = 0.5;
 
 const THINNEST: f64 = 0.01;
 
-/// Layers grow by a quarter to this many widths of a voxel, and again below [`DEEP`] widths, in proportion to their depth: light that comes
-/// back from there is spread wider than that.
+/// Layers grow by a quarter to this many widths of a voxel, and again below [`DEEP`] widths, in proportion to their
+/// depth: light that comes back from there is spread wider than that.
 const THICKEST: f64 = 1.4;
 
 const DEEP: f64 = 32.0;
@@ -91,8 +92,8 @@ impl SolverSlab {
     }
 }
 
-/// The solver's layers from the top, mm, for voxels `voxel_mm` wide: thin at the top, ending where the material's layers end (unless
-/// these are thinner than half a layer).
+/// The solver's layers from the top, mm, for voxels `voxel_mm` wide: thin at the top, ending where the material's
+/// layers end (unless these are thinner than half a layer).
 pub(crate) fn layers_mm(volume: &Volume, voxel_mm: f64) -> Vec<f64> {
     let path = 1.0 / volume.largest_extinction_per_mm().max(LEAST_EXTINCTION_PER_MM);
     let first = (FIRST_OF_VOXEL * voxel_mm).min(FIRST_OF_PATH * path).max(THINNEST * voxel_mm);

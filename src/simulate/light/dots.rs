@@ -12,13 +12,15 @@ use rayon::prelude::*;
 
 /// Around a window the box of voxels goes on by this many pitches, so that its sides do not shape the tails.
 const BOX_MARGIN_PITCHES: usize = 4;
-/// Where the distance of a shot's dots is asked for, their light is followed so many window sides to each side: it is to be seen in the others' windows. Where it
-/// is not, dots are a window and a half apart, and what they would add to each other is left out.
+/// Where the distance of a shot's dots is asked for, their light is followed so many window sides to each side: it is
+/// to be seen in the others' windows. Where it is not, dots are a window and a half apart, and what they would add to
+/// each other is left out.
 const FOLLOWED_WINDOWS: f64 = 1.5;
-/// Photons, and what a beam scatters first, are counted in cells of this share of the pitch, and spread by splines: a blur of 0.07
-/// pitches. (In cells twice as wide it took 6 % of a peak in marble out of its sample.)
+/// Photons, and what a beam scatters first, are counted in cells of this share of the pitch, and spread by splines: a
+/// blur of 0.07 pitches. (In cells twice as wide it took 6 % of a peak in marble out of its sample.)
 const CELLS_PER_SAMPLE: usize = 8;
-/// First scattering is looked for as far beside the beam as light may slope on its way up, but no farther than this many pitches.
+/// First scattering is looked for as far beside the beam as light may slope on its way up, but no farther than this
+/// many pitches.
 const SLOPE_PITCHES: f64 = 4.0;
 /// A slab that is the same everywhere gets all dots' photons at once, but no more than this.
 const MOST_SHARED_PHOTONS: u64 = 5_000_000;
@@ -65,7 +67,8 @@ fn box_samples(options: &SimulateOptions) -> [usize; 2] {
 }
 
 impl Glow {
-    /// Means over `cells` × `cells` squares of side `cell_mm`, centred as a whole on `center_mm`: `[y][x][channel]`, exact.
+    /// Means over `cells` × `cells` squares of side `cell_mm`, centred as a whole on `center_mm`: `[y][x][channel]`,
+    /// exact.
     pub(crate) fn cell_means(&self, center_mm: Point, cells: [usize; 2], cell_mm: f64) -> Vec<f32> {
         let mut sum = vec![0.0; cells[0] * cells[1] * 3];
         for field in &self.fields {
@@ -76,8 +79,9 @@ impl Glow {
 }
 
 impl Dots {
-    /// Prepares the solver. A slab that is the same everywhere has one answer for all dots: it is found here, for `middle`.
-    /// The others' footprints differ from that by the projector's keystone, and the camera sees them from a little more aside.
+    /// Prepares the solver. A slab that is the same everywhere has one answer for all dots: it is found here, for
+    /// `middle`. The others' footprints differ from that by the projector's keystone, and the camera sees them from a
+    /// little more aside.
     pub(crate) fn new(
         options: &SimulateOptions,
         volume: Volume,

@@ -16,7 +16,8 @@ pub(crate) struct Field {
 }
 
 impl Field {
-    /// Interpolates `channels` (row-major over `size`), voxels of side `voxel_mm`, the first with its corner at `corner_mm`.
+    /// Interpolates `channels` (row-major over `size`), voxels of side `voxel_mm`, the first with its corner at
+    /// `corner_mm`.
     pub(crate) fn interpolate(corner_mm: Point, voxel_mm: f64, size: [usize; 2], channels: [&[f32]; 3]) -> Self {
         let mut field = Self::smooth(corner_mm, voxel_mm, size, channels);
         for row in field.coefficients.chunks_exact_mut(size[0]) {
@@ -28,8 +29,8 @@ impl Field {
         field
     }
 
-    /// Spreads the content of every cell as a cubic B-spline: nowhere negative, noise is not amplified, the integral stays.
-    /// Blurs by a standard deviation of 0.58 cells, that of the spline.
+    /// Spreads the content of every cell as a cubic B-spline: nowhere negative, noise is not amplified, the integral
+    /// stays. Blurs by a standard deviation of 0.58 cells, that of the spline.
     pub(crate) fn smooth(corner_mm: Point, cell_mm: f64, size: [usize; 2], channels: [&[f32]; 3]) -> Self {
         let mut coefficients = vec![[0.0; 4]; size[0] * size[1]];
         for (c, values) in channels.iter().enumerate() {
@@ -56,8 +57,8 @@ impl Field {
         self.mean_over(&nodes, [p; 4]).unwrap_or_default()
     }
 
-    /// The mean over a quadrilateral (mm; first and second corner above third and fourth), bilinear between its corners, by
-    /// the points of `nodes`; `None` where the spline's support leaves the box.
+    /// The mean over a quadrilateral (mm; first and second corner above third and fourth), bilinear between its
+    /// corners, by the points of `nodes`; `None` where the spline's support leaves the box.
     #[inline(always)]
     pub(crate) fn mean_over<const P: usize>(&self, nodes: &Nodes<P>, corners_mm: [Point; 4]) -> Option<[f32; 3]> {
         let ((column, across), (row, down)) = (self.places(nodes, corners_mm, 0)?, self.places(nodes, corners_mm, 1)?);
@@ -84,7 +85,8 @@ impl Field {
         Some([0, 1, 2].map(|l| (sum[0][l] + sum[1][l]) + (sum[2][l] + sum[3][l])))
     }
 
-    /// Along one axis: the first coefficient that touches each node, and how far the node lies past the second (0 to 1).
+    /// Along one axis: the first coefficient that touches each node, and how far the node lies past the second (0 to
+    /// 1).
     #[inline(always)]
     fn places<const P: usize>(
         &self,
@@ -101,7 +103,8 @@ impl Field {
         if !(low >= 1.0 && high < self.size[axis] as f64 - 2.0) {
             return None;
         }
-        // From here on in single precision, counted from a coefficient nearby: none is negative, so that to cut is to floor.
+        // From here on in single precision, counted from a coefficient nearby: none is negative, so that to cut is to
+        // floor.
         let base = low as i32;
         let corners = corners.map(|c| (c - f64::from(base)) as f32);
         let (mut first, mut past) = ([0; P], [0.0; P]);
@@ -114,7 +117,8 @@ impl Field {
         Some((first, past))
     }
 
-    /// Means over `cells` × `cells` squares of side `cell_mm`, centred as a whole on `center_mm`: `[y][x][channel]`, exact.
+    /// Means over `cells` × `cells` squares of side `cell_mm`, centred as a whole on `center_mm`: `[y][x][channel]`,
+    /// exact.
     pub(crate) fn cell_means(&self, center_mm: Point, cells: [usize; 2], cell_mm: f64) -> Vec<f32> {
         let side = cell_mm * self.per_mm;
         let weights: [Vec<(usize, Vec<f64>)>; 2] = std::array::from_fn(|a| {

@@ -1,16 +1,18 @@
 //! The first flights of scattered light, traced through the voxels along fixed rays.
 //!
-//! Near the lit point light has not yet forgotten where it comes from. The light that was scattered once, and again what it
-//! becomes, therefore flies straight, isotropically: [`RAYS`] rays of equal weight whose starts and directions are a low-discrepancy sequence
-//! relative to the source (Roberts's R₄, and the place among the source's voxels), so that nothing is random and a source that moves takes its rays along. A ray
-//! leaves in every voxel what collides there, expected (no roulette), is reflected by the faces after Fresnel, and keeps all energy.
+//! Near the lit point light has not yet forgotten where it comes from. The light that was scattered once, and again
+//! what it becomes, therefore flies straight, isotropically: [`RAYS`] rays of equal weight whose starts and directions
+//! are a low-discrepancy sequence relative to the source (Roberts's R₄, and the place among the source's voxels), so
+//! that nothing is random and a source that moves takes its rays along. A ray leaves in every voxel what collides
+//! there, expected (no roulette), is reflected by the faces after Fresnel, and keeps all energy.
 
 use super::coefficients::Coefficients;
 use super::domain::{Domain, SolverSlab};
 use super::fresnel;
 use std::f64::consts::PI;
 
-/// Rays of one flight. 4096: half as many change a row's sum by 0.2 %, but tails of media with long free paths by some percent.
+/// Rays of one flight. 4096: half as many change a row's sum by 0.2 %, but tails of media with long free paths by some
+/// percent.
 const RAYS: usize = 4096;
 /// A source of more columns than this has no rays to spare for each; nor has it a sharp image to get right.
 const MOST_COLUMNS: usize = 256;

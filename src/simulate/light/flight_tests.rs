@@ -14,8 +14,8 @@ fn domain(voxels: usize) -> Domain {
     Domain { corner_mm: [-0.125 * voxels as f64; 2], voxel_mm: 0.25, voxels: [voxels; 2] }
 }
 
-/// Light that falls off linearly with depth, a beam all over the slab, and scattering even over the whole: by the formula, and as the
-/// midpoint sum of the integral from the definitions alone.
+/// Light that falls off linearly with depth, a beam all over the slab, and scattering even over the whole: by the
+/// formula, and as the midpoint sum of the integral from the definitions alone.
 #[test]
 fn the_last_flight_equals_a_sum_along_the_line_of_sight() {
     let optics =
@@ -75,7 +75,8 @@ fn radiance_agrees_with_photon_monte_carlo_to_the_stated_error() {
         let square = |v: &mut dyn Iterator<Item = f32>| v.map(|v| f64::from(v).powi(2)).sum::<f64>();
         let error = (square(&mut a.iter().zip(&b).map(|(a, b)| a - b)) / square(&mut b.iter().copied())).sqrt();
         println!("{name}: rel_rmse {error:.3} against 100,000 photons");
-        // The module's documentation has 0.08 and 0.05 with millions of photons; 0.02 is for this trace's noise and its dot.
+        // The module's documentation has 0.08 and 0.05 with millions of photons; 0.02 is for this trace's noise and its
+        // dot.
         assert!(error < stated, "{name}: {error}");
     }
 }
@@ -96,7 +97,8 @@ fn flights_keep_all_light_and_are_the_same_every_time() {
     assert!(one.flown.top > 0.0 && one.flown.bottom > 0.0 && one.flown.sides > 0.0, "{:?}", balance);
 }
 
-/// Every chosen extreme, thin and thick: light that is finite, nowhere negative, and no more than a white slab would show.
+/// Every chosen extreme, thin and thick: light that is finite, nowhere negative, and no more than a white slab would
+/// show.
 #[test]
 fn what_is_seen_is_light_at_every_extreme() {
     for medium in table::MEDIA.iter().filter(|m| !m.measured) {

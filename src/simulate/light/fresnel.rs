@@ -9,7 +9,8 @@ pub(crate) struct Passage {
     pub cosine: f64,
 }
 
-/// Fresnel's equations for light that meets a face at `cosine` (> 0) to its normal, `eta` the index on its side over the other's.
+/// Fresnel's equations for light that meets a face at `cosine` (> 0) to its normal, `eta` the index on its side over
+/// the other's.
 #[inline]
 pub(crate) fn face(eta: f64, cosine: f64) -> Passage {
     if eta == 1.0 {

@@ -1,10 +1,10 @@
 //! The last flight: what the eye sees of light that diffuses in the slab.
 //!
-//! The formal solution of the transport equation along the line of sight: with a slab that sends out S/4π everywhere
-//! (S = σ'_s φ + q, q what the beam scatters first), π times the radiance towards the eye is
-//! π (1 − F)/n² ∫ S/4π e^(−τ/µ) dz/µ, µ the cosine to the normal inside. Within a layer φ is taken as linear from its
-//! top to its middle and from there to its bottom, extinction as constant, and the beam as it fades: all of that is integrated exactly.
-//! Light from depth z comes out z·slope beside its source; a layer is shifted as a whole, by cubic interpolation.
+//! The formal solution of the transport equation along the line of sight: with a slab that sends out S/4π everywhere (S
+//! = σ'_s φ + q, q what the beam scatters first), π times the radiance towards the eye is π (1 − F)/n² ∫ S/4π e^(−τ/µ)
+//! dz/µ, µ the cosine to the normal inside. Within a layer φ is taken as linear from its top to its middle and from
+//! there to its bottom, extinction as constant, and the beam as it fades: all of that is integrated exactly. Light from
+//! depth z comes out z·slope beside its source; a layer is shifted as a whole, by cubic interpolation.
 //!
 //! Left out: what reaches the eye by way of the bottom face (F of it, some percent of the little that gets there).
 
@@ -124,7 +124,8 @@ fn fading(x: f64) -> (f64, f64) {
     (even, (even - x * (1.0 - even)) / x)
 }
 
-/// A map beside cell `i`, by cubic convolution (Keys 1981, a = −1/2): exact for parabolas, so that it does not blur; beyond the map its border.
+/// A map beside cell `i`, by cubic convolution (Keys 1981, a = −1/2): exact for parabolas, so that it does not blur;
+/// beyond the map its border.
 fn sampled(map: &[f64], [nx, ny]: [usize; 2], i: usize, shift: [f64; 2]) -> f64 {
     if shift[0].abs().max(shift[1].abs()) < UNSEEN {
         return map[i];

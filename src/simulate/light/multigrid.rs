@@ -1,15 +1,15 @@
 //! A symmetric multigrid preconditioner and conjugate gradients for columns of voxels.
 //!
-//! The operator is kept as maps over the plane: one for all layers when its coefficients do not vary with depth, else one for
-//! each. Smoothing solves whole columns
-//! exactly (damped line Jacobi), coarsening is lateral only; with transposed transfers the V-cycle is symmetric, as
-//! conjugate gradients need. Vectors are f32 with `nx` zeros before and after, sums are f64.
+//! The operator is kept as maps over the plane: one for all layers when its coefficients do not vary with depth, else
+//! one for each. Smoothing solves whole columns exactly (damped line Jacobi), coarsening is lateral only; with
+//! transposed transfers the V-cycle is symmetric, as conjugate gradients need. Vectors are f32 with `nx` zeros before
+//! and after, sums are f64.
 
 const DAMPING: f32 = 0.8; // of line Jacobi: the best smoothing of the five-point stencil (Trottenberg et al. 2001, §2.1)
 const COARSEST_SWEEPS: usize = 4;
 
-/// The operator as maps over the plane (row-major), everything integrated over a voxel column's area. `west`, `north`, `loss` and
-/// `vertical` hold one plane that stands for every layer, or one plane for each.
+/// The operator as maps over the plane (row-major), everything integrated over a voxel column's area. `west`, `north`,
+/// `loss` and `vertical` hold one plane that stands for every layer, or one plane for each.
 #[derive(Debug, Clone)]
 pub(crate) struct Columns {
     pub nx: usize,
@@ -149,8 +149,8 @@ impl Multigrid {
         (x, convergence)
     }
 
-    /// Adds to `x` what solves A d = b − A x, the right side in f64 and by differences: where little is lost and much flows, the
-    /// f32 diagonal rounds the loss away. Padded vectors, as everywhere.
+    /// Adds to `x` what solves A d = b − A x, the right side in f64 and by differences: where little is lost and much
+    /// flows, the f32 diagonal rounds the loss away. Padded vectors, as everywhere.
     pub(crate) fn refine(&mut self, b: &[f32], x: &mut [f64], tolerance: f64, most: usize) -> Convergence {
         let missing = self.exact_residual(b, x);
         let (correction, convergence) = self.solve(&missing, tolerance, most);

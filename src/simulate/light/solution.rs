@@ -69,7 +69,8 @@ impl Solution {
         self.shown(eye_mm, &|i| self.flux[i] * enters)
     }
 
-    /// The same without what is scattered towards the eye the first time: see [`super::domain::SolverSlab::first_radiance`].
+    /// The same without what is scattered towards the eye the first time: see
+    /// [`super::domain::SolverSlab::first_radiance`].
     pub(crate) fn radiance_but_first(&self, eye_mm: [f64; 3]) -> Vec<f32> {
         self.shown(eye_mm, &|_| 0.0)
     }

@@ -40,8 +40,8 @@ fn respond(slab: &SolverSlab, domain: &Domain, center: Point) -> (Field, Balance
 
 /// The same slab by Hankel transform: the one-dimensional problem of each radial frequency has a closed form.
 ///
-/// −Dφ'' + (σ_a + Dk²)φ = q(z), φ = z_b φ' on top, φ = −z_b φ' below (z_b = 2AD). With u(z) = sinh λz + z_b λ cosh λz and
-/// λ² = k² + σ_a/D, a source at z' sends u(d − z')/(u(d) + z_b u'(d)) of itself out through the top. Depths and
+/// −Dφ'' + (σ_a + Dk²)φ = q(z), φ = z_b φ' on top, φ = −z_b φ' below (z_b = 2AD). With u(z) = sinh λz + z_b λ cosh λz
+/// and λ² = k² + σ_a/D, a source at z' sends u(d − z')/(u(d) + z_b u'(d)) of itself out through the top. Depths and
 /// frequencies are summed by the midpoint rule; the square dot is a Gaussian of its second moment.
 fn analytic_exitance(volume: &Volume, radii_mm: &[f64]) -> Vec<f64> {
     let optics = volume.optics[0];
@@ -120,7 +120,8 @@ fn energy_balances() {
             let slab = SolverSlab { flights, ..slab(material.clone(), 0.25) };
             let (_, b) = respond(&slab, &domain(0.25, 64, [0.7, -0.3]), [0.7, -0.3]);
             let spent = b.spent();
-            // The residual's sum: the solver's tolerance (1e-6, Euclidean) times the root of the voxels it may add up over.
+            // The residual's sum: the solver's tolerance (1e-6, Euclidean) times the root of the voxels it may add up
+            // over.
             assert!((spent / b.source - 1.0).abs() < 2e-5, "{material:?}, {flights}: {spent} of {}", b.source);
             let most = 1.0 - normal_reflectance(slab.volume.refractive_index);
             assert!(b.source < most && b.source > 0.9 * most);
@@ -173,8 +174,9 @@ fn the_response_moves_with_its_dot() {
     };
     let still = means([0.0, 0.0]);
     for drift in [[0.013, 0.0], [0.1, -0.07], [0.125, 0.125]] {
-        // Homogeneous: the window goes with the dot, but is seen from a little aside: a thousandth of the distance to the eye turns
-        // the view by as much, and shifts light from 1 mm deep by 1 µm where the window changes by up to 5 per mm.
+        // Homogeneous: the window goes with the dot, but is seen from a little aside: a thousandth of the distance to
+        // the eye turns the view by as much, and shifts light from 1 mm deep by 1 µm where the window changes by up to
+        // 5 per mm.
         let worst = still.iter().zip(means(drift)).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f32::max);
         println!("{drift:?}: {worst:.1e}");
         assert!(worst < 1e-2, "{drift:?}: {worst}");

@@ -4,8 +4,8 @@ use super::diffusion::CHANNEL_NAMES;
 use crate::SimulateWarning;
 use crate::simulate::slab::{Optics, SlabRecord, Volume};
 
-/// Findings per medium and channel: a mean free path longer than the slab is thick or the window wide, or more absorption than
-/// scattering. Of a voxel file's voxels, the worst of each channel stands for all.
+/// Findings per medium and channel: a mean free path longer than the slab is thick or the window wide, or more
+/// absorption than scattering. Of a voxel file's voxels, the worst of each channel stands for all.
 pub(crate) fn warnings(volume: &Volume, record: &SlabRecord, window_mm: f64) -> Vec<SimulateWarning> {
     let lengths = [("slab's thickness", volume.thickness_mm()), ("window", window_mm)];
     let shortest = if lengths[0].1 <= lengths[1].1 { lengths[0] } else { lengths[1] };
@@ -48,7 +48,8 @@ fn too_dark(name: &str, optics: &Optics, channel: usize) -> Option<SimulateWarni
     })
 }
 
-/// Fewer voxels than this share of a file are not worth a warning: light that meets them meets others within a mean free path.
+/// Fewer voxels than this share of a file are not worth a warning: light that meets them meets others within a mean
+/// free path.
 const NOTED_SHARE: f64 = 0.1;
 
 /// The clearest and the darkest of the voxels that fall short, with their number.

@@ -35,7 +35,8 @@ const LENS_K2: f64 = -0.2;
 const PROJECTOR_COLOR: [f64; 3] = [1.0, 0.95, 0.85];
 /// Reflectance of the white reference: a little yellow, as such references are after some years.
 const WHITE_REFLECTANCE: [f64; 3] = [0.97, 0.94, 0.88];
-/// Where the reference dots lie along the sides of the frame: above, below, left, right. No turn, no mirror and no shift takes them into each other.
+/// Where the reference dots lie along the sides of the frame: above, below, left, right. No turn, no mirror and no
+/// shift takes them into each other.
 const REFERENCE_DOTS_ALONG: [[f64; 2]; 4] = [[0.21, 0.8], [0.24, 0.75], [0.2, 0.73], [0.27, 0.78]];
 
 /// Everything that does not change from shot to shot.
@@ -134,7 +135,8 @@ impl SimulatedScene {
         self.slab_size_mm.map(|s| 0.5 * s)
     }
 
-    /// The camera's view of the board in pose number `n`: a third farther away, tilted by 25 degrees, towards one corner or another.
+    /// The camera's view of the board in pose number `n`: a third farther away, tilted by 25 degrees, towards one
+    /// corner or another.
     pub(super) fn posed_view(&self, n: usize) -> CameraView {
         let (lens, m) = (self.view.lens, self.view.ideal_from_slab.matrix);
         let column = |j: usize| {
@@ -148,7 +150,8 @@ impl SimulatedScene {
         let length = |v: [f64; 3]| v.iter().map(|e| e * e).sum::<f64>().sqrt();
         let scale = 0.5 * (length(x) + length(y));
         let z = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]].map(|v| v / scale);
-        // From the board's (x, y) about the slab's centre to slab (x, y, z): tilted about an axis that turns from pose to pose.
+        // From the board's (x, y) about the slab's centre to slab (x, y, z): tilted about an axis that turns from pose
+        // to pose.
         let (sin, cos) = (1.1 + 2.4 * n as f64).sin_cos();
         let (st, ct) = 25f64.to_radians().sin_cos();
         let tilt = [
@@ -216,7 +219,8 @@ impl SimulatedScene {
         PROJECTOR_COLOR.map(|c| c * falloff)
     }
 
-    /// Reflectance of the white reference at `p` (mm): the rig file's, but for a smooth unevenness that the lab does not know.
+    /// Reflectance of the white reference at `p` (mm): the rig file's, but for a smooth unevenness that the lab does
+    /// not know.
     pub(super) fn white_reflectance(&self, p: Point) -> [f64; 3] {
         let [x, y] = [0, 1].map(|a| p[a] / self.slab_size_mm[a] - 0.5);
         // A slope and a stain: between −1 and 1 over sample and frame, about 0 in the mean.
@@ -265,7 +269,8 @@ struct Raster {
 }
 
 impl Raster {
-    /// Covers `outline` (mm) and what the camera sees around it when it moves. Centred pixels count from the middle of the grid.
+    /// Covers `outline` (mm) and what the camera sees around it when it moves. Centred pixels count from the middle of
+    /// the grid.
     fn around(options: &SimulateOptions, slab_from_centered: &Homography, outline: &[Point]) -> Result<Self> {
         let invert = |h: &Homography| h.inverse().ok_or_else(|| Error::internal("the projector's view is singular"));
         let centered_from_slab = invert(slab_from_centered)?;
@@ -313,7 +318,8 @@ fn outline(size: Point, frame: f64) -> [Point; 4] {
     [[x0, y0], [x1, y0], [x0, y1], [x1, y1]]
 }
 
-/// Corners of the grid about its centre, projector px: of its outer dots' centres with `more` −1, with half a step around them with 0.
+/// Corners of the grid about its centre, projector px: of its outer dots' centres with `more` −1, with half a step
+/// around them with 0.
 fn grid_corners(options: &SimulateOptions, more: f64) -> [Point; 4] {
     let [x, y] = [0, 1].map(|a| 0.5 * (options.grid[a] as f64 + more) * options.step_projector_px[a] as f64);
     [[-x, -y], [x, -y], [-x, y], [x, y]]
@@ -369,7 +375,8 @@ pub(crate) fn fitted(options: &SimulateOptions) -> Result<SimulateOptions> {
     Ok(fitted)
 }
 
-/// A pinhole turned and tilted, its axis beside the slab's centre, its lens, and an image just large enough for slab and frame.
+/// A pinhole turned and tilted, its axis beside the slab's centre, its lens, and an image just large enough for slab
+/// and frame.
 fn camera(options: &SimulateOptions, size: Point, frame: f64) -> (CameraView, Camera, [f64; 3]) {
     let px_per_mm = options.camera_px_per_sample / options.pitch_mm;
     let extent_px = size.map(|s| (s + 2.0 * frame) * px_per_mm);
@@ -377,7 +384,8 @@ fn camera(options: &SimulateOptions, size: Point, frame: f64) -> (CameraView, Ca
     let distance_mm = focal_px / px_per_mm;
     let [(sin_x, cos_x), (sin_y, cos_y)] = options.camera_tilt_deg.map(|t| t.to_radians().sin_cos());
     let (sin_r, cos_r) = options.camera_turn_deg.to_radians().sin_cos();
-    // R = Ry · Rx · Rz(turn); a point of the plane is (x, y, 0) about the slab's centre, which is seen at `aim_px` from the axis.
+    // R = Ry · Rx · Rz(turn); a point of the plane is (x, y, 0) about the slab's centre, which is seen at `aim_px` from
+    // the axis.
     let [a, b, c] =
         [[cos_r, -sin_r, 0.0], [cos_x * sin_r, cos_x * cos_r, -sin_x], [sin_x * sin_r, sin_x * cos_r, cos_x]];
     let rotation: [[f64; 3]; 3] = [
@@ -444,8 +452,9 @@ fn image_margin_px(options: &SimulateOptions) -> f64 {
     IMAGE_MARGIN_PX + options.camera_reach_px().ceil()
 }
 
-/// A board over slab and frame: squares of at least some 13 camera px (OpenCV finds them down to about 8; calibration boards lie a third
-/// farther away and tilted), as many along the longer side as fit, one even and one odd number of inner corners.
+/// A board over slab and frame: squares of at least some 13 camera px (OpenCV finds them down to about 8; calibration
+/// boards lie a third farther away and tilted), as many along the longer side as fit, one even and one odd number of
+/// inner corners.
 fn board(size: Point, frame: f64, camera: &Camera, edge_blur_mm: f64) -> Board {
     let extent: Point = size.map(|s| s + 2.0 * frame);
     let px = camera.size_px[0].min(camera.size_px[1]) as f64 - 2.0 * IMAGE_MARGIN_PX;

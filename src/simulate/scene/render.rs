@@ -14,8 +14,8 @@ use std::ops::Range;
 /// Albedo of the printed board, dark and light.
 const BOARD_ALBEDO: [f64; 2] = [0.05, 0.85];
 
-/// Nodes and weights of Gauss and Legendre on −½..½: two are exact for what is cubic over a pixel, three suit the smooth
-/// fields, six the edges. One is enough for the projector's light, which bends by 3e-7 of itself within a pixel.
+/// Nodes and weights of Gauss and Legendre on −½..½: two are exact for what is cubic over a pixel, three suit the
+/// smooth fields, six the edges. One is enough for the projector's light, which bends by 3e-7 of itself within a pixel.
 pub(crate) type Rule = &'static [(f64, f64)];
 pub(crate) const GAUSS_1: Rule = &[(0.0, 1.0)];
 pub(crate) const GAUSS_2: Rule = &[(-0.288_675_134_594_812_9, 0.5), (0.288_675_134_594_812_9, 0.5)];
@@ -83,7 +83,8 @@ pub(crate) struct PixelGrid {
 }
 
 impl PixelGrid {
-    /// Projects all corners of pixels cut into `parts` along each axis back onto the slab, for a picture that has moved by `shift_px`.
+    /// Projects all corners of pixels cut into `parts` along each axis back onto the slab, for a picture that has moved
+    /// by `shift_px`.
     pub(crate) fn new(scene: &SimulatedScene, shift_px: Point, parts: usize) -> Result<Self> {
         let mut view = scene.view;
         view.ideal_from_slab = Homography::similarity(1.0, shift_px).after(&view.ideal_from_slab);
@@ -309,7 +310,8 @@ impl GrayCode {
         if rises { after } else { 1.0 - after }
     }
 
-    /// Brightness at `q` as a translucent sample shows it: the mean of the stripes over a Gaussian of two outgoing pitches.
+    /// Brightness at `q` as a translucent sample shows it: the mean of the stripes over a Gaussian of two outgoing
+    /// pitches.
     pub(crate) fn blurred(&self, q: Point, options: &SimulateOptions) -> f64 {
         const POINTS: i32 = 9;
         let sd = options.projector_px_mm().map(|mm| 2.0 * options.pitch_mm / mm);

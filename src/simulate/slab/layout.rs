@@ -72,7 +72,8 @@ pub struct MediumRecord {
 /// Builds the slab of `options`.
 ///
 /// # Errors
-/// [`Error::Setting`] when thickness or anisotropy contradict the material; whatever [`voxels::read`] says of a voxel file.
+/// [`Error::Setting`] when thickness or anisotropy contradict the material; whatever [`voxels::read`] says of a voxel
+/// file.
 pub(crate) fn build(options: &SimulateOptions, place: &SlabPlace) -> Result<Built> {
     let g = options.anisotropy.unwrap_or(0.0);
     let thickness_mm = options.thickness_mm();

@@ -43,8 +43,8 @@ impl Optics {
         Self { anisotropy: [g; 3], ..self }
     }
 
-    /// The mixture of this with a share (0..=1) of `other`. Scattering and absorption mix as volumes do; so does the mean
-    /// cosine, weighted by scattering.
+    /// The mixture of this with a share (0..=1) of `other`. Scattering and absorption mix as volumes do; so does the
+    /// mean cosine, weighted by scattering.
     pub fn mixed(&self, other: &Self, share: f64) -> Self {
         let mut mixture = *self;
         for c in 0..3 {

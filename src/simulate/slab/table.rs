@@ -29,7 +29,8 @@ const fn chosen(name: &'static str, scattering: [f64; 3], absorption: [f64; 3]) 
 pub const MARBLE: NamedMedium =
     NamedMedium { refractive_index: 1.5, ..measured("marble", [2.19, 2.62, 3.00], [0.0021, 0.0041, 0.0071]) };
 
-/// All media: σ'_s and σ_a of R, G, B in mm⁻¹. The measured ones first, η = 1.5 for marble and 1.3 for the others, as published.
+/// All media: σ'_s and σ_a of R, G, B in mm⁻¹. The measured ones first, η = 1.5 for marble and 1.3 for the others, as
+/// published.
 pub const MEDIA: &[NamedMedium] = &[
     measured("apple", [2.29, 2.39, 1.97], [0.0030, 0.0034, 0.046]),
     measured("chicken1", [0.15, 0.21, 0.38], [0.015, 0.077, 0.19]),
@@ -82,8 +83,8 @@ mod tests {
         assert_eq!(medium("Marble"), None);
     }
 
-    /// The same paper prints the diffuse reflectance that its σ'_s and σ_a give (§2.4, eq. 15: R_d = α'/2 (1 + e^(−4/3 A √(3(1 − α')))) e^(−√(3(1 − α')))):
-    /// a mistyped coefficient would not agree.
+    /// The same paper prints the diffuse reflectance that its σ'_s and σ_a give (§2.4, eq. 15: R_d = α'/2 (1 + e^(−4/3
+    /// A √(3(1 − α')))) e^(−√(3(1 − α')))): a mistyped coefficient would not agree.
     #[test]
     fn the_coefficients_give_the_reflectance_that_the_paper_prints_beside_them() {
         let printed = [

@@ -25,7 +25,8 @@ impl Beyond {
     }
 }
 
-/// A slab without sides: coefficients per voxel, one refractive index. Slab coordinates in mm, z downwards from the top.
+/// A slab without sides: coefficients per voxel, one refractive index. Slab coordinates in mm, z downwards from the
+/// top.
 ///
 /// Between voxels the refractive index does not change: light is refracted and reflected at the two faces only.
 #[derive(Debug, Clone, PartialEq)]

@@ -8,8 +8,8 @@
 //! | `anisotropy` (optional) | that of the scattering, or none | g, −0.99 to 0.99; 0 |
 //! | `refractive_index` (optional) | 1 or none | 1 to 2.5; 1.3 |
 //!
-//! Numbers are f32 or f64. z goes down from the lit face, x and y are the slab's; the block is centred on the lit area, its
-//! border voxels go on beyond it, and its depth is the slab's thickness.
+//! Numbers are f32 or f64. z goes down from the lit face, x and y are the slab's; the block is centred on the lit area,
+//! its border voxels go on beyond it, and its depth is the slab's thickness.
 //!
 //! Shapes are checked before memory is set aside for the numbers, so that a damaged file costs none.
 

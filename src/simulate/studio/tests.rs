@@ -185,8 +185,8 @@ fn lens_and_glare_spread_the_light_of_a_point() {
         [green(x + 1, y) / green(x, y), green(x + 10, y) / green(x, y)]
     };
     assert_eq!(spread(&[]), [0.0, 0.0]);
-    // An even pixel and a Gaussian of 0.5 px folded leave 0.610 in the pixel and 0.191 in the next. Halves of pixels make less of so sharp a
-    // thing, (w₁ + 2w₂ + w₃) / (2w₀ + 2w₁) with wₖ = exp(−k²/2): 0.2765 for 0.313.
+    // An even pixel and a Gaussian of 0.5 px folded leave 0.610 in the pixel and 0.191 in the next. Halves of pixels
+    // make less of so sharp a thing, (w₁ + 2w₂ + w₃) / (2w₀ + 2w₁) with wₖ = exp(−k²/2): 0.2765 for 0.313.
     let [near, far] = spread(&[Cause::Psf]);
     assert!((near - 0.2765).abs() < 1e-3 && far == 0.0, "{near} {far}");
     let [near, far] = spread(&[Cause::Glare]);

@@ -32,8 +32,8 @@ trait Named {
     fn array<T: Copy + 'static>(&mut self, name: &str, make: fn(f64) -> T) -> Result<Option<ArrayOf<'static, T>>>;
 }
 
-/// Reads `path`: an `.npy` is the response; an `.npz` or a Zarr group has arrays by name. `full` says that a Zarr array over four axes is a full matrix. Of a
-/// group that is a matrix, `instead` takes the place of attributes.
+/// Reads `path`: an `.npy` is the response; an `.npz` or a Zarr group has arrays by name. `full` says that a Zarr array
+/// over four axes is a full matrix. Of a group that is a matrix, `instead` takes the place of attributes.
 ///
 /// # Errors
 /// [`Error::Io`]; [`Error::Arrays`] naming file and array; those of [`MatrixReader::open`].

@@ -3,8 +3,9 @@
 /// A default window leaves out this share of the light at most: a tenth of what a white reference is good to.
 const LEFT_OUT: f64 = 1e-3;
 
-/// The window along x and y, and the share of the light (the sum of magnitudes) that lies outside it. `asked`, or the smallest with as many samples
-/// to all sides that leaves out [`LEFT_OUT`] at most; along an axis with fewer points no more than reach all of them.
+/// The window along x and y, and the share of the light (the sum of magnitudes) that lies outside it. `asked`, or the
+/// smallest with as many samples to all sides that leaves out [`LEFT_OUT`] at most; along an axis with fewer points no
+/// more than reach all of them.
 pub(super) fn window(
     response: &[f32],
     points: [usize; 2],

@@ -1,8 +1,9 @@
 //! A matrix from arrays that somebody else made: windows around lit points, or a full matrix over pairs of points.
 //!
 //! # Conventions
-//! - `response` is `[y_i, x_i, dy, dx]`, or that with a last axis of 1 or 3 channels; a full matrix is `[i, o]`, `[i, o, channel]`, or, where it is said
-//!   to be full, `[y_i, x_i, y_o, x_o]` with or without channels. The first point is the lit one. One channel is grey: it is all three.
+//! - `response` is `[y_i, x_i, dy, dx]`, or that with a last axis of 1 or 3 channels; a full matrix is `[i, o]`, `[i,
+//!   o, channel]`, or, where it is said to be full, `[y_i, x_i, y_o, x_o]` with or without channels. The first point is
+//!   the lit one. One channel is grey: it is all three.
 //! - A full matrix is over one lattice of points, which is both lit and outgoing: its pitches are one.
 
 mod files;
@@ -61,11 +62,13 @@ pub struct MatrixArrays<'a> {
 pub struct ArraysOptions {
     /// Side of a sample, mm; before what the file says. Needed where the file does not say it.
     pub pitch_mm: Option<f64>,
-    /// Distance of lit points along x and y, mm; before what the file says. Default: that of the given places, else the pitch.
+    /// Distance of lit points along x and y, mm; before what the file says. Default: that of the given places, else the
+    /// pitch.
     pub lit_pitch_mm: Option<Point>,
     /// Lit points along x and y of a full matrix `[i, o]`; default: as many along both, where their number is a square.
     pub points: Option<[usize; 2]>,
-    /// Samples along x and y of the windows of a full matrix, odd; default: the smallest as wide as high that leave out a thousandth of the light at most.
+    /// Samples along x and y of the windows of a full matrix, odd; default: the smallest as wide as high that leave out
+    /// a thousandth of the light at most.
     pub window: Option<[usize; 2]>,
     /// Whether `[y_i, x_i, a, b]` is a full matrix over y_o and x_o, and not windows.
     pub full: bool,
@@ -107,7 +110,8 @@ struct Form {
 }
 
 impl Form {
-    /// Where the samples of line `dy` of a row's window lie in the arrays: sample of the window, first number of the arrays, how many.
+    /// Where the samples of line `dy` of a row's window lie in the arrays: sample of the window, first number of the
+    /// arrays, how many.
     fn line(&self, row: usize, dy: usize) -> Option<(usize, usize, usize)> {
         let ([nx, ny], [w, h]) = (self.points, self.window);
         if !self.full {

@@ -36,7 +36,8 @@ impl Survey {
         }
     }
 
-    /// Looks at a row; `place` has the words for a sample and channel of it, and nothing for samples that the arrays do not have.
+    /// Looks at a row; `place` has the words for a sample and channel of it, and nothing for samples that the arrays do
+    /// not have.
     pub(super) fn add(&mut self, row: &Row, place: impl Fn(usize, usize) -> Option<String>) {
         let mut sums = [0.0; CHANNELS];
         for (k, (&value, &valid)) in row.response.iter().zip(&row.valid).enumerate() {

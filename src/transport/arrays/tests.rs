@@ -79,7 +79,8 @@ fn a_full_matrix_is_cut_into_windows_and_says_what_lies_outside() {
         let ids: Vec<_> = imported.findings.iter().map(Warning::id).collect();
         assert_eq!(ids, ["light-outside-window"]);
     }
-    // By default the window is as small as leaves out a thousandth: e⁻⁸ two points away, for 20 pairs of a dozen that hold most of it.
+    // By default the window is as small as leaves out a thousandth: e⁻⁸ two points away, for 20 pairs of a dozen that
+    // hold most of it.
     let (imported, header, _) = import(&arrays(&[12, 12], values.clone()), &options(None, Some([4, 3]))).unwrap();
     assert_eq!(header.window, [3, 3]);
     assert!((1e-4..1e-3).contains(&imported.light_outside_window.unwrap()));

@@ -82,7 +82,8 @@ fn uneven() -> MatrixHeader {
         points: [3, 2],
         window: [5, 3],
         pitch_mm: 0.25,
-        // Near the median distances of the places: another pitch would be that of a matrix which this one was cut out of.
+        // Near the median distances of the places: another pitch would be that of a matrix which this one was cut out
+        // of.
         lit_pitch_mm: [3.5, 8.0],
         lit_mm: (0..6).map(|r| [10.0 + f64::from(r), -20.0 - 0.5 * f64::from(r * r)]).collect(),
         position_sd_mm: (0..6).map(|r| 0.01 * f64::from(r)).collect(),
@@ -457,7 +458,8 @@ fn a_crop_that_another_program_made_is_read_and_is_not_replaced_and_an_array_of_
     let writer = MatrixWriter::create(&path, header.clone()).unwrap();
     (0..6).for_each(|index| writer.put(index, &row(&header, index)).unwrap());
     writer.finish().unwrap();
-    // As xarray does it: attributes go along, the checksums among them; chunks have its own names. The first column of windows and `variance` are left out.
+    // As xarray does it: attributes go along, the checksums among them; chunks have its own names. The first column of
+    // windows and `variance` are left out.
     let [from, to] = [&path, &crop].map(|path| Arc::new(FilesystemStore::new(path).unwrap()));
     let group = zarrs::group::Group::open(from.clone(), "/").unwrap();
     assert!(group.attributes().contains_key(checksum::GROUP));

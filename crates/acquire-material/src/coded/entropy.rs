@@ -1,8 +1,9 @@
 //! Adaptive binary coding of bits, whole numbers and text, over the range coder of the crate `constriction`.
 //!
-//! Every probability is made of integers only (context mixing after `Mahoney2005`): each context keeps the probability of
-//! its next bit, the log-odds of several contexts are added with weights that are learned while coding, and the sum is the
-//! probability that the range coder gets. Encoder and decoder learn the same things in the same order on every machine.
+//! Every probability is made of integers only (context mixing after `Mahoney2005`): each context keeps the probability
+//! of its next bit, the log-odds of several contexts are added with weights that are learned while coding, and the sum
+//! is the probability that the range coder gets. Encoder and decoder learn the same things in the same order on every
+//! machine.
 
 use constriction::backends::Cursor;
 use constriction::stream::model::{DecoderModel, EncoderModel, EntropyModel};
@@ -141,8 +142,8 @@ impl Reader {
     }
 }
 
-/// A whole file can be told from one that was cut only by its checksum. This limit stops a decoder whose input is neither: no
-/// valid rest of a stream holds more bits after its last word.
+/// A whole file can be told from one that was cut only by its checksum. This limit stops a decoder whose input is
+/// neither: no valid rest of a stream holds more bits after its last word.
 const MOST_BEYOND: u64 = 1 << 18;
 
 impl Bits for Reader {

@@ -140,8 +140,8 @@ impl Prediction {
     }
 }
 
-/// Codes the positions; each is kept to half of `quantum_mm` along x and along y (or to 2⁻²⁵ of how far they stray from the
-/// grid, where that is more), plus the rounding of positions to f32.
+/// Codes the positions; each is kept to half of `quantum_mm` along x and along y (or to 2⁻²⁵ of how far they stray from
+/// the grid, where that is more), plus the rounding of positions to f32.
 ///
 /// # Errors
 /// Those of `bits`; numbers that no encoder writes.

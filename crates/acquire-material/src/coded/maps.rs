@@ -257,8 +257,8 @@ mod tests {
             for (k, seen) in seen.iter().enumerate() {
                 assert_eq!(&group.decode(&mut reader).unwrap(), seen, "map {k}");
                 let off: f64 = seen.iter().zip(map(k, size)).map(|(a, b)| (a - b).powi(2)).sum();
-                // Transforms keep the norm: 66 coefficients, each off by half a step and 0.02 of one; steps are fourth roots
-                // of two, the nearest one or the one next to it.
+                // Transforms keep the norm: 66 coefficients, each off by half a step and 0.02 of one; steps are fourth
+                // roots of two, the nearest one or the one next to it.
                 let most = 0.52 * wanted / sensitivity * 2.0_f64.powf(0.375) * 66.0_f64.sqrt();
                 assert!(off.sqrt() <= most, "map {k}: {} {most}", off.sqrt());
             }

@@ -62,8 +62,9 @@ pub(super) fn energy(values: &[f64]) -> f64 {
     values.iter().map(|v| v * v).sum()
 }
 
-/// By how much R̂_d moves, all channels together, when a sample of a plane moves by one. With a colour polynomial that is
-/// ‖R̂‖/‖v‖: its own slope would be ruled by a few rows whose polynomials swing between their samples, which coding fits anew.
+/// By how much R̂_d moves, all channels together, when a sample of a plane moves by one. With a colour polynomial that
+/// is ‖R̂‖/‖v‖: its own slope would be ruled by a few rows whose polynomials swing between their samples, which coding
+/// fits anew.
 pub(super) fn slope(material: &Material) -> f64 {
     let h = &material.header;
     let Some(degree) = h.degree else {

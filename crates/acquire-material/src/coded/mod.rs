@@ -1,8 +1,9 @@
-//! Coded materials: the maps of a [`Material`] transformed, quantized and entropy coded; decoded to plain factors at load.
+//! Coded materials: the maps of a [`Material`] transformed, quantized and entropy coded; decoded to plain factors at
+//! load.
 //!
-//! The error that coding adds is one in R̂_d: each map gets the step that its coefficients' effect on R̂_d asks for, and each
-//! coefficient, step and transform is chosen by what it costs in bits against the squared error it leaves (`Sullivan1998`).
-//! The format is described byte for byte in `docs/materials.md`.
+//! The error that coding adds is one in R̂_d: each map gets the step that its coefficients' effect on R̂_d asks for,
+//! and each coefficient, step and transform is chosen by what it costs in bits against the squared error it leaves
+//! (`Sullivan1998`). The format is described byte for byte in `docs/materials.md`.
 //!
 //! # What this does not detect
 //! Whether the material itself is a good one: the added error is against the plain factors, not against the matrix.
@@ -41,8 +42,8 @@ pub enum Quality {
 pub struct EncodeOptions {
     /// Default: an added error of 0.3 %, which is little beside what most factorizations leave.
     pub quality: Quality,
-    /// How far a lit point may be moved along x and y, in outgoing cells. Default: as many cells as the relative error of R̂_d
-    /// that is expected, at most 0.02: a row moved by a whole cell would change by about itself, at most.
+    /// How far a lit point may be moved along x and y, in outgoing cells. Default: as many cells as the relative error
+    /// of R̂_d that is expected, at most 0.02: a row moved by a whole cell would change by about itself, at most.
     pub position_error_px: Option<f64>,
 }
 
@@ -63,8 +64,8 @@ pub struct Coded {
     pub material: Material,
 }
 
-/// Price of a bit against squared error, in squared steps: the best of a sweep on the chessboard (docs/materials.md); within
-/// a factor of two of it the bytes change by 2 %.
+/// Price of a bit against squared error, in squared steps: the best of a sweep on the chessboard (docs/materials.md);
+/// within a factor of two of it the bytes change by 2 %.
 const LAMBDA: f64 = 0.08;
 /// The step that about gives an error, both against ‖R̂‖: where a search begins.
 const STEP_OF_ERROR: f64 = 0.02;
@@ -77,8 +78,8 @@ const CLOSE: f64 = 0.97;
 /// Codes a material. The same bytes for any number of threads.
 ///
 /// # Errors
-/// [`Error::Option`] for a quality that is out of range or that cannot be reached; [`Error::Inconsistent`] when the material's
-/// arrays do not have the lengths that its header says, or hold numbers that no file may hold.
+/// [`Error::Option`] for a quality that is out of range or that cannot be reached; [`Error::Inconsistent`] when the
+/// material's arrays do not have the lengths that its header says, or hold numbers that no file may hold.
 pub fn encode(material: &Material, options: &EncodeOptions) -> Result<Coded> {
     material.check_lengths()?;
     material.check_values().map_err(Error::inconsistent)?;

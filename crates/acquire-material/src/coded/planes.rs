@@ -1,5 +1,5 @@
-//! Bases in which the maps of a material are least alike and equally important: a rotation of the three channels, and an
-//! orthonormal basis for the colour polynomials.
+//! Bases in which the maps of a material are least alike and equally important: a rotation of the three channels, and
+//! an orthonormal basis for the colour polynomials.
 
 use super::entropy::Bits;
 use super::exact::{raw, raw_f32};
@@ -30,8 +30,8 @@ impl Rotation {
         Self { angles, rows }
     }
 
-    /// The rotation that leaves the channels with moments `moments` (sums of products) least correlated; none for fewer than
-    /// three channels.
+    /// The rotation that leaves the channels with moments `moments` (sums of products) least correlated; none for fewer
+    /// than three channels.
     pub(super) fn decorrelating(moments: [[f64; CHANNELS]; CHANNELS]) -> Self {
         let rows = eigenvectors(moments);
         let whole = f64::from(1_u32 << ANGLE_BITS) / std::f64::consts::TAU;
@@ -119,16 +119,17 @@ fn eigenvectors(mut m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
     rows
 }
 
-/// The triangular L of G = L Lᵀ, G the mean over rows of Σ_samples L_p L_q: in γ = Lᵀβ an error of one in any coefficient of a
-/// row moves the row by one. Row by row, lower triangle.
+/// The triangular L of G = L Lᵀ, G the mean over rows of Σ_samples L_p L_q: in γ = Lᵀβ an error of one in any
+/// coefficient of a row moves the row by one. Row by row, lower triangle.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct ColorBasis {
     degree: usize,
     lower: Vec<f32>,
 }
 
-/// Where the fit of a row's polynomials begins, and in how many rounds it comes to rest: from a strong ridge (a row's Gram matrix
-/// is about one in this basis), since the cost of a coefficient has a minimum near zero that a weak one does not find.
+/// Where the fit of a row's polynomials begins, and in how many rounds it comes to rest: from a strong ridge (a row's
+/// Gram matrix is about one in this basis), since the cost of a coefficient has a minimum near zero that a weak one
+/// does not find.
 const FIRST_RIDGE: f64 = 0.3;
 const RIDGE_ROUNDS: usize = 12;
 /// Smallest entry of the diagonal, against the largest: a constant intensity leaves the polynomials undetermined.
@@ -184,8 +185,8 @@ impl ColorBasis {
         Ok(Self { degree, lower })
     }
 
-    /// γ of each channel of a row, fitted to the row of `original` as polynomials of the intensity of `decoded`; of fits that
-    /// are about equally good against the step, one that costs few bits.
+    /// γ of each channel of a row, fitted to the row of `original` as polynomials of the intensity of `decoded`; of
+    /// fits that are about equally good against the step, one that costs few bits.
     ///
     /// A row of nearly constant intensity leaves most coefficients undetermined. What a coefficient costs is about
     /// log₂(|γ|/step); the slope of that gives the weights of a ridge, improved round by round.

@@ -124,10 +124,12 @@ pub(super) fn write_maps(
     Ok(w.finish())
 }
 
-/// How many times finer than other maps entry and exit maps are kept: an error of theirs is one of all that enters or leaves at a place.
+/// How many times finer than other maps entry and exit maps are kept: an error of theirs is one of all that enters or
+/// leaves at a place.
 const THROUGH_FINER: f64 = 4.0;
 
-/// Writes entry and exit maps: their sensitivity is the root of the squared response that a sample of theirs multiplies, in the mean. `norm` is ‖R̂‖.
+/// Writes entry and exit maps: their sensitivity is the root of the squared response that a sample of theirs
+/// multiplies, in the mean. `norm` is ‖R̂‖.
 fn write_through(w: &mut Writer, material: &Material, norm: f64, price: Price, first: i32) -> Result<(), String> {
     let Some(grid) = material.header.exit_grid else { return Ok(()) };
     for (map, size) in [(&material.entry_map, material.header.points), (&material.exit_map, grid.size)] {

@@ -119,8 +119,8 @@ impl Numbers {
         }
     }
 
-    /// Codes a whole map of `size` (x, y), row by row. `choose` gives each number when it is its turn, and may weigh what
-    /// each costs; a decoder gets 0 from it.
+    /// Codes a whole map of `size` (x, y), row by row. `choose` gives each number when it is its turn, and may weigh
+    /// what each costs; a decoder gets 0 from it.
     ///
     /// # Errors
     /// Those of `bits`.

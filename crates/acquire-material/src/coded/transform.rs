@@ -152,7 +152,8 @@ mod tests {
                 let (mut plans, mut back) = (Plans::default(), map.clone());
                 forward(transform, &mut plans, &mut back, size);
                 let ratio = norm(&back) / norm(&map);
-                // CDF 9/7 is biorthogonal and nearly orthonormal inside long lines; lines of few samples, all rim, are farther off
+                // CDF 9/7 is biorthogonal and nearly orthonormal inside long lines; lines of few samples, all rim, are
+                // farther off
                 let room = match transform {
                     Transform::Wavelet2 | Transform::Wavelet3 => 0.5,
                     _ => 1e-12, // rounding

@@ -84,7 +84,8 @@ fn probabilities_sum_to_one_and_are_positive_wherever_the_response_may_be() {
     }
 }
 
-/// The probability that χ² with `dof` degrees of freedom exceeds this is below 1e-6 (Wilson and Hilferty, 4.75 standard deviations).
+/// The probability that χ² with `dof` degrees of freedom exceeds this is below 1e-6 (Wilson and Hilferty, 4.75 standard
+/// deviations).
 fn limit(dof: f64) -> f64 {
     let s = 2.0 / (9.0 * dof);
     dof * (1.0 - s + 4.75 * s.sqrt()).powi(3)
@@ -127,7 +128,8 @@ fn a_response_without_negative_parts_is_drawn_in_proportion() {
     let evaluator = Evaluator::new(&m).unwrap();
     let mean = |o| m.response(0, o).map_or(0.0, |r| f64::from(r[0] + r[1] + r[2]));
     let all = offsets(m.header.window);
-    // Light beyond this row's window, in the common one, makes some of it rarer: within a square of two samples the ratio is exact.
+    // Light beyond this row's window, in the common one, makes some of it rarer: within a square of two samples the
+    // ratio is exact.
     let ratio = |o| evaluator.probability(0, o) - 0.01 / 15.0;
     let (a, b) = ([0, -1], [0, 0]);
     assert!(all.contains(&a) && mean(a) > 0.0);

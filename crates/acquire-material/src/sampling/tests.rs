@@ -56,7 +56,8 @@ fn evenly_spaced_draws_meet_every_offset_as_often_as_its_probability_says() {
             let mut all = 0;
             for d in naive::offsets() {
                 let (n, e) = (counts.get(&d).copied().unwrap_or(0), expected(&m, i, d) * DRAWS as f64);
-                // An offset owns one interval of the uniform draws and one of the others: each end is rounded by one draw.
+                // An offset owns one interval of the uniform draws and one of the others: each end is rounded by one
+                // draw.
                 assert!((f64::from(n) - e).abs() < 2.5, "{} row {i} {d:?}: {n} {e}", m.header.model);
                 all += n;
             }

@@ -3,7 +3,8 @@ use crate::radiance::Exposure;
 
 #[test]
 fn basis_functions_are_the_uniform_cubic_splines_of_the_logarithm() {
-    // Codes at which ln((z + 8) / 8) is a whole number of intervals, and half of one more: 1/6, 4/6, 1/6, and 1/48, 23/48.
+    // Codes at which ln((z + 8) / 8) is a whole number of intervals, and half of one more: 1/6, 4/6, 1/6, and 1/48,
+    // 23/48.
     let code = |intervals: f64| 8.0 * ((263.0f64 / 8.0).ln() * intervals / 14.0).exp() - 8.0;
     for k in [0.0, 3.0, 12.0] {
         // A hair above a node: rounding may put the node itself into the interval before.
@@ -166,7 +167,8 @@ fn a_projector_that_moves_between_pattern_and_inverse_bends_no_curve() {
             let off = ratio / (code / 188.0).powf(gamma) - 1.0;
             let sd = found.curve.relative_sd_at(0, code);
             println!("{gamma} {code}: {off:+.4} ± {sd:.4}");
-            // A hundredth per stop from half the range; code 20 is three stops away, and of a steep curve known to a tenth.
+            // A hundredth per stop from half the range; code 20 is three stops away, and of a steep curve known to a
+            // tenth.
             assert!(off.abs() < 0.01 * (1.0 + (code / 188.0).log2().abs()) + sd, "{gamma} {code}: {off} {sd}");
         }
     }
@@ -328,7 +330,8 @@ fn a_light_sums_equations_are_the_parts_less_the_whole_at_the_values_that_fit() 
     let [first, second, white] = [&sums[1].parts[0], &sums[1].parts[1], &sums[1].whole].map(light);
     let lamps = [fit.lamps[4], fit.lamps[5]].map(|l| (-l).exp());
     let displaced = |k: usize| (0..2).map(|a| fit.lamps[6 + a] * f64::from(sums[1].slope[a][k])).sum::<f64>();
-    // What noise does not explain where both parts have light: by the middle of 2 lists of numbers, for 16 independent samples.
+    // What noise does not explain where both parts have light: by the middle of 2 lists of numbers, for 16 independent
+    // samples.
     let mut lists = [vec![], vec![], vec![]];
     for k in 0..600 {
         let seen = [f64::from(first[k]) * lamps[0], f64::from(second[k]) * lamps[1], f64::from(white[k])];

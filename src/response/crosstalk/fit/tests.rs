@@ -130,7 +130,8 @@ fn state<'a>(shots: &[Vec<LitRow>], layout: &'a Layout, channel: usize) -> Fit<'
     fit
 }
 
-/// A sample's cell, what lights it and by which share, which of that is its own, the weight, and measured over modelled light.
+/// A sample's cell, what lights it and by which share, which of that is its own, the weight, and measured over modelled
+/// light.
 type Modelled = (usize, Vec<(Lit, f64)>, usize, f64, f64);
 
 /// Every measured sample with what each dot brings to it by the model, the weight, and measured over modelled.

@@ -26,7 +26,8 @@ const SHOWN_FAR: f64 = 1.0 / 256.0;
 pub(super) struct Eye<'a> {
     window: &'a TallyWindow,
     medium: &'a Medium,
-    /// The way from each patch, and what flux per inverse steradian inside is worth of π times radiance: π (1 − F)/(n² cosθ').
+    /// The way from each patch, and what flux per inverse steradian inside is worth of π times radiance: π (1 − F)/(n²
+    /// cosθ').
     sights: Vec<(Sight, f64)>,
 }
 
@@ -57,8 +58,8 @@ impl<'a> Eye<'a> {
     /// Adds what the eye receives of this scattering to `radiance`: the expected light that flies to it without another
     /// one, straight or by way of the faces, which reflect a part of it.
     ///
-    /// With Φ scattered by p per steradian inside, and dω' cosθ' n² = dω cosθ across the face, π times the radiance that
-    /// leaves is π Φ p e^(−τ) (1 − F)/(n² cosθ') per area.
+    /// With Φ scattered by p per steradian inside, and dω' cosθ' n² = dω cosθ across the face, π times the radiance
+    /// that leaves is π Φ p e^(−τ) (1 − F)/(n² cosθ') per area.
     pub(super) fn receive(&self, photon: &Photon, local: Local, rng: &mut Pcg64Mcg, radiance: &mut [f64]) {
         let (sight, value) = self.sight(photon.p);
         let depth = local.extinction * photon.p[2];

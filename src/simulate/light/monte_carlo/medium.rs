@@ -103,7 +103,8 @@ impl Medium {
         ((t - self.origin_mm[a]) * self.per_mm[a]).floor() as i64
     }
 
-    /// The optical depth from `p` in `layer` along direction `d` (d[2] ≠ 0) to the face that it meets; infinite beyond [`OPAQUE`].
+    /// The optical depth from `p` in `layer` along direction `d` (d[2] ≠ 0) to the face that it meets; infinite beyond
+    /// [`OPAQUE`].
     #[inline]
     pub(super) fn depth_to_face(&self, layer: usize, p: [f64; 3], d: [f64; 3]) -> f64 {
         let up = d[2] < 0.0;

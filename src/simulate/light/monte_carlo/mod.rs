@@ -10,8 +10,8 @@
 //! # What is counted
 //! The flux through the top (the exitance, also over rings and over a window), through the bottom (scattered or not),
 //! through the sides, and what is absorbed; and π times the radiance towards an eye above the slab, to which every
-//! scattering contributes the light that is expected to reach it. Everything is per unit of flux that *arrives*. Each number
-//! comes with its standard error, from the scatter of [`BATCHES`] independent batches.
+//! scattering contributes the light that is expected to reach it. Everything is per unit of flux that *arrives*. Each
+//! number comes with its standard error, from the scatter of [`BATCHES`] independent batches.
 //!
 //! # Not modelled
 //! Polarization, rough faces, light that leaves the slab and comes back, refraction between voxels.

@@ -26,7 +26,8 @@ fn totals(volume: &Volume, channel: usize, photons: u64) -> Outcome {
     trace(&Setup::totals(&Medium::new(volume, channel)), &TraceOptions { photons, seed: 1 }, None).unwrap()
 }
 
-/// Within 3 standard errors of `expected`, which has an error of its own (its last digit, or its own noise), and known to 0.1 %.
+/// Within 3 standard errors of `expected`, which has an error of its own (its last digit, or its own noise), and known
+/// to 0.1 %.
 fn agrees(what: &str, found: Estimate, expected: f64, own_error: f64) {
     let error = found.standard_error;
     println!("{what}: {:.5} ± {error:.5}, expected {expected}", found.mean);
@@ -73,7 +74,8 @@ fn marble_agrees_with_adding_and_doubling() {
     }
 }
 
-/// The sample of MCML's manual (Wang & Jacques 1992): a million photons, rings of 0.01 cm, the last of which holds the overflow.
+/// The sample of MCML's manual (Wang & Jacques 1992): a million photons, rings of 0.01 cm, the last of which holds the
+/// overflow.
 #[test]
 #[ignore = "slow: 6 million photons"]
 fn three_layers_agree_with_the_sample_of_mcml() {
@@ -101,7 +103,8 @@ fn three_layers_agree_with_the_sample_of_mcml() {
     }
 }
 
-/// Chandrasekhar's H for isotropic scattering: H = 1/(√(1 − ϖ) + ϖ/2 ∫ t H(t)/(µ + t) dt), by iteration on `n` midpoints.
+/// Chandrasekhar's H for isotropic scattering: H = 1/(√(1 − ϖ) + ϖ/2 ∫ t H(t)/(µ + t) dt), by iteration on `n`
+/// midpoints.
 fn chandrasekhar_h(albedo: f64, mu: f64) -> f64 {
     let n = 2000;
     let node = |i: usize| (i as f64 + 0.5) / n as f64;
@@ -153,7 +156,8 @@ fn radiance_over_the_hemisphere_is_the_exitance() {
     volume.voxel_mm = [0.3, 1.0];
     volume.beyond = Beyond::Repeat;
     volume.optics = vec![skin, milk, milk, milk];
-    // Gauss and Legendre on 0..1, eight nodes, good to 1e-3 here. The eye misses what flies out unscattered: 4e-4 of it.
+    // Gauss and Legendre on 0..1, eight nodes, good to 1e-3 here. The eye misses what flies out unscattered: 4e-4 of
+    // it.
     let half = [
         (0.183_434_642_495_65, 0.362_683_783_378_362),
         (0.525_532_409_916_329, 0.313_706_645_877_887),
@@ -163,7 +167,8 @@ fn radiance_over_the_hemisphere_is_the_exitance() {
     let nodes = half.iter().flat_map(|&(x, w)| [(0.5 - 0.5 * x, 0.5 * w), (0.5 + 0.5 * x, 0.5 * w)]);
     let (mut sum, mut variance) = (0.0, 0.0);
     for (mu, weight) in nodes {
-        // Six azimuths: the voxels look alike from opposite sides, and what differs more often than twice a turn is small.
+        // Six azimuths: the voxels look alike from opposite sides, and what differs more often than twice a turn is
+        // small.
         for azimuth in 0..6 {
             let seen = shown(&volume, mu, (f64::from(azimuth) + 0.5) * PI / 3.0, 40_000);
             let weight = 2.0 * mu * weight / 6.0;
@@ -296,10 +301,12 @@ fn extreme_media_end_and_balance() {
     assert!((rings - PI * (1.0 - 0.25)).abs() < 1e-12);
 }
 
-/// Adding and doubling (benches/peers/photons/adding_doubling.py, good to 4e-7): all measured media 4 mm thick, marble also 5 mm, some with g = 0.8.
+/// Adding and doubling (benches/peers/photons/adding_doubling.py, good to 4e-7): all measured media 4 mm thick, marble
+/// also 5 mm, some with g = 0.8.
 ///
-/// Of a hundred comparisons some are off by more than 3 standard errors, hence 4; all together must scatter as they say: χ² over
-/// its degrees of freedom is 1 to five of its standard deviations, which a bias of half a standard error would break.
+/// Of a hundred comparisons some are off by more than 3 standard errors, hence 4; all together must scatter as they
+/// say: χ² over its degrees of freedom is 1 to five of its standard deviations, which a bias of half a standard error
+/// would break.
 #[test]
 #[ignore = "slow: 24 million photons"]
 fn all_measured_media_agree_with_adding_and_doubling() {
