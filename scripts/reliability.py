@@ -4,11 +4,13 @@
 scripts/reliability.py kills [N]        SIGKILL at random moments of commands that replace an output; then the old or the new one must be there, whole
 scripts/reliability.py full-disk        the same commands on a tmpfs of growing size (needs root); nothing may look whole that is not
 scripts/reliability.py resume           kills at a third, half and five sixths of a longer run, then the same command again: times of both over an undisturbed one's
+scripts/reliability.py refusals         inputs that claim more than they hold, devices, bombs: exit status, time, memory
+scripts/reliability.py large [N]        a capture of N photographs (default 10000): time and memory of simulate, check, build-matrix
 scripts/reliability.py damage [N]       one changed bit in a random place of each kind of file; counts what the reader says
 
 ACQUIRE is the program (default target/release/acquire). Everything happens in a temporary folder.
 """
-import hashlib, os, pathlib, random, shutil, signal, subprocess, sys, tempfile, time
+import hashlib, os, pathlib, random, shutil, signal, struct, subprocess, sys, tempfile, time, zlib
 
 ACQUIRE = os.environ.get("ACQUIRE") or str(pathlib.Path(__file__).resolve().parent.parent / "target/release/acquire")
 SMALL = "--grid 6x5 --window 11x9 --exposures 2 --voxels-per-sample 1".split()
@@ -182,6 +184,86 @@ def damage(count):
             print(f"{name}: {count} bits, refused {refused} ({named} by the file's name), read with the same result {same}, otherwise {silent}, ended otherwise {other}", flush=True)
 
 
+def measured(*args, cwd):
+    """Exit status, first line of what it says, seconds, MB of the largest resident memory."""
+    start = time.time()
+    with tempfile.TemporaryFile("w+") as said:
+        child = subprocess.Popen([ACQUIRE, *args], cwd=cwd, stdout=subprocess.DEVNULL, stderr=said)
+        _, status, usage = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        said.seek(0)
+        lines = [line for line in said.read().splitlines() if line.startswith("error")] or [""]
+    return child.returncode, lines[0], time.time() - start, usage.ru_maxrss / 1024
+
+
+def png(width, height, depth, kind, chunks=()):
+    def chunk(name, data):
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    line = 1 + (width * depth * {0: 1, 2: 3}[kind] + 7) // 8
+    packer = zlib.compressobj(9)
+    body = b"".join(packer.compress(bytes(line)) for _ in range(height)) + packer.flush()
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + head + b"".join(chunk(*c) for c in chunks) + chunk(b"IDAT", body) + chunk(b"IEND", b"")
+
+
+def refusals():
+    corpus = pathlib.Path(__file__).resolve().parent.parent / "fuzz/corpus"
+    with tempfile.TemporaryDirectory() as base:
+        inputs(base)
+        bombs = pathlib.Path(base, "bombs")
+        bombs.mkdir()
+        (bombs / "gray-11k.png").write_bytes(png(11000, 11000, 8, 0))
+        (bombs / "rgb-100Mpx.png").write_bytes(png(10000, 10000, 8, 2))
+        (bombs / "rgb-4Gpx.png").write_bytes(png(65000, 65000, 8, 2)[:200_000])
+        bomb = b"icc\0\0" + zlib.compress(bytes(1 << 30), 9)
+        (bombs / "iccp-1GiB.png").write_bytes(png(40, 30, 8, 2, [(b"iCCP", bomb)]))
+        (bombs / "empty.png").write_bytes(b"")
+        # One strip that claims 40000 × 40000 px of 16 bits.
+        fields = [(256, 4, 40000), (257, 4, 40000), (258, 3, 16), (259, 3, 1), (262, 3, 1), (273, 4, 8), (277, 3, 1), (278, 4, 40000), (279, 4, 4)]
+        entries = b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in fields)
+        (bombs / "declared-40k.tif").write_bytes(b"II*\0" + struct.pack("<I", 12) + bytes(4) + struct.pack("<H", len(fields)) + entries + bytes(4))
+        os.mkfifo(bombs / "fifo.png")
+        os.symlink("/dev/zero", bombs / "device.png")
+        (bombs / "folder.png").mkdir()
+        manifest = pathlib.Path(base, "c/capture.toml")
+        whole = manifest.read_text()
+        first = next(line for line in whole.splitlines() if line.startswith("file = "))
+        rows = []
+        for path in sorted((corpus / "photograph").iterdir()) + sorted(bombs.iterdir()):
+            manifest.write_text(whole.replace(first, f'file = "{path}"', 1))
+            rows.append((f"photograph {path.name}", measured("build-matrix", "c", "--out", "x.rd.zarr", "--force", "-q", cwd=base)))
+        manifest.write_text(whole)
+        for path in sorted((corpus / "light").iterdir()) + sorted(bombs.iterdir()):
+            rows.append((f"light {path.name}", measured("relight", "m.safetensors", "--light", str(path), "--out", "x.exr", "--force", "-q", cwd=base)))
+        for path in sorted(bombs.iterdir()):
+            rows.append((f"material {path.name}", measured("evaluate", str(path), "m.rd.zarr", cwd=base)))
+            rows.append((f"matrix {path.name}", measured("factor", str(path), "--out", "y.safetensors", "--force", "-q", cwd=base)))
+        for path in sorted((corpus / "matrix").iterdir()):
+            shutil.copytree(os.path.join(base, "m.rd.zarr"), os.path.join(base, "bad.rd.zarr"), dirs_exist_ok=True)
+            shutil.copy(path, os.path.join(base, "bad.rd.zarr/response/zarr.json"))
+            rows.append((f"matrix {path.name}", measured("factor", "bad.rd.zarr", "--out", "y.safetensors", "--force", "-q", cwd=base)))
+        for name, (status, line, secs, mb) in rows:
+            print(f"| {name} | {status} | {secs:.2f} s | {mb:.0f} MB | {line[:110]} |", flush=True)
+        worst = [max(r[1][k] for r in rows if r[1][0] == 1) for k in (2, 3)]
+        others = [r[0] for r in rows if r[1][0] not in (0, 1)]
+        print(f"{len(rows)} inputs, {sum(r[1][0] == 1 for r in rows)} refused, the slowest in {worst[0]:.2f} s, the largest with {worst[1]:.0f} MB; ended otherwise: {others or 'none'}")
+
+
+def large(count):
+    side = max(2, round((count / 3) ** 0.5))
+    with tempfile.TemporaryDirectory() as base:
+        for name, args in [
+            ("simulate", ["simulate", "c", "--grid", f"{side}x{side}", "--window", "9x9", "--exposures", "3", "--lit-pitch-mm", "0.5", "--voxels-per-sample", "1"]),
+            ("check", ["check", "c"]),
+            ("build-matrix", ["build-matrix", "c", "--out", "c.rd.zarr"]),
+        ]:
+            status, line, secs, mb = measured(*args, "-q", cwd=base)
+            print(f"{name}: exit {status}, {secs:.1f} s, {mb:.0f} MB {line}", flush=True)
+        photographs = list(pathlib.Path(base, "c/photos").iterdir())
+        print(f"{len(photographs)} photographs, {sum(p.stat().st_size for p in photographs) / 1e6:.0f} MB")
+
+
 if __name__ == "__main__":
     what = sys.argv[1] if len(sys.argv) > 1 else ""
     count = int(sys.argv[2]) if len(sys.argv) > 2 else 40
@@ -191,6 +273,10 @@ if __name__ == "__main__":
         full_disk()
     elif what == "resume":
         resume()
+    elif what == "refusals":
+        refusals()
+    elif what == "large":
+        large(int(sys.argv[2]) if len(sys.argv) > 2 else 10_000)
     elif what == "damage":
         damage(count)
     else:

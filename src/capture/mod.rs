@@ -32,6 +32,7 @@ pub use photograph::Photograph;
 pub(crate) use recorded::{hash, read_checksums, write_checksums};
 pub use reduction::{PhotographRows, Photosite, Reduction};
 pub use rig::{Board, Camera, FrameMarks, Noise, Projector, ResponseCurve, Rig, WhiteReference};
+pub(crate) use rows::decode_png_bytes;
 pub use samples::{Pixels, Rect, Samples, Sampling};
 pub use settings::CameraSettings;
 pub(crate) use together::{Taken, findings, lattice_exposures};

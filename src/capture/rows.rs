@@ -185,6 +185,25 @@ pub(super) fn png_decoder<R: std::io::BufRead + Seek>(mut file: R) -> std::io::R
     Ok(is_png.then_some(decoder))
 }
 
+/// A whole PNG of at most `most_px` pixels; `None` when the bytes are none.
+pub(crate) fn decode_png_bytes(bytes: &[u8], most_px: usize) -> Option<super::photograph::Decoded> {
+    let mut decoder = png_decoder(std::io::Cursor::new(bytes)).ok()??;
+    decoder.set_transformations(png::Transformations::EXPAND);
+    let decode = || {
+        let mut reader = decoder.read_info().map_err(|e| e.to_string())?;
+        let (width, height) = reader.info().size();
+        if width as usize * height as usize > most_px {
+            return Err(format!("{width} × {height} px: more than {most_px} are not read; make it smaller"));
+        }
+        let mut codes = vec![0; reader.output_buffer_size().ok_or("more pixels than are read")?];
+        reader.next_frame(&mut codes).map_err(|e| e.to_string())?;
+        let mut samples = Samples::U8(vec![]);
+        of_png(&codes, reader.output_color_type(), &mut samples)?;
+        Ok((width as usize, height as usize, samples))
+    };
+    Some(decode())
+}
+
 /// The code values of some rows as the PNG decoder gives them.
 fn of_png(bytes: &[u8], kind: (png::ColorType, png::BitDepth), out: &mut Samples) -> Result<(), String> {
     let (color, depth) = kind;

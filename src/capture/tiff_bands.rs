@@ -65,6 +65,9 @@ impl TiffBands {
         let large = decoder.get_chunk_type() == ChunkType::Strip
             && size_px[0] * channels * chunk_rows.min(size_px[1]) > STRIP_BYTES;
         let plain = if large && planes == 1 { Plain::of(&mut decoder).map_err(words)? } else { None };
+        if let Some(plain) = &plain {
+            plain.check(&mut decoder, size_px, channels, chunk_rows)?;
+        }
         Ok(Self { decoder, size_px, channels, planes, chunk_rows, across, row: 0, plain, bytes: vec![] })
     }
 
@@ -189,6 +192,30 @@ impl Plain {
     }
 }
 
+impl Plain {
+    /// Whether the file holds all the strips that its head announces, before memory is set aside for them.
+    fn check(
+        &self,
+        decoder: &mut Decoder<BufReader<File>>,
+        [width, height]: [usize; 2],
+        channels: usize,
+        strip_rows: usize,
+    ) -> Result<(), String> {
+        let len = decoder.inner().get_ref().metadata().map_err(|e| e.to_string())?.len();
+        let line = (width * channels) as u64 * u64::from(self.bits / 8);
+        for strip in 0..height.div_ceil(strip_rows) {
+            let rows = strip_rows.min(height - strip * strip_rows) as u64;
+            let end = self.offsets.get(strip).and_then(|o| o.checked_add(rows.checked_mul(line)?));
+            if end.is_none_or(|end| end > len) {
+                return Err(format!(
+                    "the file ends before strip {strip} does: {width} × {height} px announced, {len} bytes"
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
 fn of_tiff(decoded: DecodingResult, channels: usize) -> Result<Samples, String> {
     Ok(match decoded {
         DecodingResult::U8(v) => Samples::U8(rgb_of(v, channels)),
@@ -212,7 +239,12 @@ mod tests {
             save_tiff(&path, Compression::Uncompressed, strip);
             let mut bands = TiffBands::new(BufReader::new(File::open(&path).unwrap())).unwrap();
             // As if they were large.
-            bands.plain = Plain::of(&mut bands.decoder).unwrap();
+            let plain = Plain::of(&mut bands.decoder).unwrap().unwrap();
+            let (size_px, rows_of) = (bands.size_px, bands.chunk_rows);
+            plain.check(&mut bands.decoder, size_px, 3, rows_of).unwrap();
+            let wider = [size_px[0] + 1, size_px[1]];
+            assert!(plain.check(&mut bands.decoder, wider, 3, rows_of).unwrap_err().contains("ends before"));
+            bands.plain = Some(plain);
             let mut band = Samples::U8(vec![]);
             for y in 0..5 {
                 bands.read(&mut band).unwrap();

@@ -1,7 +1,7 @@
 //! Lights from names and from files.
 
 use super::{Light, LightImage};
-use crate::capture::{check_jpeg, decode_exr_bytes};
+use crate::capture::{Samples, check_jpeg, decode_exr_bytes, decode_png_bytes};
 use crate::{Error, Result};
 use acquire_material::linear_from_srgb;
 use image::{DynamicImage, ImageDecoder};
@@ -65,25 +65,34 @@ fn read_exr(bytes: &[u8]) -> Result<LightImage, String> {
 }
 
 fn read_encoded(bytes: &[u8]) -> Result<LightImage, String> {
+    let (width, height, samples) = match decode_png_bytes(bytes, MOST_PIXELS) {
+        Some(decoded) => decoded?,
+        None => decode_jpeg(bytes)?,
+    };
+    let rgb = match samples {
+        Samples::U8(codes) => {
+            let linear: Vec<f32> = (0..=255u8).map(|v| linear_from_srgb(f32::from(v) / 255.0)).collect();
+            codes.as_chunks::<3>().0.iter().map(|p| p.map(|v| linear[usize::from(v)])).collect()
+        }
+        Samples::U16(codes) => {
+            let linear = |v: u16| linear_from_srgb(f32::from(v) / 65_535.0);
+            codes.as_chunks::<3>().0.iter().map(|p| p.map(linear)).collect()
+        }
+        Samples::F32(_) => return Err("expected PNG, JPEG or OpenEXR".into()),
+    };
+    Ok(LightImage { size: [width, height], rgb })
+}
+
+fn decode_jpeg(bytes: &[u8]) -> Result<(usize, usize, Samples), String> {
     check_jpeg(bytes)?;
     let reader = image::ImageReader::new(std::io::Cursor::new(bytes)).with_guessed_format();
     let decoder = reader.map_err(|e| e.to_string())?.into_decoder().map_err(|e| e.to_string())?;
-    let size = [decoder.dimensions().0 as usize, decoder.dimensions().1 as usize];
-    if size[0] * size[1] > MOST_PIXELS {
-        return Err(format!(
-            "{} × {} px: more than {MOST_PIXELS} are not read as a light; make it smaller",
-            size[0], size[1]
-        ));
+    let (width, height) = decoder.dimensions();
+    if width as usize * height as usize > MOST_PIXELS {
+        return Err(format!("{width} × {height} px: more than {MOST_PIXELS} are not read; make it smaller"));
     }
     let image = DynamicImage::from_decoder(decoder).map_err(|e| e.to_string())?;
-    let rgb = match image.color().bytes_per_pixel() / image.color().channel_count() {
-        1 => {
-            let linear: Vec<f32> = (0..=255u8).map(|v| linear_from_srgb(f32::from(v) / 255.0)).collect();
-            image.into_rgb8().pixels().map(|p| p.0.map(|v| linear[usize::from(v)])).collect()
-        }
-        _ => image.into_rgb16().pixels().map(|p| p.0.map(|v| linear_from_srgb(f32::from(v) / 65_535.0))).collect(),
-    };
-    Ok(LightImage { size, rgb })
+    Ok((width as usize, height as usize, Samples::U8(image.into_rgb8().into_raw())))
 }
 
 #[cfg(test)]

@@ -37,6 +37,8 @@ const LEAST_LAG: f64 = 0.03;
 const FARTHEST: usize = 4;
 /// Steps along the grid that are looked at.
 const MOST_STEPS: isize = 1000;
+/// Pairs tell how far tails are displaced where they lie along the displacement, by this cosine.
+const LEAST_ALONG: f64 = 0.4;
 /// What is told is so many standard deviations off.
 const SIGMA: f64 = 6.0;
 /// With fewer values nothing is said; of those that a medium does not reach fewer are enough.
@@ -295,18 +297,58 @@ impl Compared {
 
     /// Light of the pattern before in all shots.
     fn lag(&self, seen: &[Seen]) -> Option<ConsistencyWarning> {
-        // Over the peak of the dot before: what its place has too much, and what a medium has there.
-        let values: Vec<[f64; 2]> = self.lag.iter().filter_map(|&pair| excess(seen, pair)).collect();
-        // So far from the dot before, a medium's own light is of no account.
-        let far: Vec<f64> = values.iter().filter(|v| v[1] < 0.5 * LEAST_LAG).map(|v| v[0]).collect();
-        let all: Vec<f64> = values.iter().map(|v| v[0]).collect();
+        let times = self.times_displaced(seen);
+        // Over the peak of the dot before, what its place has too much. Between cells it seems less than it is.
+        let values: Vec<Excess> = self.lag.iter().filter_map(|&pair| Excess::of(seen, pair, times)).collect();
+        // So far from the dot before, it does not matter how far beside its place its light is seen.
+        let far: Vec<f64> = values.iter().filter(|v| v.spread < LEAST_LAG).map(|v| v.share).collect();
+        let all: Vec<f64> = values.iter().map(|v| v.share).collect();
         let found = |mut values: Vec<f64>, least: usize| {
             let share = median(&mut values);
             let sd = sd_of_median(&values, share);
             (values.len() >= least && share >= LEAST_LAG.max(SIGMA * sd)).then_some((share, sd))
         };
-        let (share, sd) = found(far, LEAST_FAR).or_else(|| found(all, LEAST_VALUES))?;
+        // Two say nothing of how far they may be off: both have to be far off.
+        let few = far.len() < LEAST_FAR && far.iter().any(|share| *share < 2.0 * LEAST_LAG);
+        let of_far = found(far, 2).filter(|_| !few);
+        let (share, sd) = of_far.or_else(|| found(all, LEAST_VALUES))?;
         Some(ConsistencyWarning::PatternRemains { share, sd })
+    }
+
+    /// How many times as far as the dots' cores their tails are seen beside their places: from pairs that lie across
+    /// the way from dot to dot, in which light of the pattern before is the same. `None` where the view says nothing
+    /// of it.
+    fn times_displaced(&self, seen: &[Seen]) -> Option<f64> {
+        let mut ways: Vec<[isize; 2]> = self.lag.iter().map(|&[own, before]| self.step(own, before)).collect();
+        ways.sort_unstable();
+        let way = *ways.get(ways.len() / 2)?;
+        let across = |step: [isize; 2]| step[0] * way[0] + step[1] * way[1] == 0;
+        // ln of there over back, of as many times the offset as there are; those towards the side of the offset.
+        let mut all: Vec<Vec<f64>> = Vec::new();
+        for (k, own) in seen.iter().enumerate() {
+            for (j, there) in own.there.iter().filter(|(j, _)| across(self.step(k, *j))) {
+                let (Some(from), Some(to), Some(back)) = (self.lit[k], self.lit[*j], of(&seen[*j], k)) else {
+                    continue;
+                };
+                let apart = [0, 1].map(|a| to.at_mm[a] - from.at_mm[a]);
+                let along = (apart[0] * self.offset_mm[0] + apart[1] * self.offset_mm[1])
+                    / (apart[0].hypot(apart[1]) * self.offset_mm[0].hypot(self.offset_mm[1])).max(1e-12);
+                let both: Vec<_> = there.iter().zip(back).collect();
+                let is_seen =
+                    both.iter().all(|(t, b)| t[0].min(b[0]) > SEEN_SIGMA * (t[1] + b[1]).sqrt() && b[0] > 0.0);
+                if along > LEAST_ALONG && is_seen && both.len() == FARTHEST + 1 {
+                    all.push(both.iter().map(|(t, b)| (t[0] / b[0]).ln()).collect());
+                }
+            }
+        }
+        if all.len() < LEAST_VALUES {
+            return None;
+        }
+        let middle = |m: usize| median(&mut all.iter().map(|a| a[m]).collect::<Vec<_>>());
+        let middles: Vec<f64> = (0..=FARTHEST).map(middle).collect();
+        // Where the two are alike.
+        let crossing = middles.windows(2).position(|w| w[0] * w[1] <= 0.0 && w[0] != w[1]);
+        crossing.map(|m| m as f64 + middles[m] / (middles[m] - middles[m + 1]))
     }
 }
 
@@ -329,13 +371,28 @@ fn sd_of_median(values: &[f64], median: f64) -> f64 {
     1.25 * scaled_deviation(values.iter().copied(), median) / (values.len() as f64).sqrt()
 }
 
-/// Light of a row in the place of the dot before, less what that dot's row has in its place, over that row's peak; and
-/// the latter of it.
-fn excess(seen: &[Seen], [own, before]: [usize; 2]) -> Option<[f64; 2]> {
-    let (there, back, peak) = (of(&seen[own], before)?, of(&seen[before], own)?, seen[before].peak);
-    // Light from depth displaces all of a row to one side, its tails more than its peak.
-    let least = there.iter().zip(back).map(|(there, back)| (there[0] - back[0]) / peak).fold(f64::INFINITY, f64::min);
-    (peak > 0.0).then_some([least, back[0][0] / peak])
+/// What a row has too much in the place of the dot before.
+struct Excess {
+    /// Its light there less what that dot's row has in its place, over that row's peak.
+    share: f64,
+    /// By how much that depends on how far beside their places dots are seen.
+    spread: f64,
+}
+
+impl Excess {
+    /// Light from depth displaces all of a row to one side, its tails more than its peak: so many `times` as far, and
+    /// where that is not known, as far as leaves least.
+    fn of(seen: &[Seen], [own, before]: [usize; 2], times: Option<f64>) -> Option<Self> {
+        let (there, back, peak) = (of(&seen[own], before)?, of(&seen[before], own)?, seen[before].peak);
+        let all: Vec<f64> = there.iter().zip(back).map(|(there, back)| (there[0] - back[0]) / peak).collect();
+        let (least, most) =
+            (all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(0.0, f64::max));
+        let at = |t: f64| {
+            let (low, part) = (t.floor() as usize, t.fract());
+            Some((1.0 - part) * all.get(low)? + part * all.get(t.ceil() as usize)?)
+        };
+        (peak > 0.0).then(|| Self { share: times.and_then(at).unwrap_or(least), spread: most - least })
+    }
 }
 
 /// What a row says of the place of row `k`.

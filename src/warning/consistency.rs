@@ -524,7 +524,7 @@ impl fmt::Display for ConsistencyWarning {
             }
             Self::PatternRemains { share, sd } => write!(
                 f,
-                "every lattice shot has {:.1} % (± {:.1} %) of a dot's light where the pattern before had its dots: the projector lags, or the shutter opens too early",
+                "every lattice shot has at least {:.1} % (± {:.1} %) of a dot's light where the pattern before had its dots: the projector lags, or the shutter opens too early",
                 100.0 * share,
                 100.0 * sd
             ),

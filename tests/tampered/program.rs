@@ -1,7 +1,7 @@
 //! Runs the program as a person would, and reads what it says.
 
 use regex::Regex;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// The program under test: that of this package, or the one that the variable ACQUIRE names.
@@ -59,7 +59,7 @@ pub(crate) struct Measures {
 
 /// `build-matrix` with no options but the output, then `evaluate`.
 pub(crate) fn build(capture: &Path, notes: &[Regex]) -> Built {
-    let matrix = capture.with_extension("rd.zarr");
+    let matrix = PathBuf::from(format!("{}.rd.zarr", capture.display()));
     let (dir, out) = (capture.to_str().unwrap(), matrix.to_str().unwrap());
     let (status, _, stderr) = run(&["build-matrix", dir, "--out", out]);
     // The capture's folder is not part of what is said.

@@ -125,7 +125,7 @@ pub(crate) fn all<'a>(
         let built = program::build(&dir, notes);
         if keep.is_none() {
             std::fs::remove_dir_all(&dir).unwrap();
-            let _ = std::fs::remove_dir_all(dir.with_extension("rd.zarr"));
+            let _ = std::fs::remove_dir_all(format!("{}.rd.zarr", dir.display()));
         }
         let outcome = outcome(&u.built, &built, mistake, &touched);
         Run { mistake, capture: &u.capture.id, built, outcome }
