@@ -1,7 +1,9 @@
 //! The sensor's noise: the rig's, checked against the photographs, or theirs when the rig has none.
 
 use crate::capture::{Capture, Noise, Pattern, Photograph, Rect, ResponseCurve, Samples, Sampling};
-use crate::radiance::{DarkLevels, NoiseEstimate, black_level, blocks, channel_gains, fit, saturation};
+use crate::radiance::{
+    Curve, DarkLevels, FileNoise, NoiseEstimate, Sensor, black_level, blocks, channel_gains, fit, saturation,
+};
 use crate::warning::bounds::DOUBT_SD;
 use crate::{ConsistencyWarning, Error, RadianceWarning, Result, Warning};
 use rayon::prelude::*;
@@ -62,11 +64,9 @@ pub(super) fn find(capture: &Capture) -> Result<FoundNoise> {
         }
         None => {
             let expected = "gain, read noise, black level and saturation: the photographs do not tell them";
-            let missing = |found: String| Error::field(&capture.rig_path, "noise", expected, found);
-            if !linear {
-                return Err(missing("no [noise], and camera.response is not linear".into()));
-            }
-            let estimate = estimate(capture, None)?.map_err(|reason| missing(format!("no [noise], and {reason}")))?;
+            let missing =
+                |reason| Error::field(&capture.rig_path, "noise", expected, format!("no [noise], and {reason}"));
+            let estimate = estimate(capture, None)?.map_err(missing)?;
             let mut warnings: Vec<Warning> = vec![
                 RadianceWarning::NoiseEstimated {
                     gain_dn_per_electron: estimate.noise.gain_dn_per_electron,
@@ -86,16 +86,19 @@ pub(super) fn find(capture: &Capture) -> Result<FoundNoise> {
     }
 }
 
+/// Linear values of encoded files end there, whatever their bits.
+const ENCODED_RANGE: f64 = 255.0 + 1e-3;
 /// Floating-point photographs are brought to this range: code values may be anything there, 0 to 1 above all.
 const FLOAT_RANGE: f64 = 16_384.0;
 
 /// Photon transfer over the capture's own photographs; the inner error is what they lack. `saturation_dn` as far as it
 /// is known.
 fn estimate(capture: &Capture, saturation_dn: Option<f64>) -> Result<std::result::Result<NoiseEstimate, String>> {
-    let mut reader = Reader { capture, unit_dn: None };
-    let largest = reader.largest_of_floats()?;
+    let mut reader = Reader { capture, unit_dn: None, encoding: encoding(capture)? };
     let saturation_dn = saturation_dn.map(|dn| (dn, true));
-    if let Some(largest) = largest {
+    if let Some(sensor) = &reader.encoding {
+        reader.unit_dn = Some(f64::from(sensor.full_range()) / FLOAT_RANGE);
+    } else if let Some(largest) = reader.largest_of_floats()? {
         reader.unit_dn = Some(saturation_dn.map_or(largest, |s| s.0).max(f64::MIN_POSITIVE) / FLOAT_RANGE);
     }
     let unit_dn = reader.unit_dn.unwrap_or(1.0);
@@ -103,14 +106,24 @@ fn estimate(capture: &Capture, saturation_dn: Option<f64>) -> Result<std::result
         Some((dn, seen)) => (dn / unit_dn, seen),
         None => saturation(&reader.histograms()?),
     };
-    let darks = reader.dark_levels(saturation.0)?;
-    let Some(black) = black_level(&darks) else {
+    // The pedestal of encoded files is off.
+    let black = match reader.encoding {
+        Some(_) => Some((0.0, 0.0)),
+        None => black_level(&reader.dark_levels(saturation.0)?),
+    };
+    let Some(black) = black else {
         return Ok(Err("neither reference-black nor sample-black has two unsaturated exposures".into()));
     };
     let width = Tiles::of(capture.rig.camera.size_px).width();
     let grid = |(a, b): &(&Photograph, &Photograph)| {
         let ((a, sampling), (b, _)) = (reader.decode(a)?, reader.decode(b)?);
-        Ok::<_, Error>(blocks([&a, &b], width, black.0, saturation.0, sampling.variance_share))
+        let found = blocks([&a, &b], width, black.0, saturation.0, sampling.variance_share);
+        let of_files = |sensor: &Sensor| {
+            found.clone().without(|mean, channel| {
+                f64::from(sensor.file_variance((mean * unit_dn) as f32, channel)) / (unit_dn * unit_dn)
+            })
+        };
+        Ok::<_, Error>(reader.encoding.as_ref().map_or_else(|| found.clone(), of_files))
     };
     let grids = pairs(capture).par_iter().map(grid).collect::<Result<Vec<_>>>()?;
     let rounding = if reader.unit_dn.is_some() { 0.0 } else { 1.0 / 12.0 };
@@ -170,8 +183,23 @@ impl Tiles {
 /// Decodes photographs of a capture.
 struct Reader<'a> {
     capture: &'a Capture,
-    /// Of floating-point photographs, DN: they are divided by it.
+    /// What makes code values linear, where they are not.
+    encoding: Option<Sensor>,
+    /// Of floating-point photographs and of those that were made linear, DN: they are divided by it.
     unit_dn: Option<f64>,
+}
+
+/// What makes the code values of a rig whose response is not linear linear; a curve that is still to be estimated is
+/// taken for sRGB. Black is 0, nothing saturates.
+fn encoding(capture: &Capture) -> Result<Option<Sensor>> {
+    let curve = match capture.rig.camera.response_curve {
+        ResponseCurve::Estimate => Some(Curve::srgb()),
+        _ => Curve::of_rig(&capture.rig, &capture.rig_path)?,
+    };
+    let Some(curve) = curve else { return Ok(None) };
+    let open =
+        Noise { black_dn: 0.0, saturation_dn: ENCODED_RANGE, gain_dn_per_electron: 0.0, read_noise_electrons: 0.0 };
+    Ok(Some(Sensor::with_curve(&open, Some(curve), FileNoise::of_capture(capture)?)))
 }
 
 impl Reader<'_> {
@@ -184,8 +212,11 @@ impl Reader<'_> {
         Ok((samples, sampling))
     }
 
-    /// Divides floating point code values by `unit_dn`, if there is one.
+    /// Makes code values linear and divides floating point ones by `unit_dn`, if there is one.
     fn to_unit(&self, samples: &mut Samples) {
+        if let Some(sensor) = &self.encoding {
+            *samples = sensor.linear_samples(samples);
+        }
         if let (Samples::F32(v), Some(unit_dn)) = (samples, self.unit_dn) {
             v.iter_mut().for_each(|v| *v = (f64::from(*v) / unit_dn) as f32);
         }
@@ -351,7 +382,7 @@ const BLACK_MOVES: f64 = 5e-4;
 /// # Errors
 /// Those of decoding.
 pub(super) fn black_moves(capture: &Capture, noise: &Noise) -> Result<Option<Warning>> {
-    let reader = Reader { capture, unit_dn: None };
+    let reader = Reader { capture, unit_dn: None, encoding: None };
     let darkest = |p: &Photograph| -> Result<f64> {
         let mut values = Vec::new();
         reader.decode(p)?.0.for_each(|code| values.extend(code.is_finite().then_some(code)));

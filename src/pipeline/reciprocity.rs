@@ -126,14 +126,16 @@ struct Compared {
     /// How far beside their places the dots of the capture are seen, mm: from below the surface of an oblique sample,
     /// or by an error of registration.
     offset_mm: Point,
+    /// The part of it that light from depth makes.
+    depth_mm: Point,
 }
 
 /// What a row says: its own peak, and the light in the places that it was asked for.
 #[derive(Clone, Default)]
 struct Seen {
     peak: f64,
-    /// Row, light in its place, light as far beside it as dots are seen beside theirs, and twice to [`FARTHEST`] times
-    /// as far where the window reaches.
+    /// Row; light as far beside its place as dots are seen beside theirs, in its place, and so many times as far beside
+    /// it as light from depth displaces a dot, up to [`FARTHEST`] where the window reaches.
     there: Vec<(usize, Vec<Light>)>,
 }
 
@@ -185,7 +187,42 @@ impl Compared {
                 seen.filter_map(|s| if let DotSeen::At { off_mm } = s { Some(off_mm[a]) } else { None }).collect();
             median(&mut all)
         };
-        Self { lit, asked, lag, shots: results.len(), columns: nx, offset_mm: [off(0), off(1)] }
+        let mut pairs = Self {
+            lit,
+            asked,
+            lag,
+            shots: results.len(),
+            columns: nx,
+            offset_mm: [off(0), off(1)],
+            depth_mm: [0.0; 2],
+        };
+        pairs.depth_mm = pairs.offset_of_depth(scene);
+        pairs
+    }
+
+    /// The part of the dots' offset that light from depth makes. Light of the dot before draws them along the way from
+    /// dot to dot: how far they are off across it tells, where the line of sight leans that way.
+    fn offset_of_depth(&self, scene: &Scene<'_>) -> Point {
+        let Some(eye_mm) = scene.registration.view.eye_mm() else { return self.offset_mm };
+        let middle = |a: usize| median(&mut self.lit.iter().flatten().map(|l| l.at_mm[a]).collect::<Vec<_>>());
+        let tangent = [0, 1].map(|a| (eye_mm[a] - middle(a)) / -eye_mm[2]);
+        let [x, y] = self.way().map_or([0.0; 2], |way| {
+            let step = scene.steps_mm();
+            [0, 1].map(|a| way[0] as f64 * step[0][a] + way[1] as f64 * step[1][a])
+        });
+        let across = [-y, x];
+        let along = |v: Point| (v[0] * across[0] + v[1] * across[1]) / across[0].hypot(across[1]).max(1e-12);
+        if along(tangent).abs() < LEAST_ALONG * tangent[0].hypot(tangent[1]) || x.hypot(y) == 0.0 {
+            return self.offset_mm;
+        }
+        tangent.map(|t| t * along(self.offset_mm) / along(tangent))
+    }
+
+    /// The usual step from a dot to that of the shot before.
+    fn way(&self) -> Option<[isize; 2]> {
+        let mut ways: Vec<[isize; 2]> = self.lag.iter().map(|&[own, before]| self.step(own, before)).collect();
+        ways.sort_unstable();
+        ways.get(ways.len() / 2).copied()
     }
 
     fn look(&self, scene: &Scene<'_>, rows: &impl RowSink) -> Result<Vec<Seen>> {
@@ -195,10 +232,10 @@ impl Compared {
             let row = rows.row(k)?;
             let place = |&j: &usize| {
                 let at = self.lit[j]?.at_mm;
-                let displaced = |times: usize| [0, 1].map(|a| at[a] + times as f64 * self.offset_mm[a]);
-                let light = |times: usize| light_at(&row, window, own.at_mm, displaced(times));
-                let mut all = vec![light(0)?, light(1)?];
-                all.extend((2..=FARTHEST).map_while(light));
+                let beside = |times: f64, by: Point| [0, 1].map(|a| at[a] + times * by[a]);
+                let light = |at: Point| light_at(&row, window, own.at_mm, at);
+                let mut all = vec![light(beside(1.0, self.offset_mm))?, light(at)?];
+                all.extend((1..=FARTHEST).map_while(|times| light(beside(times as f64, self.depth_mm))));
                 Some((j, all))
             };
             let peak = light_at(&row, window, own.at_mm, own.at_mm).map_or(0.0, |l| l[0]);
@@ -232,7 +269,7 @@ impl Compared {
     /// Light of row `k` over that of the rows of other shots between the same places, where both are beyond doubt.
     fn each_ratio<'a>(&'a self, seen: &'a [Seen], k: usize) -> impl Iterator<Item = ([isize; 2], Ratio)> + 'a {
         seen[k].there.iter().filter_map(move |(j, there)| {
-            let ([light, variance], [back, back_variance]) = (there[1], of(&seen[*j], k)?[1]);
+            let ([light, variance], [back, back_variance]) = (there[0], of(&seen[*j], k)?[0]);
             let sd = (variance / (light * light) + back_variance / (back * back)).sqrt();
             let ratio = || Ratio { ln_ratio: (light / back).ln(), sd };
             (light.min(back) > SEEN_SIGMA * (variance + back_variance).sqrt()).then(|| (self.step(k, *j), ratio()))
@@ -319,9 +356,7 @@ impl Compared {
     /// the way from dot to dot, in which light of the pattern before is the same. `None` where the view says nothing
     /// of it.
     fn times_displaced(&self, seen: &[Seen]) -> Option<f64> {
-        let mut ways: Vec<[isize; 2]> = self.lag.iter().map(|&[own, before]| self.step(own, before)).collect();
-        ways.sort_unstable();
-        let way = *ways.get(ways.len() / 2)?;
+        let way = self.way()?;
         let across = |step: [isize; 2]| step[0] * way[0] + step[1] * way[1] == 0;
         // ln of there over back, of as many times the offset as there are; those towards the side of the offset.
         let mut all: Vec<Vec<f64>> = Vec::new();
@@ -331,9 +366,9 @@ impl Compared {
                     continue;
                 };
                 let apart = [0, 1].map(|a| to.at_mm[a] - from.at_mm[a]);
-                let along = (apart[0] * self.offset_mm[0] + apart[1] * self.offset_mm[1])
-                    / (apart[0].hypot(apart[1]) * self.offset_mm[0].hypot(self.offset_mm[1])).max(1e-12);
-                let both: Vec<_> = there.iter().zip(back).collect();
+                let along = (apart[0] * self.depth_mm[0] + apart[1] * self.depth_mm[1])
+                    / (apart[0].hypot(apart[1]) * self.depth_mm[0].hypot(self.depth_mm[1])).max(1e-12);
+                let both: Vec<_> = there.iter().zip(back).skip(1).collect();
                 let is_seen =
                     both.iter().all(|(t, b)| t[0].min(b[0]) > SEEN_SIGMA * (t[1] + b[1]).sqrt() && b[0] > 0.0);
                 if along > LEAST_ALONG && is_seen && both.len() == FARTHEST + 1 {
@@ -384,7 +419,7 @@ impl Excess {
     /// where that is not known, as far as leaves least.
     fn of(seen: &[Seen], [own, before]: [usize; 2], times: Option<f64>) -> Option<Self> {
         let (there, back, peak) = (of(&seen[own], before)?, of(&seen[before], own)?, seen[before].peak);
-        let all: Vec<f64> = there.iter().zip(back).map(|(there, back)| (there[0] - back[0]) / peak).collect();
+        let all: Vec<f64> = there.iter().zip(back).skip(1).map(|(there, back)| (there[0] - back[0]) / peak).collect();
         let (least, most) =
             (all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(0.0, f64::max));
         let at = |t: f64| {
@@ -493,7 +528,7 @@ mod tests {
         let far = |a: usize, b: usize| (at(a)[0] - at(b)[0]).hypot(at(a)[1] - at(b)[1]);
         let asked = (0..nx * ny).map(|k| (0..nx * ny).filter(|&j| j != k && far(k, j) < 3.5).collect()).collect();
         let lag = (1..nx * ny).map(|k| [k, k - 1]).filter(|[a, b]| far(*a, *b) < 3.5).collect();
-        Compared { lit, asked, lag, shots: nx * ny, columns: nx, offset_mm: [0.0; 2] }
+        Compared { lit, asked, lag, shots: nx * ny, columns: nx, offset_mm: [0.0; 2], depth_mm: [0.0; 2] }
     }
 
     /// What rows say: exp(−distance), times what `place` says of row k in the place of row j.
@@ -508,7 +543,8 @@ mod tests {
         let there = |k: usize| {
             // Displaced by as much as dots are seen beside their places, there is no lean.
             let far = |j: usize| (at(j)[0] - at(k)[0]) / (at(j)[0] - at(k)[0]).hypot(at(j)[1] - at(k)[1]);
-            let both = |j: usize| [light(k, j), light(k, j) / (1.0 - 0.1 * far(j))].map(|light| [light, 1e-9]).to_vec();
+            let straight = |j: usize| light(k, j) / (1.0 - 0.1 * far(j));
+            let both = |j: usize| [straight(j), light(k, j), straight(j)].map(|light| [light, 1e-9]).to_vec();
             pairs.asked[k].iter().map(|&j| (j, both(j))).collect()
         };
         (0..pairs.lit.len()).map(|k| Seen { peak: 1.5, there: there(k) }).collect()

@@ -104,6 +104,16 @@ pub struct BlockGrid {
 }
 
 impl BlockGrid {
+    /// The same less a variance that is not the sensor's, of a mean and channel: that of the files.
+    pub fn without(mut self, variance: impl Fn(f64, usize) -> f64) -> Self {
+        for (k, block) in self.blocks.iter_mut().enumerate() {
+            if let Some(b) = block {
+                b.variance = (b.variance - variance(b.mean, k % 3)).max(0.0);
+            }
+        }
+        self
+    }
+
     /// The blocks of one channel in the place of all three.
     fn channel(&self, channel: usize) -> Self {
         let blocks = self.blocks.chunks(3).flat_map(|b| [b[channel]; 3]).collect();

@@ -164,6 +164,13 @@ impl Sensor {
         all.into_iter().skip(channel).step_by(3).collect()
     }
 
+    /// Linear code values above black of all channels; saturated ones as +∞, what is no measurement as NaN.
+    pub fn linear_samples(&self, samples: &Samples) -> Samples {
+        let mut all = vec![0.0; samples.len()];
+        self.linearize(samples, 0, &mut all);
+        Samples::F32(all)
+    }
+
     /// Linear code values from black to saturation.
     pub fn full_range(&self) -> f32 {
         self.range()
@@ -179,6 +186,11 @@ impl Sensor {
         self.saturation - self.black
     }
 
+    /// Variance that whole code values and compression add to a linear value above black of a channel, DN².
+    pub fn file_variance(&self, linear: f32, channel: usize) -> f32 {
+        self.coding + self.rounding(linear, channel)
+    }
+
     /// Variance of rounding and compression of a channel, carried to the linear signal by the curve's slope, DN².
     pub(super) fn rounding(&self, linear: f32, channel: usize) -> f32 {
         self.encoding.as_ref().map_or(0.0, |e| {
@@ -189,7 +201,7 @@ impl Sensor {
 
     /// Variance of a linear value of mean `linear` above black, DN².
     pub(super) fn variance(&self, linear: f32, channel: usize) -> f32 {
-        self.gain * linear.max(0.0) + self.read + self.coding + self.rounding(linear, channel)
+        self.gain * linear.max(0.0) + self.read + self.file_variance(linear, channel)
     }
 
     /// Whether lossy compression adds to the noise.

@@ -88,6 +88,10 @@ pub enum RadianceWarning {
 impl fmt::Display for RadianceWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::NoiseEstimated { gain_dn_per_electron: 0.0, black_dn, saturation_dn, .. } => write!(
+                f,
+                "the photographs show no noise beyond that of their code values (rounding, compression), which alone is in the variance; black {black_dn:.2} DN, saturation {saturation_dn:.0} DN"
+            ),
             Self::NoiseEstimated {
                 gain_dn_per_electron,
                 gain_sd,

@@ -44,7 +44,7 @@ pub(super) fn find(pairs: &Compared, seen: &[Seen]) -> Option<SteadyLight> {
     let common = pairs.common(seen);
     let of_place = |j: usize| -> Vec<Pair> {
         let pair = |&(k, _): &(usize, Vec<super::Light>)| {
-            let (there, back) = (of(&seen[k], j)?[1], of(&seen[j], k)?[1]);
+            let (there, back) = (of(&seen[k], j)?[0], of(&seen[j], k)?[0]);
             let factor = common.get(&pairs.step(k, j))?.exp();
             let variance = there[1] / (factor * factor) + back[1];
             Some(Pair { other: k, there: there[0] / factor, back: back[0], variance })
