@@ -10,7 +10,7 @@ use crate::capture::{Pattern, Window};
 use crate::cholesky::solve_small;
 use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
-use crate::registration::{Drift, Registration, SampleDots, median, scaled_deviation};
+use crate::registration::{DEPTH_OF_HALF_LIGHT, Drift, Registration, SampleDots, median, scaled_deviation};
 use crate::transport::Row;
 use crate::warning::bounds::REFUSED_PROJECTOR_PX;
 use crate::{ConsistencyWarning, Result, Warning};
@@ -47,7 +47,6 @@ const NEAR_STEP: f64 = 0.25;
 /// A sample that is seen obliquely shows its dots beside their places, as their light leaves it from below: from no
 /// deeper than this many radii of the half of a row's light (ketchup of docs/simulation.md: 3).
 const DEEPEST: f64 = 4.0;
-
 /// About a ramp that is told dots scatter by this share of it at the most: about a step between two media they do by a
 /// quarter.
 const RAMP_SCATTER: f64 = 0.15;
@@ -133,11 +132,13 @@ fn is_dark(picture: &Radiance) -> bool {
 pub(super) fn judge(scene: &Scene<'_>, results: &[ShotResult], options: &BuildOptions) -> Result<Vec<Warning>> {
     let mut warnings = Vec::new();
     let Some(common) = Common::of(scene, results) else { return Ok(warnings) };
-    if let Some(ramp) = common.ramp(scene) {
-        return Ok(vec![options.refuse(ramp)?]);
-    }
+    let ramp = common.ramp(scene, options)?;
     warnings.extend(other_patterns(scene, results, &common, options)?);
-    warnings.extend(common.offset(scene, results, options)?);
+    // A step that is off puts all dots off.
+    warnings.extend(match ramp {
+        Some(ramp) => Some(ramp),
+        None => common.offset(scene, results, options)?,
+    });
     Ok(warnings)
 }
 
@@ -153,9 +154,10 @@ struct OffDot {
 /// What all dots of a capture are off by alike.
 struct Common {
     seen: Vec<OffDot>,
-    /// Depth that explains the most of it, and the largest that is believed, mm.
-    depth_mm: f64,
+    /// Median radius of half of a row's light, mm: light comes from no deeper than [`DEEPEST`] times that.
     half_light_mm: f64,
+    /// What the radii of half of a row's light differ by: from the tenth to the ninetieth of a hundred.
+    half_light_spread_mm: f64,
     /// Median, mm.
     offset_mm: Point,
     /// The part of it that light from no depth explains, mm.
@@ -198,11 +200,13 @@ impl Common {
         let square = tangent[0].powi(2) + tangent[1].powi(2);
         let depth = (offset_mm[0] * tangent[0] + offset_mm[1] * tangent[1]) / square.max(1e-12);
         let half_light_mm = median(&mut depths);
+        let [low, high] = [0.1, 0.9].map(|share| depths[(share * (depths.len() - 1) as f64).round() as usize]);
+        let half_light_spread_mm = high - low;
         let depth_mm = depth.clamp(0.0, DEEPEST * half_light_mm);
         let unexplained_mm = [0, 1].map(|a| offset_mm[a] - depth_mm * tangent[a]);
         let spread = [0, 1].map(|a| scaled_deviation(seen.iter().map(|s| s.off_mm[a]), offset_mm[a]));
         let sd_mm = scene.registration.position_sd_mm.hypot(spread[0].max(spread[1]) / (seen.len() as f64).sqrt());
-        Some(Self { seen, depth_mm, half_light_mm, offset_mm, unexplained_mm, sd_mm, found })
+        Some(Self { seen, half_light_mm, half_light_spread_mm, offset_mm, unexplained_mm, sd_mm, found })
     }
 
     /// What a dot is off by beyond what all are.
@@ -212,33 +216,55 @@ impl Common {
 
     /// Dots that are the farther off the farther along the grid they are: its step is not that of the patterns, or it
     /// is turned against the Gray code.
-    fn ramp(&self, scene: &Scene<'_>) -> Option<ConsistencyWarning> {
+    ///
+    /// # Errors
+    /// [`crate::Error::Contradiction`].
+    fn ramp(&self, scene: &Scene<'_>, options: &BuildOptions) -> Result<Option<Warning>> {
         let grid = &scene.capture.manifest.grid;
         let steps = grid.points.map(|n| n.saturating_sub(1) as f64);
         let middle = grid.dot_projector_px([grid.points[0] / 2, grid.points[1] / 2]);
-        let all = |a: usize| self.seen.iter().map(move |s| s.tangent[a]);
-        let [most, least] = [f64::max, f64::min].map(|f| [0, 1].map(|a| all(a).reduce(f).unwrap_or(0.0)));
         // mm from one end of the grid to the other, along x and along y, of both coordinates; scatter about it.
         let fits = [0, 1].map(|a| plane(&self.seen, grid.points, |s| s.off_mm[a]));
-        let [Some(x), Some(y)] = fits else { return None };
+        let [Some(x), Some(y)] = fits else { return Ok(None) };
         let scatter_mm = x.scatter.max(y.scatter);
-        let far_mm = [0, 1].map(|k| [x.slope[k], y.slope[k]]);
-        let length = |v: Point| v[0].hypot(v[1]);
-        // Of two media light comes from different depths, and of all from one that is seen more or less aslant.
-        let aslant = [0, 1].map(|a| most[a].abs().max(least[a].abs()));
-        let explained_mm =
-            self.half_light_mm * length(aslant) + self.depth_mm * length([0, 1].map(|a| most[a] - least[a]));
-        let is_off = |far_mm: Point| {
-            let px = length(projector_px(scene, middle, far_mm));
-            px > REFUSED_PROJECTOR_PX && length(far_mm) > explained_mm.max(scatter_mm / RAMP_SCATTER)
+        let found_mm = [0, 1].map(|k| [x.slope[k], y.slope[k]]);
+        // The same of the line of sight, per depth: light from one depth is seen nearer to the camera's foot.
+        let tangents = [0, 1].map(|a| plane(&self.seen, grid.points, |s| s.tangent[a]).map_or([0.0; 2], |p| p.slope));
+        let leans = [0, 1].map(|k| [tangents[0][k], tangents[1][k]]);
+        // An axis that is not stretched tells the depth: the one whose depth is nearer to what media have.
+        let depth_of = |k: usize| {
+            let square = leans[k][0].powi(2) + leans[k][1].powi(2);
+            let along = found_mm[k][0] * leans[k][0] + found_mm[k][1] * leans[k][1];
+            (square > 1e-12).then(|| (along / square).clamp(0.0, DEEPEST * self.half_light_mm))
         };
-        if self.found < 0.5 || !far_mm.into_iter().any(is_off) {
-            return None;
-        }
+        let usual_mm = DEPTH_OF_HALF_LIGHT * self.half_light_mm;
+        let depths = (0..2).filter(|&k| steps[k] > 0.0).filter_map(depth_of);
+        let depth_mm = depths.min_by(|a, b| (a - usual_mm).abs().total_cmp(&(b - usual_mm).abs())).unwrap_or(0.0);
+        let far_mm = [0, 1].map(|k| [0, 1].map(|a| found_mm[k][a] - depth_mm * leans[k][a]));
+        let length = |v: Point| v[0].hypot(v[1]);
+        let sd_far_mm = scatter_mm * (12.0 / self.seen.len() as f64).sqrt();
+        // Of two media light comes from different depths.
+        let all = |a: usize| self.seen.iter().map(move |s| s.tangent[a].abs());
+        let aslant = [0, 1].map(|a| all(a).fold(0.0, f64::max));
+        let explained_mm =
+            (self.half_light_spread_mm * length(aslant)).max(scatter_mm / RAMP_SCATTER).max(SIGMA * sd_far_mm);
+        let far_px = |far_mm: Point| length(projector_px(scene, middle, far_mm));
+        let is_told = |far_mm: &Point| length(*far_mm) > explained_mm.max(LEAST_PX / scene.px_per_mm);
+        let told: Vec<f64> = far_mm.iter().filter(|far| is_told(far)).map(|far| far_px(*far)).collect();
+        let Some(most_px) = told.into_iter().reduce(f64::max).filter(|_| self.found >= 0.5) else { return Ok(None) };
         let per_step = |k: usize| projector_px(scene, middle, far_mm[k]).map(|v| v / steps[k].max(1.0));
-        let sd_mm = scatter_mm * (12.0 / self.seen.len() as f64).sqrt() / steps[0].max(steps[1]).max(1.0);
+        let sd_mm = sd_far_mm / steps[0].max(steps[1]).max(1.0);
         let sd_projector_px = length(projector_px(scene, middle, [sd_mm, 0.0]));
-        Some(ConsistencyWarning::DotsStep { along_x: per_step(0), along_y: per_step(1), sd_projector_px })
+        let finding = ConsistencyWarning::DotsStep {
+            along_x: per_step(0),
+            along_y: per_step(1),
+            sd_projector_px,
+            far_projector_px: most_px,
+        };
+        match most_px < REFUSED_PROJECTOR_PX {
+            true => Ok(Some(finding.into())),
+            false => options.refuse(finding).map(Some),
+        }
     }
 
     /// Grid, reference dots and Gray code that do not agree.

@@ -338,7 +338,8 @@ impl Compared {
         // Over the peak of the dot before, what its place has too much. Between cells it seems less than it is.
         let values: Vec<Excess> = self.lag.iter().filter_map(|&pair| Excess::of(seen, pair, times)).collect();
         // So far from the dot before, it does not matter how far beside its place its light is seen.
-        let far: Vec<f64> = values.iter().filter(|v| v.spread < LEAST_LAG).map(|v| v.share).collect();
+        let is_far = |v: &&Excess| v.spread < LEAST_LAG && v.own < 2.0 * LEAST_LAG;
+        let far: Vec<f64> = values.iter().filter(is_far).map(|v| v.share).collect();
         let all: Vec<f64> = values.iter().map(|v| v.share).collect();
         let found = |mut values: Vec<f64>, least: usize| {
             let share = median(&mut values);
@@ -348,7 +349,11 @@ impl Compared {
         // Two say nothing of how far they may be off: both have to be far off.
         let few = far.len() < LEAST_FAR && far.iter().any(|share| *share < 2.0 * LEAST_LAG);
         let of_far = found(far, 2).filter(|_| !few);
-        let (share, sd) = of_far.or_else(|| found(all, LEAST_VALUES))?;
+        // Near ones depend on how far beside their places tails are seen, which is known to about a dot's offset.
+        let doubt = |v: &Excess| (v.spread / FARTHEST as f64).max((v.share - v.beside).abs());
+        let doubt = median(&mut values.iter().map(doubt).collect::<Vec<_>>());
+        let of_all = || found(all, LEAST_VALUES).filter(|(share, _)| *share > LEAST_LAG + doubt);
+        let (share, sd) = of_far.or_else(of_all)?;
         Some(ConsistencyWarning::PatternRemains { share, sd })
     }
 
@@ -410,8 +415,12 @@ fn sd_of_median(values: &[f64], median: f64) -> f64 {
 struct Excess {
     /// Its light there less what that dot's row has in its place, over that row's peak.
     share: f64,
-    /// By how much that depends on how far beside their places dots are seen.
+    /// The same as far beside its place as dots are seen.
+    beside: f64,
+    /// By how much that depends on how far beside their places tails are seen.
     spread: f64,
+    /// What a medium has there, over that row's peak.
+    own: f64,
 }
 
 impl Excess {
@@ -419,14 +428,16 @@ impl Excess {
     /// where that is not known, as far as leaves least.
     fn of(seen: &[Seen], [own, before]: [usize; 2], times: Option<f64>) -> Option<Self> {
         let (there, back, peak) = (of(&seen[own], before)?, of(&seen[before], own)?, seen[before].peak);
-        let all: Vec<f64> = there.iter().zip(back).skip(1).map(|(there, back)| (there[0] - back[0]) / peak).collect();
+        let each: Vec<f64> = there.iter().zip(back).map(|(there, back)| (there[0] - back[0]) / peak).collect();
+        let (beside, all) = (*each.first()?, each.get(1..)?);
         let (least, most) =
             (all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(0.0, f64::max));
         let at = |t: f64| {
             let (low, part) = (t.floor() as usize, t.fract());
             Some((1.0 - part) * all.get(low)? + part * all.get(t.ceil() as usize)?)
         };
-        (peak > 0.0).then(|| Self { share: times.and_then(at).unwrap_or(least), spread: most - least })
+        let share = times.and_then(at).unwrap_or(least);
+        (peak > 0.0).then(|| Self { share, beside, spread: most - least, own: back[0][0] / peak })
     }
 }
 

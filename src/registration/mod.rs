@@ -31,6 +31,7 @@ pub use jumps::{Jump, find_jumps};
 pub use lens_fit::{LensChoice, LensTrial, Pairs, fit_lens_of_views};
 pub use projector_fit::{MapTrend, ProjectorFit, fit_projector};
 pub use rim_size::{RimFit, fit_rim};
+pub(crate) use sample_drift::DEPTH_OF_HALF_LIGHT;
 pub use sample_drift::{DepthOfMedium, Located, Parallax, SampleDots};
 pub use sharpness::{PointSpread, measure_point_spread};
 pub use stripe_area::{StripeArea, StripeSurface};

@@ -24,8 +24,8 @@ const BELIEVED_SIGMA: f64 = 4.0;
 /// Depth over refractive index of a dot's core, in radii of the half of its light, and its scatter from medium to
 /// medium: 0.10 to 0.63 in 26 captures of 12 media, cells of 0.2 and 0.5 mm, by diffusion and by Monte Carlo
 /// (docs/accuracy.md, "Geometry").
-const DEPTH_OF_HALF_LIGHT: f64 = 0.3;
-const DEPTH_OF_HALF_LIGHT_SD: f64 = 0.2;
+pub(crate) const DEPTH_OF_HALF_LIGHT: f64 = 0.3;
+pub(crate) const DEPTH_OF_HALF_LIGHT_SD: f64 = 0.2;
 
 /// How dots on the sample are looked for.
 #[derive(Debug, Clone)]

@@ -89,6 +89,8 @@ pub enum ConsistencyWarning {
         along_y: [f64; 2],
         /// Standard deviation of each of them.
         sd_projector_px: f64,
+        /// From one end of the grid to the other, the larger of the two.
+        far_projector_px: f64,
     },
     /// The board is blurred more than the reference dots, so that its blur is not theirs.
     BoardBlur {
@@ -388,9 +390,9 @@ impl fmt::Display for ConsistencyWarning {
                     ),
                 }
             }
-            Self::DotsStep { along_x: [ax, ay], along_y: [bx, by], sd_projector_px } => write!(
+            Self::DotsStep { along_x: [ax, ay], along_y: [bx, by], sd_projector_px, far_projector_px } => write!(
                 f,
-                "from one lit point to the next the dots are {ax:+.2}, {ay:+.2} projector px along x and {bx:+.2}, {by:+.2} along y (± {sd_projector_px:.3}) off what grid.step_projector_px says"
+                "from one lit point to the next the dots are {ax:+.3}, {ay:+.3} projector px along x and {bx:+.3}, {by:+.3} along y (± {sd_projector_px:.3}) off what grid.step_projector_px says: {far_projector_px:.2} from one end of the grid to the other"
             ),
             Self::BoardBlur { shot, psf_px, dots_psf_px } => write!(
                 f,
@@ -576,7 +578,10 @@ super::record::catalogue!(ConsistencyWarning {
         bound("offset_projector_px", REFUSED_PROJECTOR_PX, "projector px");
     Self::DotsOffset { field: name, board, .. } => "dots-offset", Warning, Dots, Told,
         [field(name)].into_iter().chain(board.as_deref().map(shot)).collect(), None;
-    Self::DotsStep { .. } => "dots-step", Warning, Dots, Accepted, vec![field("grid.step_projector_px")], None;
+    Self::DotsStep { far_projector_px, .. } if *far_projector_px >= REFUSED_PROJECTOR_PX =>
+        "dots-step", Warning, Dots, Accepted, vec![field("grid.step_projector_px")],
+        bound("far_projector_px", REFUSED_PROJECTOR_PX, "projector px");
+    Self::DotsStep { .. } => "dots-step", Warning, Dots, Told, vec![field("grid.step_projector_px")], None;
     Self::BoardBlur { shot: name, .. } => "board-blur", Warning, Focus, Accepted, vec![shot(name)], None;
     Self::AmbientChanged { share, .. } if share.abs() > EVEN_REFUSED => "ambient-changed", Warning, Light, Accepted,
         vec![part("ambient light")], bound("share", EVEN_REFUSED, "");
