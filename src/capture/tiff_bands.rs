@@ -242,7 +242,7 @@ mod tests {
             let plain = Plain::of(&mut bands.decoder).unwrap().unwrap();
             let (size_px, rows_of) = (bands.size_px, bands.chunk_rows);
             plain.check(&mut bands.decoder, size_px, 3, rows_of).unwrap();
-            let wider = [size_px[0] + 1, size_px[1]];
+            let wider = [2 * size_px[0], size_px[1]];
             assert!(plain.check(&mut bands.decoder, wider, 3, rows_of).unwrap_err().contains("ends before"));
             bands.plain = Some(plain);
             let mut band = Samples::U8(vec![]);

@@ -1,5 +1,6 @@
 //! Least squares for planes and lenses.
 
+use crate::cholesky::solve_small;
 use crate::geometry::{CameraView, Homography, Lens, Point};
 use faer::Mat;
 use faer::linalg::solvers::SolveLstsq;
@@ -20,8 +21,9 @@ const REWEIGHTINGS: usize = 4;
 
 /// The homography that fits observations of single coordinates in the least-squares sense, and its RMS residual.
 ///
-/// Linear equations in normalized coordinates (Hartley & Zisserman 2004, §4.4), solved by QR and reweighted by the
-/// projective depth so that residuals are distances. `None` with fewer than eight observations or a degenerate layout.
+/// Linear equations in normalized coordinates (Hartley & Zisserman 2004, §4.4), solved by their normal equations and
+/// reweighted by the projective depth so that residuals are distances. `None` with fewer than eight observations or a
+/// degenerate layout.
 pub fn fit_homography(observations: &[Observation]) -> Option<(Homography, f64)> {
     if observations.len() < 8 {
         return None;
@@ -45,19 +47,20 @@ pub fn fit_homography(observations: &[Observation]) -> Option<(Homography, f64)>
     let mut h = Homography::IDENTITY;
     for round in 0..REWEIGHTINGS {
         let depth = |p: Point| if round == 0 { 1.0 } else { h.matrix[2][0] * p[0] + h.matrix[2][1] * p[1] + 1.0 };
-        let mut a = Mat::<f64>::zeros(rows.len(), 8);
-        let mut b = Mat::<f64>::zeros(rows.len(), 1);
-        for (r, &(p, axis, to)) in rows.iter().enumerate() {
+        // Sums of products: coordinates of about one leave them a condition of 1e6 or less.
+        let (mut a, mut b) = ([[0.0; 8]; 8], [0.0; 8]);
+        for &(p, axis, to) in &rows {
             let w = 1.0 / depth(p);
-            for (k, v) in [p[0], p[1], 1.0].into_iter().enumerate() {
-                a[(r, 3 * axis + k)] = w * v;
+            let first = 3 * axis;
+            let at = [first, first + 1, first + 2, 6, 7];
+            let row = [w * p[0], w * p[1], w, -w * to * p[0], -w * to * p[1]];
+            for i in 0..5 {
+                (0..=i).for_each(|j| a[at[i]][at[j]] += row[i] * row[j]);
+                b[at[i]] += row[i] * w * to;
             }
-            a[(r, 6)] = -w * to * p[0];
-            a[(r, 7)] = -w * to * p[1];
-            b[(r, 0)] = w * to;
         }
-        let x = a.col_piv_qr().solve_lstsq(&b);
-        let v = |k: usize| x[(k, 0)];
+        let (x, _) = solve_small(a, b)?;
+        let v = |k: usize| x[k];
         h = Homography { matrix: [[v(0), v(1), v(2)], [v(3), v(4), v(5)], [v(6), v(7), 1.0]] };
         if h.matrix.iter().flatten().any(|v| !v.is_finite()) {
             return None;
