@@ -6,7 +6,6 @@ use super::looks::looks;
 use super::photographs::Photographs;
 use crate::capture::{Pattern, Samples};
 use crate::radiance::decode_spread;
-use crate::warning::bounds::CLIPS_BELOW;
 use crate::{ConsistencyWarning, Error, Result, Warning};
 
 /// So many photographs have to end at the same code.
@@ -47,8 +46,8 @@ pub(super) fn with_findings<T>(
 fn clipping(photographs: &Photographs<'_>, options: &BuildOptions) -> Result<Option<Warning>> {
     let piles = photographs.piles()?;
     let given = photographs.capture.rig.noise.as_ref().map_or(f64::INFINITY, |n| n.saturation_dn);
-    // The rig's is a little below the largest code itself.
-    let below: Vec<_> = piles.iter().filter(|(_, code)| **code < CLIPS_BELOW * given).collect();
+    // However little below: all that clips there counts as measured.
+    let below: Vec<_> = piles.iter().filter(|(_, code)| **code < given).collect();
     // Equal values of one photograph may be chance where there is no noise; a converter clips all at one code.
     let alike = |code: f64| below.iter().filter(|(_, c)| **c == code).count();
     let Some(&(&[shot, place], &code)) = below.iter().max_by_key(|(_, code)| alike(**code)) else { return Ok(None) };

@@ -72,10 +72,11 @@ impl Pair {
 
 /// The photographs of a stack that do not show what the others show, worst first.
 ///
-/// Each two are compared sample by sample, one time corrected against the other by the median of their ratios: what is
-/// unsaturated and above noise in one has to be in the other within its noise and 8 % (25 % where files are
-/// compressed); what saturates in one bounds the other. `parts` are rectangles of one shot, the same photographs in
-/// each, sorted by time; `stride` leaves out all but every so many blocks of pixels.
+/// Neighbours in time, and where any two of them disagree each two, are compared sample by sample, one time corrected
+/// against the other by the median of their ratios: what is unsaturated and above noise in one has to be in the other
+/// within its noise and 8 % (25 % where files are compressed); what saturates in one bounds the other. `parts` are
+/// rectangles of one shot, the same photographs in each, sorted by time; `stride` leaves out all but every so many
+/// blocks of pixels.
 ///
 /// Of three photographs or more the one is named without which the others agree.
 ///
@@ -89,17 +90,24 @@ pub fn disagreements(
 ) -> Vec<Disagreement> {
     let light = linear_light(parts, sensor, stride);
     let n = light.len();
+    let compared = |a: usize, b: usize| {
+        let both = [&light[a], &light[b]];
+        let ratio = median_ratio(both, sensor);
+        let log_factor = ratio.and_then(|r| {
+            let off = f64::from(r.median).ln() - (brightness.log_scale[b] - brightness.log_scale[a]);
+            (off.abs() > brightness.tolerance + r.five_sd()).then_some(off)
+        });
+        Pair { log_factor, ..compare(both, sensor, ratio.map_or(1.0, |r| r.median)) }
+    };
+    // Neighbours share most of their range: where each two of them agree, all do.
+    let neighbours: Vec<Pair> = (1..n).map(|b| compared(b - 1, b)).collect();
+    if !neighbours.iter().any(Pair::disagrees) {
+        return vec![];
+    }
     let mut pairs = vec![Pair::default(); n * n];
     for a in 0..n {
         for b in a + 1..n {
-            let both = [&light[a], &light[b]];
-            let ratio = median_ratio(both, sensor);
-            let pair = &mut pairs[a * n + b];
-            *pair = compare(both, sensor, ratio.map_or(1.0, |r| r.median));
-            pair.log_factor = ratio.and_then(|r| {
-                let off = f64::from(r.median).ln() - (brightness.log_scale[b] - brightness.log_scale[a]);
-                (off.abs() > brightness.tolerance + r.five_sd()).then_some(off)
-            });
+            pairs[a * n + b] = if b == a + 1 { neighbours[a].clone() } else { compared(a, b) };
         }
     }
     let pair = |a: usize, b: usize| &pairs[a.min(b) * n + a.max(b)];

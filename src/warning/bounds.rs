@@ -34,9 +34,6 @@ pub(crate) const BRIGHTEST_BLACK: f64 = 0.1;
 pub(crate) const UNEVEN_SHARE: f64 = 0.03;
 /// Even light that is a larger share of a dot's light in its window is refused.
 pub(crate) const EVEN_REFUSED: f64 = 0.01;
-/// Code values that pile up below this share of the rig's saturation do so for another reason than that saturation is
-/// stated a little high.
-pub(crate) const CLIPS_BELOW: f64 = 0.98;
 /// A halo of this share is worth a word: an ordinary lens has about half a per cent.
 pub(crate) const STRAY_TOLD: f64 = 0.005;
 /// Board and frame disagree when their corners are further apart, px, and by so many standard deviations.

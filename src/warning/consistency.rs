@@ -2,7 +2,7 @@
 //! figures.
 
 use super::bounds::{
-    BRIGHTEST_BLACK, CLIPS_BELOW, DOUBT_SD, EVEN_REFUSED, OTHER_SIZE, REFUSED_COLOUR, REFUSED_LEVEL, REFUSED_LIGHT,
+    BRIGHTEST_BLACK, DOUBT_SD, EVEN_REFUSED, OTHER_SIZE, REFUSED_COLOUR, REFUSED_LEVEL, REFUSED_LIGHT,
     REFUSED_PROJECTOR_PX, REFUSED_SLOPE, REFUSED_TIME, UNEVEN_SHARE,
 };
 use crate::words::count;
@@ -623,7 +623,7 @@ super::record::catalogue!(ConsistencyWarning {
     Self::WhiteUneven { shot: name, .. } => "white-uneven", Warning, Light, Accepted, vec![shot(name)],
         bound("share", UNEVEN_SHARE, "");
     Self::ClipsBelow { file, given, .. } => "clips-below", Warning, Light, Accepted,
-        vec![photograph(file), field("noise.saturation_dn")], bound("code", CLIPS_BELOW * given, "DN");
+        vec![photograph(file), field("noise.saturation_dn")], bound("code", *given, "DN");
     Self::ResponseCurve { .. } => "response-curve", Warning, Exposures, Accepted, vec![field("camera.response")],
         bound("slope - 1", REFUSED_SLOPE, "");
 });
