@@ -75,6 +75,16 @@ def run(command):
         return told, out.read().decode(errors="replace")
 
 
+def without_output(command):
+    """The command; what an earlier round wrote to its --out is removed: programs replace nothing unasked."""
+    out = Path(command[command.index("--out") + 1]) if "--out" in command else None
+    if out and out.is_dir():
+        shutil.rmtree(out)
+    elif out:
+        out.unlink(missing_ok=True)
+    return command
+
+
 def size(path):
     """Bytes of a file, or of all files in a folder."""
     return sum(p.stat().st_size for p in ([path] if path.is_file() else path.rglob("*")) if p.is_file())
@@ -158,7 +168,7 @@ def measure(programs, inputs, scratch, rounds):
         say(f"compare: round {number + 1} of {rounds}")
         for index, (label, _) in enumerate(lists["a"]):
             for side in "ab" if number % 2 == 0 else "ba":
-                runs[label][side].append(run([programs[side], *lists[side][index][1]])[0])
+                runs[label][side].append(run([programs[side], *without_output(lists[side][index][1])])[0])
     return runs, outs
 
 

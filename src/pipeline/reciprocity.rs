@@ -353,7 +353,10 @@ impl Compared {
         let doubt = |v: &Excess| (v.spread / FARTHEST as f64).max((v.share - v.beside).abs());
         let doubt = median(&mut values.iter().map(doubt).collect::<Vec<_>>());
         let of_all = || found(all, LEAST_VALUES).filter(|(share, _)| *share > LEAST_LAG + doubt);
-        let (share, sd) = of_far.or_else(of_all)?;
+        // However far their tails are displaced.
+        let least: Vec<f64> = values.iter().map(|v| v.least).collect();
+        let of_least = || found(least, LEAST_VALUES);
+        let (share, sd) = of_far.or_else(of_all).or_else(of_least)?;
         Some(ConsistencyWarning::PatternRemains { share, sd })
     }
 
@@ -415,8 +418,9 @@ fn sd_of_median(values: &[f64], median: f64) -> f64 {
 struct Excess {
     /// Its light there less what that dot's row has in its place, over that row's peak.
     share: f64,
-    /// The same as far beside its place as dots are seen.
+    /// The same as far beside its place as dots are seen, and as far as leaves least.
     beside: f64,
+    least: f64,
     /// By how much that depends on how far beside their places tails are seen.
     spread: f64,
     /// What a medium has there, over that row's peak.
@@ -437,7 +441,13 @@ impl Excess {
             Some((1.0 - part) * all.get(low)? + part * all.get(t.ceil() as usize)?)
         };
         let share = times.and_then(at).unwrap_or(least);
-        (peak > 0.0).then(|| Self { share, beside, spread: most - least, own: back[0][0] / peak })
+        (peak > 0.0).then(|| Self {
+            share,
+            beside,
+            least: beside.min(least),
+            spread: most - least,
+            own: back[0][0] / peak,
+        })
     }
 }
 
