@@ -82,6 +82,7 @@ def without_output(command):
         shutil.rmtree(out)
     elif out:
         out.unlink(missing_ok=True)
+        out.with_suffix(".png").unlink(missing_ok=True)  # what relight writes beside it
     return command
 
 
