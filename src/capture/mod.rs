@@ -24,11 +24,12 @@ pub use exif::ExposureFrom;
 pub(crate) use exr_file::decode_exr_bytes;
 pub use folder::Capture;
 pub use jpeg::compression_variance;
-pub(crate) use jpeg_scan::{check_jpeg, check_jpeg_end};
+pub(crate) use jpeg_scan::check_jpeg_end;
 pub use manifest::{
     Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Surface, Window,
 };
 pub use photograph::Photograph;
+pub(crate) use photograph::decode_jpeg;
 pub(crate) use recorded::{hash, read_checksums, write_checksums};
 pub use reduction::{PhotographRows, Photosite, Reduction};
 pub use rig::{Board, Camera, FrameMarks, Noise, Projector, ResponseCurve, Rig, WhiteReference};

@@ -200,15 +200,23 @@ pub(super) type Decoded = Result<(usize, usize, Samples), String>;
 /// The most bytes that a decoder may ask for: 134 million pixels of four 16-bit channels, twice.
 pub(super) const MOST_BYTES: usize = 2 << 30;
 
-/// JPEG, and whatever else the file's first bytes say that it is.
-pub(super) fn decode_jpeg(bytes: &[u8]) -> Decoded {
+/// JPEG, and whatever else the file's first bytes say that it is, of at most `most_px` pixels.
+pub(crate) fn decode_jpeg(bytes: &[u8], most_px: usize) -> Decoded {
     check_jpeg(bytes)?;
     let mut reader = image::ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| e.to_string())?;
     let mut limits = image::Limits::default();
     limits.max_alloc = Some(MOST_BYTES as u64);
     reader.limits(limits);
-    let image = reader.decode().map_err(|e| e.to_string())?;
-    let (width, height) = (image.width() as usize, image.height() as usize);
+    let decoder = reader.into_decoder().map_err(|e| e.to_string())?;
+    let (width, height) = decoder.dimensions();
+    let (width, height) = (width as usize, height as usize);
+    if width * height > most_px {
+        return Err(format!("{width} × {height} px: more than {most_px} are not read; make it smaller"));
+    }
+    if decoder.total_bytes() > MOST_BYTES as u64 {
+        return Err(format!("{width} × {height} px: more than are read"));
+    }
+    let image = image::DynamicImage::from_decoder(decoder).map_err(|e| e.to_string())?;
     Ok((width, height, Samples::U8(image.into_rgb8().into_raw())))
 }
 

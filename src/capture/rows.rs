@@ -54,7 +54,7 @@ impl RowReader {
                 }
                 let mut bytes = Vec::new();
                 file.read_to_end(&mut bytes)?;
-                decode_jpeg(&bytes).map(|(w, h, samples)| Self::whole([w, h], samples, Sampling::WHOLE))
+                decode_jpeg(&bytes, usize::MAX).map(|(w, h, samples)| Self::whole([w, h], samples, Sampling::WHOLE))
             }
         })
     }
@@ -71,12 +71,7 @@ impl RowReader {
         let (width, height) = reader.info().size();
         let size_px = [width as usize, height as usize];
         if reader.info().interlaced {
-            let len = reader.output_buffer_size().filter(|&len| len <= MOST_BYTES);
-            let mut bytes = vec![0; len.ok_or("more pixels than are read")?];
-            reader.next_frame(&mut bytes).map_err(|e| e.to_string())?;
-            let mut samples = Samples::U8(vec![]);
-            of_png(&bytes, reader.output_color_type(), &mut samples)?;
-            return Ok(Self::whole(size_px, samples, Sampling::WHOLE));
+            return Ok(Self::whole(size_px, whole_png(&mut reader)?, Sampling::WHOLE));
         }
         let row = vec![0; reader.output_line_size(width).ok_or("rows of more bytes than memory has")?];
         let source = Source::Png(Box::new(reader), row);
@@ -195,13 +190,19 @@ pub(crate) fn decode_png_bytes(bytes: &[u8], most_px: usize) -> Option<super::ph
         if width as usize * height as usize > most_px {
             return Err(format!("{width} × {height} px: more than {most_px} are not read; make it smaller"));
         }
-        let mut codes = vec![0; reader.output_buffer_size().ok_or("more pixels than are read")?];
-        reader.next_frame(&mut codes).map_err(|e| e.to_string())?;
-        let mut samples = Samples::U8(vec![]);
-        of_png(&codes, reader.output_color_type(), &mut samples)?;
-        Ok((width as usize, height as usize, samples))
+        Ok((width as usize, height as usize, whole_png(&mut reader)?))
     };
     Some(decode())
+}
+
+/// All rows of a PNG at once.
+fn whole_png<R: std::io::BufRead + Seek>(reader: &mut png::Reader<R>) -> Result<Samples, String> {
+    let len = reader.output_buffer_size().filter(|&len| len <= MOST_BYTES);
+    let mut codes = vec![0; len.ok_or("more pixels than are read")?];
+    reader.next_frame(&mut codes).map_err(|e| e.to_string())?;
+    let mut samples = Samples::U8(vec![]);
+    of_png(&codes, reader.output_color_type(), &mut samples)?;
+    Ok(samples)
 }
 
 /// The code values of some rows as the PNG decoder gives them.

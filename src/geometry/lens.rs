@@ -120,6 +120,12 @@ fn difference(a: Point, b: Point, h: f64) -> Point {
     [(a[0] - b[0]) / h, (a[1] - b[1]) / h]
 }
 
+/// Tangent of the line of sight from an eye (slab mm, z negative above the slab's top) to a place on the slab: how far
+/// towards the camera's foot light from below is seen, per depth.
+pub(crate) fn sight_tangent(eye_mm: [f64; 3], at_mm: Point) -> Point {
+    [0, 1].map(|a| (eye_mm[a] - at_mm[a]) / -eye_mm[2])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -11,6 +11,7 @@ mod lens;
 mod projector;
 
 pub use homography::Homography;
+pub(crate) use lens::sight_tangent;
 pub use lens::{CameraView, Lens};
 pub use projector::SlabFromProjector;
 

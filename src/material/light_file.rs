@@ -1,10 +1,9 @@
 //! Lights from names and from files.
 
 use super::{Light, LightImage};
-use crate::capture::{Samples, check_jpeg, decode_exr_bytes, decode_png_bytes};
+use crate::capture::{Samples, decode_exr_bytes, decode_jpeg, decode_png_bytes};
 use crate::{Error, Result};
 use acquire_material::linear_from_srgb;
-use image::{DynamicImage, ImageDecoder};
 use std::path::Path;
 
 /// A built-in light by its name, or else an image file (EXR linear; PNG and JPEG decoded from sRGB).
@@ -67,7 +66,7 @@ fn read_exr(bytes: &[u8]) -> Result<LightImage, String> {
 fn read_encoded(bytes: &[u8]) -> Result<LightImage, String> {
     let (width, height, samples) = match decode_png_bytes(bytes, MOST_PIXELS) {
         Some(decoded) => decoded?,
-        None => decode_jpeg(bytes)?,
+        None => decode_jpeg(bytes, MOST_PIXELS)?,
     };
     let rgb = match samples {
         Samples::U8(codes) => {
@@ -81,18 +80,6 @@ fn read_encoded(bytes: &[u8]) -> Result<LightImage, String> {
         Samples::F32(_) => return Err("expected PNG, JPEG or OpenEXR".into()),
     };
     Ok(LightImage { size: [width, height], rgb })
-}
-
-fn decode_jpeg(bytes: &[u8]) -> Result<(usize, usize, Samples), String> {
-    check_jpeg(bytes)?;
-    let reader = image::ImageReader::new(std::io::Cursor::new(bytes)).with_guessed_format();
-    let decoder = reader.map_err(|e| e.to_string())?.into_decoder().map_err(|e| e.to_string())?;
-    let (width, height) = decoder.dimensions();
-    if width as usize * height as usize > MOST_PIXELS {
-        return Err(format!("{width} × {height} px: more than {MOST_PIXELS} are not read; make it smaller"));
-    }
-    let image = DynamicImage::from_decoder(decoder).map_err(|e| e.to_string())?;
-    Ok((width as usize, height as usize, Samples::U8(image.into_rgb8().into_raw())))
 }
 
 #[cfg(test)]

@@ -118,12 +118,9 @@ fn estimate(capture: &Capture, saturation_dn: Option<f64>) -> Result<std::result
     let grid = |(a, b): &(&Photograph, &Photograph)| {
         let ((a, sampling), (b, _)) = (reader.decode(a)?, reader.decode(b)?);
         let found = blocks([&a, &b], width, black.0, saturation.0, sampling.variance_share);
-        let of_files = |sensor: &Sensor| {
-            found.clone().without(|mean, channel| {
-                f64::from(sensor.file_variance((mean * unit_dn) as f32, channel)) / (unit_dn * unit_dn)
-            })
-        };
-        Ok::<_, Error>(reader.encoding.as_ref().map_or_else(|| found.clone(), of_files))
+        let Some(sensor) = &reader.encoding else { return Ok::<_, Error>(found) };
+        let of_files = |mean: f64, c: usize| f64::from(sensor.file_variance((mean * unit_dn) as f32, c));
+        Ok(found.without(|mean, c| of_files(mean, c) / (unit_dn * unit_dn)))
     };
     let grids = pairs(capture).par_iter().map(grid).collect::<Result<Vec<_>>>()?;
     let rounding = if reader.unit_dn.is_some() { 0.0 } else { 1.0 / 12.0 };
@@ -192,10 +189,7 @@ struct Reader<'a> {
 /// What makes the code values of a rig whose response is not linear linear; a curve that is still to be estimated is
 /// taken for sRGB. Black is 0, nothing saturates.
 fn encoding(capture: &Capture) -> Result<Option<Sensor>> {
-    let curve = match capture.rig.camera.response_curve {
-        ResponseCurve::Estimate => Some(Curve::srgb()),
-        _ => Curve::of_rig(&capture.rig, &capture.rig_path)?,
-    };
+    let curve = Curve::before_estimate(&capture.rig, &capture.rig_path)?;
     let Some(curve) = curve else { return Ok(None) };
     let open =
         Noise { black_dn: 0.0, saturation_dn: ENCODED_RANGE, gain_dn_per_electron: 0.0, read_noise_electrons: 0.0 };

@@ -101,7 +101,7 @@ pub(super) fn calibrate(
     let stage = progress.stage("radiometry", chosen.len() + 1);
     let file = FileNoise::of_capture(capture)?;
     let is_estimated = capture.rig.camera.response_curve == ResponseCurve::Estimate;
-    let mut curve = if is_estimated { Some(Curve::srgb()) } else { Curve::of_rig(&capture.rig, &capture.rig_path)? };
+    let mut curve = Curve::before_estimate(&capture.rig, &capture.rig_path)?;
     let factor = block_px(&capture.brackets);
     let mut sensor = Sensor::with_curve(noise, curve.clone(), file).averaged(factor);
     let stacks: Vec<Stack> = chosen

@@ -2,6 +2,7 @@
 //! that had less light on the sample than on the frame, light of the shot before, and light that is not the dots', do
 //! not.
 
+mod lag;
 mod steady_light;
 
 use super::BuildOptions;
@@ -30,23 +31,21 @@ const LEAST_LEVEL: f64 = 0.2;
 const LEAST_PLACE: f64 = 0.35;
 const LEAST_PLACES: usize = 4;
 const PLACES_SHARE: f64 = 0.08;
-/// Light of this share of a dot's own in the place of the dot before is no chance of a medium's structure.
-const LEAST_LAG: f64 = 0.03;
 /// The tails of a row come from deeper than its dot's core, and are displaced the more by an oblique view: by up to so
 /// many times as much.
 const FARTHEST: usize = 4;
 /// Steps along the grid that are looked at.
 const MOST_STEPS: isize = 1000;
-/// Pairs tell how far tails are displaced where they lie along the displacement, by this cosine.
-const LEAST_ALONG: f64 = 0.4;
 /// What is told is so many standard deviations off.
 const SIGMA: f64 = 6.0;
-/// With fewer values nothing is said; of those that a medium does not reach fewer are enough.
+/// With fewer values nothing is said.
 const LEAST_VALUES: usize = 8;
-const LEAST_FAR: usize = 3;
 
 /// Light of a row in a place, and its variance.
 type Light = [f64; 2];
+
+/// ln of what all pairs of a displacement, in steps of the grid, have in common.
+type Common = BTreeMap<[isize; 2], f64>;
 
 /// What rows say of each other's places.
 ///
@@ -61,27 +60,27 @@ pub(super) fn judge(
     let pairs = Compared::of(scene, results);
     let seen = pairs.look(scene, rows)?;
     let mut warnings: Vec<Warning> = pairs.lag(&seen).map(|f| options.refuse(f)).transpose()?.into_iter().collect();
-    // A shadow on one shot is in what all others say of its place.
-    warnings.extend(match (pairs.levels(&seen), steady_light::find(&pairs, &seen)) {
-        (Some(off), _) => {
-            let shot = scene.photographs.name(scene.lattice()[off.shot]).to_owned();
-            let (level, level_sd) = (off.ln_level.exp(), off.ln_level.exp() * off.sd);
-            Some(ConsistencyWarning::ShotLight { shot, level, level_sd, places: off.places, shots: off.shots }.into())
-        }
-        (None, Some(found)) => {
-            let black = scene.photographs.one(|p| matches!(p, Pattern::SampleBlack))?;
-            let at_mm = pairs.lit[found.row].map_or([0.0; 2], |lit| lit.at_mm);
-            let finding = ConsistencyWarning::LightOnSample {
-                shot: scene.photographs.name(black).to_owned(),
-                at_px: scene.registration.view.camera_from_slab(at_mm),
-                share: found.share,
-                share_sd: found.sd,
-                places: found.places,
-            };
-            Some(finding.into())
-        }
-        (None, None) => None,
-    });
+    let common = pairs.common(&seen);
+    if let Some(off) = pairs.levels(&seen, &common) {
+        let shot = scene.photographs.name(scene.lattice()[off.shot]).to_owned();
+        let (level, level_sd) = (off.ln_level.exp(), off.ln_level.exp() * off.sd);
+        let finding = ConsistencyWarning::ShotLight { shot, level, level_sd, places: off.places, shots: off.shots };
+        warnings.push(finding.into());
+        // A shadow on one shot is in what all others say of its place, too.
+        return Ok(warnings);
+    }
+    if let Some(found) = steady_light::find(&pairs, &seen, &common) {
+        let black = scene.photographs.one(|p| matches!(p, Pattern::SampleBlack))?;
+        let at_mm = pairs.lit[found.row].map_or([0.0; 2], |lit| lit.at_mm);
+        let finding = ConsistencyWarning::LightOnSample {
+            shot: scene.photographs.name(black).to_owned(),
+            at_px: scene.registration.view.camera_from_slab(at_mm),
+            share: found.share,
+            share_sd: found.sd,
+            places: found.places,
+        };
+        warnings.push(finding.into());
+    }
     Ok(warnings)
 }
 
@@ -200,31 +199,6 @@ impl Compared {
         pairs
     }
 
-    /// The part of the dots' offset that light from depth makes. Light of the dot before draws them along the way from
-    /// dot to dot: how far they are off across it tells, where the line of sight leans that way.
-    fn offset_of_depth(&self, scene: &Scene<'_>) -> Point {
-        let Some(eye_mm) = scene.registration.view.eye_mm() else { return self.offset_mm };
-        let middle = |a: usize| median(&mut self.lit.iter().flatten().map(|l| l.at_mm[a]).collect::<Vec<_>>());
-        let tangent = [0, 1].map(|a| (eye_mm[a] - middle(a)) / -eye_mm[2]);
-        let [x, y] = self.way().map_or([0.0; 2], |way| {
-            let step = scene.steps_mm();
-            [0, 1].map(|a| way[0] as f64 * step[0][a] + way[1] as f64 * step[1][a])
-        });
-        let across = [-y, x];
-        let along = |v: Point| (v[0] * across[0] + v[1] * across[1]) / across[0].hypot(across[1]).max(1e-12);
-        if along(tangent).abs() < LEAST_ALONG * tangent[0].hypot(tangent[1]) || x.hypot(y) == 0.0 {
-            return self.offset_mm;
-        }
-        tangent.map(|t| t * along(self.offset_mm) / along(tangent))
-    }
-
-    /// The usual step from a dot to that of the shot before.
-    fn way(&self) -> Option<[isize; 2]> {
-        let mut ways: Vec<[isize; 2]> = self.lag.iter().map(|&[own, before]| self.step(own, before)).collect();
-        ways.sort_unstable();
-        ways.get(ways.len() / 2).copied()
-    }
-
     fn look(&self, scene: &Scene<'_>, rows: &impl RowSink) -> Result<Vec<Seen>> {
         let window = &scene.capture.manifest.window;
         let look = |k: usize| {
@@ -246,8 +220,7 @@ impl Compared {
 
     /// For each row, ln of its light over that of the rows of other shots between the same places, without what is
     /// [`Self::common`].
-    fn ratios(&self, seen: &[Seen]) -> Vec<Vec<Ratio>> {
-        let common = self.common(seen);
+    fn ratios(&self, seen: &[Seen], common: &Common) -> Vec<Vec<Ratio>> {
         let of_row = |k: usize| {
             let each = self.each_ratio(seen, k);
             each.filter_map(|(step, r)| Some(Ratio { ln_ratio: r.ln_ratio - common.get(&step)?, ..r })).collect()
@@ -257,7 +230,7 @@ impl Compared {
 
     /// ln of what all pairs of a displacement have in common, which is no shot's: light from depth is seen beside its
     /// place.
-    fn common(&self, seen: &[Seen]) -> BTreeMap<[isize; 2], f64> {
+    fn common(&self, seen: &[Seen]) -> Common {
         let mut alike: BTreeMap<[isize; 2], Vec<f64>> = BTreeMap::new();
         for (step, ratio) in (0..seen.len()).flat_map(|k| self.each_ratio(seen, k)) {
             alike.entry(step).or_default().push(ratio.ln_ratio);
@@ -283,8 +256,8 @@ impl Compared {
     }
 
     /// Shots whose rows have another light than the rows of other shots say: all of them, some, or in some places.
-    fn levels(&self, seen: &[Seen]) -> Option<OffShot> {
-        let rows = self.ratios(seen);
+    fn levels(&self, seen: &[Seen], common: &Common) -> Option<OffShot> {
+        let rows = self.ratios(seen, common);
         let mut shots: Vec<Vec<Ratio>> = vec![vec![]; self.shots];
         let mut places = vec![0; self.shots];
         for (lit, ratios) in self.lit.iter().zip(&rows) {
@@ -331,68 +304,6 @@ impl Compared {
         let places = [away.len(), places[*shot]];
         Some(find((*shot, [middle, sd_of_median(away, middle)]), Some(places), some.len()))
     }
-
-    /// Light of the pattern before in all shots.
-    fn lag(&self, seen: &[Seen]) -> Option<ConsistencyWarning> {
-        let times = self.times_displaced(seen);
-        // Over the peak of the dot before, what its place has too much. Between cells it seems less than it is.
-        let values: Vec<Excess> = self.lag.iter().filter_map(|&pair| Excess::of(seen, pair, times)).collect();
-        // So far from the dot before, it does not matter how far beside its place its light is seen.
-        let is_far = |v: &&Excess| v.spread < LEAST_LAG && v.own < 2.0 * LEAST_LAG;
-        let far: Vec<f64> = values.iter().filter(is_far).map(|v| v.share).collect();
-        let all: Vec<f64> = values.iter().map(|v| v.share).collect();
-        let found = |mut values: Vec<f64>, least: usize| {
-            let share = median(&mut values);
-            let sd = sd_of_median(&values, share);
-            (values.len() >= least && share >= LEAST_LAG.max(SIGMA * sd)).then_some((share, sd))
-        };
-        // Two say nothing of how far they may be off: both have to be far off.
-        let few = far.len() < LEAST_FAR && far.iter().any(|share| *share < 2.0 * LEAST_LAG);
-        let of_far = found(far, 2).filter(|_| !few);
-        // Near ones depend on how far beside their places tails are seen, which is known to about a dot's offset.
-        let doubt = |v: &Excess| (v.spread / FARTHEST as f64).max((v.share - v.beside).abs());
-        let doubt = median(&mut values.iter().map(doubt).collect::<Vec<_>>());
-        let of_all = || found(all, LEAST_VALUES).filter(|(share, _)| *share > LEAST_LAG + doubt);
-        // However far their tails are displaced.
-        let least: Vec<f64> = values.iter().map(|v| v.least).collect();
-        let of_least = || found(least, LEAST_VALUES);
-        let (share, sd) = of_far.or_else(of_all).or_else(of_least)?;
-        Some(ConsistencyWarning::PatternRemains { share, sd })
-    }
-
-    /// How many times as far as the dots' cores their tails are seen beside their places: from pairs that lie across
-    /// the way from dot to dot, in which light of the pattern before is the same. `None` where the view says nothing
-    /// of it.
-    fn times_displaced(&self, seen: &[Seen]) -> Option<f64> {
-        let way = self.way()?;
-        let across = |step: [isize; 2]| step[0] * way[0] + step[1] * way[1] == 0;
-        // ln of there over back, of as many times the offset as there are; those towards the side of the offset.
-        let mut all: Vec<Vec<f64>> = Vec::new();
-        for (k, own) in seen.iter().enumerate() {
-            for (j, there) in own.there.iter().filter(|(j, _)| across(self.step(k, *j))) {
-                let (Some(from), Some(to), Some(back)) = (self.lit[k], self.lit[*j], of(&seen[*j], k)) else {
-                    continue;
-                };
-                let apart = [0, 1].map(|a| to.at_mm[a] - from.at_mm[a]);
-                let along = (apart[0] * self.depth_mm[0] + apart[1] * self.depth_mm[1])
-                    / (apart[0].hypot(apart[1]) * self.depth_mm[0].hypot(self.depth_mm[1])).max(1e-12);
-                let both: Vec<_> = there.iter().zip(back).skip(1).collect();
-                let is_seen =
-                    both.iter().all(|(t, b)| t[0].min(b[0]) > SEEN_SIGMA * (t[1] + b[1]).sqrt() && b[0] > 0.0);
-                if along > LEAST_ALONG && is_seen && both.len() == FARTHEST + 1 {
-                    all.push(both.iter().map(|(t, b)| (t[0] / b[0]).ln()).collect());
-                }
-            }
-        }
-        if all.len() < LEAST_VALUES {
-            return None;
-        }
-        let middle = |m: usize| median(&mut all.iter().map(|a| a[m]).collect::<Vec<_>>());
-        let middles: Vec<f64> = (0..=FARTHEST).map(middle).collect();
-        // Where the two are alike.
-        let crossing = middles.windows(2).position(|w| w[0] * w[1] <= 0.0 && w[0] != w[1]);
-        crossing.map(|m| m as f64 + middles[m] / (middles[m] - middles[m + 1]))
-    }
 }
 
 /// Of groups of ratios those whose median, ln, is off beyond what it is known to and what groups differ by; with its
@@ -412,43 +323,6 @@ fn off_levels(groups: &[Vec<Ratio>]) -> Vec<(usize, [f64; 2])> {
 /// Standard deviation of the median of some values.
 fn sd_of_median(values: &[f64], median: f64) -> f64 {
     1.25 * scaled_deviation(values.iter().copied(), median) / (values.len() as f64).sqrt()
-}
-
-/// What a row has too much in the place of the dot before.
-struct Excess {
-    /// Its light there less what that dot's row has in its place, over that row's peak.
-    share: f64,
-    /// The same as far beside its place as dots are seen, and as far as leaves least.
-    beside: f64,
-    least: f64,
-    /// By how much that depends on how far beside their places tails are seen.
-    spread: f64,
-    /// What a medium has there, over that row's peak.
-    own: f64,
-}
-
-impl Excess {
-    /// Light from depth displaces all of a row to one side, its tails more than its peak: so many `times` as far, and
-    /// where that is not known, as far as leaves least.
-    fn of(seen: &[Seen], [own, before]: [usize; 2], times: Option<f64>) -> Option<Self> {
-        let (there, back, peak) = (of(&seen[own], before)?, of(&seen[before], own)?, seen[before].peak);
-        let each: Vec<f64> = there.iter().zip(back).map(|(there, back)| (there[0] - back[0]) / peak).collect();
-        let (beside, all) = (*each.first()?, each.get(1..)?);
-        let (least, most) =
-            (all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(0.0, f64::max));
-        let at = |t: f64| {
-            let (low, part) = (t.floor() as usize, t.fract());
-            Some((1.0 - part) * all.get(low)? + part * all.get(t.ceil() as usize)?)
-        };
-        let share = times.and_then(at).unwrap_or(least);
-        (peak > 0.0).then(|| Self {
-            share,
-            beside,
-            least: beside.min(least),
-            spread: most - least,
-            own: back[0][0] / peak,
-        })
-    }
 }
 
 /// What a row says of the place of row `k`.
@@ -472,7 +346,7 @@ fn steps(scene: &Scene<'_>) -> Vec<[isize; 2]> {
     for u in -2isize..=2 {
         for v in -2isize..=2 {
             // Directions, each once.
-            if u.abs().max(v.abs()) == 0 || (u % 2 == 0 && v % 2 == 0) {
+            if u % 2 == 0 && v % 2 == 0 {
                 continue;
             }
             let along = |k: &isize| is_between([u * k, v * k]);
@@ -481,18 +355,18 @@ fn steps(scene: &Scene<'_>) -> Vec<[isize; 2]> {
             steps.extend(some.into_iter().flatten().map(|k| [u * k, v * k]));
         }
     }
+    let most = [0, 1].map(|a| {
+        (0..=MOST_STEPS)
+            .take_while(|k| {
+                let only = if a == 0 { [*k, 0] } else { [0, *k] };
+                (0..2).all(|b| way(only)[b].abs() <= half_mm[b])
+            })
+            .last()
+            .unwrap_or(0)
+    });
     for [u, v] in [[1, 1], [1, -1], [-1, 1], [-1, -1]] {
         let corner = |[i, j]: [isize; 2]| is_between([u * i, v * j]).then_some([u * i, v * j]);
         let far = |step: &[isize; 2]| way(*step)[0].hypot(way(*step)[1]);
-        let most = [0, 1].map(|a| {
-            (0..=MOST_STEPS)
-                .take_while(|k| {
-                    let only = if a == 0 { [*k, 0] } else { [0, *k] };
-                    (0..2).all(|b| way(only)[b].abs() <= half_mm[b])
-                })
-                .last()
-                .unwrap_or(0)
-        });
         // The grid may be turned against the window: a step less along either.
         let near =
             (0..3).flat_map(|i| (0..3).map(move |j| [most[0] - i, most[1] - j])).filter(|s| s[0] > 0 && s[1] > 0);
@@ -571,25 +445,33 @@ mod tests {
         (0..pairs.lit.len()).map(|k| Seen { peak: 1.5, there: there(k) }).collect()
     }
 
+    fn levels(pairs: &Compared, seen: &[Seen]) -> Option<OffShot> {
+        pairs.levels(seen, &pairs.common(seen))
+    }
+
+    fn steady(pairs: &Compared, seen: &[Seen]) -> Option<steady_light::SteadyLight> {
+        steady_light::find(pairs, seen, &pairs.common(seen))
+    }
+
     #[test]
     fn a_shot_under_less_light_is_named_with_its_level_and_a_sample_that_leans_to_one_side_is_not() {
         let pairs = pairs();
-        assert_eq!(pairs.levels(&seen(&pairs, |_, _| 1.0)), None);
+        assert_eq!(levels(&pairs, &seen(&pairs, |_, _| 1.0)), None);
         for (shot, level) in [(0, 0.5), (16, 0.6), (34, 1.7)] {
-            let found = pairs.levels(&seen(&pairs, |k, _| if k == shot { level } else { 1.0 })).unwrap();
+            let found = levels(&pairs, &seen(&pairs, |k, _| if k == shot { level } else { 1.0 })).unwrap();
             assert_eq!((found.shot, found.places, found.shots), (shot, None, 1));
             // The pairs' own per cent, and the median over a neighbour or two of what is alike.
             assert!((found.ln_level.exp() / level - 1.0).abs() < 0.02, "{found:?}");
         }
         // A twentieth is within what boundaries of media do.
-        assert_eq!(pairs.levels(&seen(&pairs, |k, _| if k == 9 { 0.95 } else { 1.0 })), None);
+        assert_eq!(levels(&pairs, &seen(&pairs, |k, _| if k == 9 { 0.95 } else { 1.0 })), None);
     }
 
     #[test]
     fn a_shadow_on_some_places_of_a_shot_is_that_of_the_shot() {
         let pairs = pairs();
         let shadow = |k: usize, j: usize| if k == 17 && j > 17 && j % 7 > 2 { 0.4 } else { 1.0 };
-        let found = pairs.levels(&seen(&pairs, shadow)).unwrap();
+        let found = levels(&pairs, &seen(&pairs, shadow)).unwrap();
         let places = pairs.asked[17].iter().filter(|&&j| shadow(17, j) < 1.0).count();
         assert_eq!((found.shot, found.places, found.shots), (17, Some([places, pairs.asked[17].len()]), 1));
         assert!((found.ln_level.exp() / 0.4 - 1.0).abs() < 0.03, "{found:?}");
@@ -604,8 +486,8 @@ mod tests {
         let lit = pairs.lit.clone();
         let apart = |a: usize, b: usize| lit[a].unwrap().shot != lit[b].unwrap().shot;
         pairs.asked.iter_mut().enumerate().for_each(|(k, asked)| asked.retain(|&j| apart(k, j)));
-        assert_eq!(pairs.levels(&seen(&pairs, |_, _| 1.0)), None);
-        let found = pairs.levels(&seen(&pairs, |k, _| if k == 17 { 0.5 } else { 1.0 })).unwrap();
+        assert_eq!(levels(&pairs, &seen(&pairs, |_, _| 1.0)), None);
+        let found = levels(&pairs, &seen(&pairs, |k, _| if k == 17 { 0.5 } else { 1.0 })).unwrap();
         let all = (0..35).filter(|k| k % 7 == 3).map(|k| pairs.asked[k].len()).sum();
         assert_eq!((found.shot, found.places, found.shots), (3, Some([pairs.asked[17].len(), all]), 1));
         assert!((found.ln_level.exp() / 0.5 - 1.0).abs() < 0.03, "{found:?}");
@@ -618,7 +500,7 @@ mod tests {
             let mut seen = seen(&pairs, |_, _| 1.0);
             let all = seen.iter_mut().flat_map(|s| &mut s.there).filter(|(j, _)| places.contains(j));
             all.for_each(|(_, there)| there.iter_mut().for_each(|l| l[0] += 1.5 * light));
-            steady_light::find(&pairs, &seen)
+            steady(&pairs, &seen)
         };
         assert_eq!(lit(0.0, &[]), None);
         for places in [&[17][..], &[3, 4, 10], &[0]] {
@@ -629,10 +511,10 @@ mod tests {
         }
         for (shot, level) in [(0, 0.5), (16, 0.6), (34, 1.7)] {
             let seen = seen(&pairs, |k, _| if k == shot { level } else { 1.0 });
-            assert_eq!(steady_light::find(&pairs, &seen), None);
+            assert_eq!(steady(&pairs, &seen), None);
         }
         let shadow = |k: usize, j: usize| if k == 17 && j > 17 && j % 7 > 2 { 0.4 } else { 1.0 };
-        assert_eq!(steady_light::find(&pairs, &seen(&pairs, shadow)), None);
+        assert_eq!(steady(&pairs, &seen(&pairs, shadow)), None);
     }
 
     #[test]

@@ -59,6 +59,17 @@ impl Curve {
         }
     }
 
+    /// [`Self::of_rig`], and sRGB for a curve that is still to be estimated.
+    ///
+    /// # Errors
+    /// Those of [`Self::read`].
+    pub(crate) fn before_estimate(rig: &Rig, rig_path: &Path) -> Result<Option<Self>> {
+        match rig.camera.response_curve {
+            ResponseCurve::Estimate => Ok(Some(Self::srgb())),
+            _ => Self::of_rig(rig, rig_path),
+        }
+    }
+
     /// From tables of `CODES` strictly increasing values (one, or one a channel) and their relative standard
     /// deviations. `None` unless they are.
     pub fn new(linear: Vec<Vec<f64>>, relative_sd: Vec<Vec<f64>>) -> Option<Self> {

@@ -8,7 +8,7 @@
 
 use super::drift::{centroid, median, robust_mean};
 use super::{DotShape, Drift, Registration, SeenDepth};
-use crate::geometry::Point;
+use crate::geometry::{Point, sight_tangent};
 use crate::radiance::Radiance;
 
 /// What a dot on the sample is off by when nothing tells, px: the centroids of dots near an edge of two materials stray
@@ -107,7 +107,7 @@ impl Parallax {
 
     /// Tangent of the line of sight at `p`: towards the camera's foot, per depth.
     fn tangent(&self, p: Point) -> Point {
-        [0, 1].map(|a| (self.eye_mm[a] - p[a]) / -self.eye_mm[2])
+        sight_tangent(self.eye_mm, p)
     }
 
     /// Learns the depth from the dots of several shots, each with a drift of its own: what pulls a shot's dots towards

@@ -5,7 +5,7 @@ use crate::common::compare;
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{CameraCurve, FileFormat, SensorKind, SimulateOptions, SlabMaterial};
-use acquire::{RadianceWarning, Warning};
+use acquire::{Error, RadianceWarning, Warning};
 use std::path::Path;
 
 fn build(dir: &Path) -> acquire::Result<(std::path::PathBuf, Vec<Warning>)> {
@@ -99,6 +99,20 @@ fn encoded_photographs_tell_their_noise_through_the_curve() {
     let scale = 255.0 / (16_383.0 - 512.0);
     assert!((encoded / (linear * scale) - 1.0).abs() < 0.1, "{encoded} {linear}");
     assert!(noise_of(&SimulateOptions { format: FileFormat::Jpeg, ..base }) < encoded);
+}
+
+#[test]
+fn photographs_that_cannot_tell_the_noise_are_refused_by_the_name_of_the_section() {
+    // Black shots of one exposure do not tell what black is at no time.
+    let options =
+        SimulateOptions { grid: [5, 4], window: [11, 7], exposures: 1, rig_without_noise: true, ..common::bench() };
+    let (_folder, dir) = common::capture(&options);
+    match build(&dir) {
+        Err(Error::Field { path, field, found, .. }) => {
+            assert!(path.ends_with("rig.toml") && field == "noise" && found.contains("reference-black"), "{found}");
+        }
+        other => panic!("{other:?}"),
+    }
 }
 
 /// The gain that is found, DN per electron.

@@ -3,7 +3,7 @@
 //!
 //! Not detected: light between the lit points, light that is on most of them, light as on a smooth slope.
 
-use super::{Compared, LEAST_VALUES, Seen, of};
+use super::{Common, Compared, LEAST_VALUES, Seen, of};
 use crate::registration::{median, scaled_deviation};
 
 /// A place is told where the light is so large a part of what the other rows have there, in the median.
@@ -40,8 +40,7 @@ struct Pair {
 }
 
 /// Looks for such light.
-pub(super) fn find(pairs: &Compared, seen: &[Seen]) -> Option<SteadyLight> {
-    let common = pairs.common(seen);
+pub(super) fn find(pairs: &Compared, seen: &[Seen], common: &Common) -> Option<SteadyLight> {
     let of_place = |j: usize| -> Vec<Pair> {
         let pair = |&(k, _): &(usize, Vec<super::Light>)| {
             let (there, back) = (of(&seen[k], j)?[0], of(&seen[j], k)?[0]);
@@ -60,11 +59,16 @@ pub(super) fn find(pairs: &Compared, seen: &[Seen]) -> Option<SteadyLight> {
     // Light in one place is in what this place says of others: of all of them together.
     let mut light = vec![0.0; seen.len()];
     let mut fits: Vec<Option<Fit>> = vec![None; seen.len()];
-    for _ in 0..SWEEPS {
+    let mut left_of_level = vec![0.0; seen.len()];
+    for sweep in 1..=SWEEPS {
         for (j, pairs) in all.iter().enumerate() {
-            let own = |p: &Pair| Pair { back: p.back - light[p.other], ..*p };
-            fits[j] = Fit::of(&pairs.iter().map(own).collect::<Vec<_>>(), structure);
+            let own: Vec<Pair> = pairs.iter().map(|p| Pair { back: p.back - light[p.other], ..*p }).collect();
+            fits[j] = Fit::of(&own, structure);
             light[j] = fits[j].map_or(0.0, |f| f.light);
+            if sweep == SWEEPS {
+                // there = level · back instead.
+                left_of_level[j] = Solved::of(&own, structure, |p| p.back).left;
+            }
         }
         // Only differences are seen: most places have none.
         let none = median(&mut fits.iter().flatten().map(|f| f.light).collect::<Vec<_>>());
@@ -72,12 +76,12 @@ pub(super) fn find(pairs: &Compared, seen: &[Seen]) -> Option<SteadyLight> {
         fits.iter_mut().flatten().for_each(|f| f.light -= none);
     }
     let usual = scaled_deviation(fits.iter().flatten().map(|f| f.light), 0.0);
-    let is_lit = |f: &Fit| {
+    let is_lit = |(j, f): &(usize, Fit)| {
         let least = (PLACE_SIGMA * f.sd).max(SPREAD * usual).max(LEAST_SHARE * f.usual_light);
-        f.light > least && LEVEL_WORSE * f.left < f.left_of_level
+        f.light > least && LEVEL_WORSE * f.left < left_of_level[*j]
     };
     let lit: Vec<(usize, Fit)> =
-        fits.iter().enumerate().filter_map(|(j, fit)| Some((j, fit.filter(is_lit)?))).collect();
+        fits.iter().enumerate().filter_map(|(j, fit)| Some((j, (*fit)?))).filter(is_lit).collect();
     let places = lit.len();
     let &(row, fit) = lit.iter().max_by(|a, b| a.1.light.total_cmp(&b.1.light))?;
     let peak = seen[row].peak;
@@ -89,41 +93,52 @@ pub(super) fn find(pairs: &Compared, seen: &[Seen]) -> Option<SteadyLight> {
 struct Fit {
     light: f64,
     sd: f64,
-    /// Mean square of what is left, and of what a level, there = level · back, leaves.
+    /// [`Solved::left`].
     left: f64,
-    left_of_level: f64,
     /// The median of what the others have in the place, without it.
     usual_light: f64,
 }
 
 impl Fit {
-    /// By least squares with Cauchy's weights: a pair has the noise of both and what structure does to it.
+    /// `None` for too few pairs.
     fn of(pairs: &[Pair], structure: f64) -> Option<Self> {
         if pairs.len() < LEAST_VALUES {
             return None;
         }
-        let sds: Vec<f64> = pairs.iter().map(|p| (p.variance + (structure * p.back).powi(2)).sqrt()).collect();
-        // Of the model there = back + unknown · of: the unknown, its standard deviation, what is left.
-        let fit = |of: &dyn Fn(&Pair) -> f64| {
-            let whitened: Vec<[f64; 2]> =
-                pairs.iter().zip(&sds).map(|(p, sd)| [(p.there - p.back) / sd, of(p) / sd]).collect();
-            let (mut unknown, mut sd) = (0.0, f64::INFINITY);
-            for _ in 0..ROUNDS {
-                let left = |[y, x]: &[f64; 2]| y - unknown * x;
-                let scale = scaled_deviation(whitened.iter().map(left), 0.0).max(1.0);
-                let (mut xx, mut xy) = (0.0, 0.0);
-                for w in &whitened {
-                    let weight = 1.0 / (1.0 + (left(w) / (2.0 * scale)).powi(2));
-                    (xx, xy) = (xx + weight * w[1] * w[1], xy + weight * w[0] * w[1]);
-                }
-                (unknown, sd) = (xy / xx, scale / xx.sqrt());
-            }
-            // A far one counts as Cauchy counts it.
-            let cost = |w: &[f64; 2]| (1.0 + ((w[0] - unknown * w[1]) / 2.0).powi(2)).ln();
-            (unknown, sd, whitened.iter().map(cost).sum::<f64>())
-        };
-        let ((light, sd, left), (_, _, left_of_level)) = (fit(&|_| 1.0), fit(&|p| p.back));
+        let Solved { unknown: light, sd, left } = Solved::of(pairs, structure, |_| 1.0);
         let usual_light = median(&mut pairs.iter().map(|p| p.back.max(0.0)).collect::<Vec<_>>());
-        light.is_finite().then_some(Self { light, sd, left, left_of_level, usual_light })
+        light.is_finite().then_some(Self { light, sd, left, usual_light })
+    }
+}
+
+/// there = back + unknown · of, where a pair has the noise of both and what structure does to it.
+struct Solved {
+    unknown: f64,
+    sd: f64,
+    /// The sum of what is left of the pairs, as Cauchy's law counts it.
+    left: f64,
+}
+
+impl Solved {
+    /// By least squares with Cauchy's weights.
+    fn of(pairs: &[Pair], structure: f64, of: impl Fn(&Pair) -> f64) -> Self {
+        let whiten = |p: &Pair| {
+            let sd = (p.variance + (structure * p.back).powi(2)).sqrt();
+            [(p.there - p.back) / sd, of(p) / sd]
+        };
+        let whitened: Vec<[f64; 2]> = pairs.iter().map(whiten).collect();
+        let (mut unknown, mut sd) = (0.0, f64::INFINITY);
+        for _ in 0..ROUNDS {
+            let left = |[y, x]: &[f64; 2]| y - unknown * x;
+            let scale = scaled_deviation(whitened.iter().map(left), 0.0).max(1.0);
+            let (mut xx, mut xy) = (0.0, 0.0);
+            for w in &whitened {
+                let weight = 1.0 / (1.0 + (left(w) / (2.0 * scale)).powi(2));
+                (xx, xy) = (xx + weight * w[1] * w[1], xy + weight * w[0] * w[1]);
+            }
+            (unknown, sd) = (xy / xx, scale / xx.sqrt());
+        }
+        let cost = |w: &[f64; 2]| (1.0 + ((w[0] - unknown * w[1]) / 2.0).powi(2)).ln();
+        Self { unknown, sd, left: whitened.iter().map(cost).sum() }
     }
 }
