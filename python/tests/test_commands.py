@@ -165,7 +165,7 @@ def test_a_capture_is_simulated_and_built(tmp_path):
 
 def test_progress_is_told_and_what_it_raises_stops_the_work(tmp_path):
     stages = []
-    acquire.simulate(tmp_path / "c", grid=24, window=5, truth_only=True, progress=lambda *step: stages.append(step))
+    acquire.simulate(tmp_path / "c", grid=64, window=9, truth_only=True, progress=lambda *step: stages.append(step))
     assert stages
     assert all(done <= total for _, done, total in stages)
 
