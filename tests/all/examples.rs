@@ -341,28 +341,43 @@ fn examples_of(help: &str) -> Vec<String> {
     found.iter().map(|line| command_of(line).unwrap_or(line).to_owned()).collect()
 }
 
-/// The commands of a Markdown page: each ``` block, each code span.
+/// The commands of a Markdown page: each ``` block, each code span. A span may go on in the next line of its paragraph.
 fn blocks_of(name: &str, text: &str) -> Vec<Block> {
     let (mut blocks, mut block, mut inside, mut unfinished) = (Vec::new(), Block::new(), false, String::new());
-    for (k, line) in text.lines().enumerate() {
-        let place = format!("{name}:{}", k + 1);
-        if line.trim_start().starts_with("```") {
+    let (mut paragraph, mut begins) = (String::new(), 0);
+    for (k, line) in text.lines().chain([""]).enumerate() {
+        let fence = line.trim_start().starts_with("```");
+        if fence || line.trim().is_empty() {
+            blocks.extend(spans_of(name, begins, &std::mem::take(&mut paragraph)));
+        }
+        if fence {
             inside = !inside;
             blocks.push(std::mem::take(&mut block));
         } else if let Some(start) = line.strip_suffix('\\').filter(|_| inside) {
             unfinished += start;
         } else if inside {
             let whole = std::mem::take(&mut unfinished) + line;
-            block.extend(command_of(&whole).map(|command| (place, command.to_owned())));
+            block.extend(command_of(&whole).map(|command| (format!("{name}:{}", k + 1), command.to_owned())));
         } else {
-            // A span that only names a subcommand, or leaves something out, is not a command.
-            let spans = line.split('`').skip(1).step_by(2).filter_map(command_of);
-            let whole = spans.filter(|c| c.contains(' ') && !c.contains('…'));
-            blocks.extend(whole.map(|command| vec![(place.clone(), command.to_owned())]));
+            begins = if paragraph.is_empty() { k + 1 } else { begins };
+            paragraph += &format!("{line}\n");
         }
     }
     blocks.retain(|block| !block.is_empty());
     blocks
+}
+
+/// The commands of the code spans of a paragraph that begins in this line of the page.
+fn spans_of(name: &str, begins: usize, paragraph: &str) -> Vec<Block> {
+    let (mut found, mut line) = (Vec::new(), begins);
+    for (k, span) in paragraph.split('`').enumerate() {
+        let text = span.replace('\n', " ");
+        // A span that only names a subcommand, or leaves something out, is not a command.
+        let command = command_of(&text).filter(|c| k % 2 == 1 && c.contains(' ') && !c.contains('…'));
+        found.extend(command.map(|command| vec![(format!("{name}:{line}"), command.to_owned())]));
+        line += span.matches('\n').count();
+    }
+    found
 }
 
 #[test]
@@ -411,8 +426,9 @@ fn examples_are_read_as_people_read_them() {
     let broken =
         "x\n\nExamples:\n  acquire check a   a remark that\n  goes on\n  acquire run a\n  --out b\n\nacquire no\n";
     assert_eq!(examples_of(broken), ["check a", "run a --out b"]);
-    let page = "`acquire check`, `acquire check a`, `acquire factor …`\n```\ntarget/release/acquire run a \\\n --out b   # it\nacquire check b\n```\n";
+    let page = "`acquire check`, `acquire check a`, `acquire factor …`\nand `acquire check\nc --json`.\n```\ntarget/release/acquire run a \\\n --out b   # it\nacquire check b\n```\n";
     let block =
         |lines: &[(usize, &str)]| lines.iter().map(|(k, c)| (format!("p:{k}"), (*c).to_owned())).collect::<Block>();
-    assert_eq!(blocks_of("p", page), [block(&[(1, "check a")]), block(&[(4, "run a"), (5, "check b")])]);
+    let spans = [block(&[(1, "check a")]), block(&[(2, "check c --json")])];
+    assert_eq!(blocks_of("p", page), [&spans[..], &[block(&[(6, "run a"), (7, "check b")])]].concat());
 }
