@@ -35,6 +35,7 @@ check: setup
 	$(CARGO) clippy --release --locked $(WORKSPACE) --all-targets -- -D warnings
 	$(CARGO) clippy --release --locked -p acquire-python -- -D warnings # and of the library without OpenCV
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --locked $(WORKSPACE) --no-deps
+	scripts/figures.py --list >/dev/null # the descriptions of the documentation's tables can be read
 
 build: setup
 	$(CARGO) build --release --locked

@@ -253,6 +253,9 @@ def page_lines(head, rows):
 def main():
     given = arguments()
     tables = [Table(page, found) for page in PAGES for found in COMMENT.finditer(page.read_text())]
+    named = sum(len(re.findall("<!-- figures: (?!NAME)", page.read_text())) for page in PAGES)
+    if named != len(tables):
+        sys.exit(f"error: {named} comments <!-- figures: …, of which {len(tables)} are followed by TOML, --> and a table")
     if given.list:
         for table in tables:
             print(f"{table.name}  ({table.page.relative_to(ROOT)}:{table.line}, {len(table.rows)} rows)")
