@@ -102,6 +102,7 @@ fn write(store: &Path, points: usize, window: usize) -> Result<(), Box<dyn std::
         lit_mm: (0..rows).map(|i| [i % points, i / points].map(|v| v as f64 * 0.5)).collect(),
         position_sd_mm: vec![0.0; rows],
         shot_of: vec![None; rows],
+        common: None,
         shots: Vec::new(),
         camera_px_per_mm: None,
         warnings: Vec::new(),

@@ -178,7 +178,7 @@ MISTAKES = [
     (lambda ds: ds.isel(dx=slice(1, None, 2)), "array dx: expected offsets in mm, 0.5 mm apart"),
     (lambda ds: ds.astype("i4"), "expected numbers of type float32, float64 or float16"),
     (lambda ds: ds.isel(channel=slice(0, 2)), "1 or 3 channels, found 2"),
-    (lambda ds: ds.assign_attrs(acquire_format=9), "attribute acquire_format: expected one of [1, 2], or none"),
+    (lambda ds: ds.assign_attrs(acquire_format=9), "attribute acquire_format: expected one of [1, 2, 3], or none"),
     (lambda ds: ds.assign(valid=ds.response.astype("u1") * 0 + 3), "array valid: expected 1 where measured and 0 where not, found 3"),
     (lambda ds: ds.where(ds.dx != 0, np.inf), "response: expected finite numbers, found inf at lit point [0, 0]"),
     (lambda ds: ds.assign_coords(x_i=1.5 * np.arange(4)), "array x_i: expected whole numbers, or none"),
@@ -209,6 +209,17 @@ def test_the_page_s_python_writes_stores_that_are_read(tmp_path, monkeypatch):
     least = [acquire.Matrix.open(f"{name}.rd.zarr") for name in ("least", "least-zarr")]
     assert all(m.points == (8, 6) and m.window == (11, 9) and m.pitch_mm == 0.5 for m in least)
     np.testing.assert_array_equal(least[0].response, least[1].response)
+    # 99 samples of variance 4 beside a row's 10 % and 0.5 in all alike.
+    least_set = names["xr"].open_zarr("least.rd.zarr", consolidated=False)
+    over = ("dy", "dx", "channel")
+    shared = least_set.assign(
+        variance=4 + (0.1 * least_set.response) ** 2 + 0.25,
+        row_scale_sd=(("y_i", "x_i", "channel"), np.full((6, 8, 3), 0.1)),
+        common_sd=(over, np.full((9, 11, 3), 0.5)),
+    )
+    light = least_set.response.sum(("dy", "dx"))
+    expected = 0.25 * np.sqrt(99 * 4 + (0.1 * light) ** 2 + (99 * 0.5) ** 2)
+    np.testing.assert_allclose(names["albedo_sd"](shared).transpose("y_i", "x_i", "channel"), expected, rtol=1e-5)
     crop = acquire.Matrix.open("crop.rd.zarr")
     assert (crop.points, crop.window) == ((4, 3), (11, 9)) and np.isnan(crop.response[0, 0, :, :2]).all()
     full = acquire.Matrix.open("full.rd.zarr")

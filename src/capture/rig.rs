@@ -200,6 +200,13 @@ pub struct FrameMarks {
 pub struct WhiteReference {
     /// Its reflectance per channel (R, G, B).
     pub reflectance: [f64; 3],
+    /// Relative standard deviation of that, as a whole and from place to place; 0 when nobody has stated one.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub relative_sd: f64,
+}
+
+fn is_zero(v: &f64) -> bool {
+    *v == 0.0
 }
 
 impl Rig {
@@ -295,6 +302,7 @@ impl Rig {
         for r in self.white_reference.reflectance {
             range("white_reference.reflectance", r, 1e-6, 1.0)?;
         }
+        range("white_reference.relative_sd", self.white_reference.relative_sd, 0.0, 1.0)?;
         if self.camera.vignetting.iter().any(|c| !c.is_finite()) {
             return Err(Error::field(
                 path,
@@ -347,7 +355,7 @@ mod tests {
             projector: Projector { size_px: [101, 64], principal_px: None },
             board: None,
             frame: None,
-            white_reference: WhiteReference { reflectance: [0.9, 0.8, 0.7] },
+            white_reference: WhiteReference { reflectance: [0.9, 0.8, 0.7], relative_sd: 0.0 },
         }
     }
 
@@ -431,6 +439,7 @@ mod tests {
             ("camera.principal_px", |r| r.camera.principal_px = [0.0, f64::INFINITY]),
             ("projector.principal_px", |r| r.projector.principal_px = Some([0.0, -1.1e6])),
             ("white_reference.reflectance", |r| r.white_reference.reflectance = [0.9, 0.9, 1.01]),
+            ("white_reference.relative_sd", |r| r.white_reference.relative_sd = -0.01),
             ("camera.response", |r| r.camera.response_curve = ResponseCurve::File("../curve.toml".into())),
             ("camera.response", |r| r.camera.response_curve = ResponseCurve::File("curve.txt".into())),
         ] {

@@ -42,6 +42,11 @@ fn table(m: &Measures) -> String {
         None => "-".to_owned(),
     };
     let rgb = |v: [f64; 3]| format!("{:.4} {:.4} {:.4}", v[0], v[1], v[2]);
+    let with_sd = |[bias, sd]: [f64; 2]| format!("{bias:+.5} ± {sd:.5}");
+    let bias = m
+        .albedo_bias
+        .zip(m.albedo_bias_sd)
+        .map_or("-".to_owned(), |(bias, sd)| [0, 1, 2].map(|c| with_sd([bias[c], sd[c]])).join(" "));
     let lines = [
         ("rel_rmse", number(m.rel_rmse, "")),
         ("psnr_db", number(m.psnr_db, " dB")),
@@ -54,9 +59,12 @@ fn table(m: &Measures) -> String {
         ("albedo_violations", format!("{} rows", m.albedo_violations)),
         ("reciprocity", number(m.reciprocity, "")),
         ("coverage_2sigma", number(m.coverage_2sigma, "")),
+        ("coverage_2sigma_rows", number(m.coverage_2sigma_rows, "")),
+        ("coverage_2sigma_profile", number(m.coverage_2sigma_profile, "")),
+        ("albedo_bias", bias),
         ("drift_rms_px", number(m.drift_rms_px, " px")),
         ("position_rms_mm", number(Some(m.position_rms_mm), " mm")),
         ("position_rms_px", number(m.position_rms_px, " px")),
     ];
-    lines.map(|(name, value)| format!("{name:<18} {value}")).join("\n")
+    lines.map(|(name, value)| format!("{name:<23} {value}")).join("\n")
 }

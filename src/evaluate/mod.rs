@@ -1,6 +1,7 @@
 //! Evaluate: the measures of `docs/metrics.md`, a candidate matrix or material against a reference matrix.
 
 mod reciprocity;
+mod sums;
 
 use crate::geometry::Point;
 use crate::material::{Exitance, FIXED_SET, Quadrature, Source, lit_area_of, relight, splat};
@@ -11,6 +12,7 @@ use rayon::prelude::*;
 use reciprocity::Reciprocity;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use sums::SumErrors;
 
 /// Entries above this share of their row's largest reference entry count in `log_rmse`.
 const LOG_ABOVE: f64 = 1e-4;
@@ -48,6 +50,14 @@ pub struct Measures {
     /// Share of the candidate's entries within two of its standard deviations of the reference; `None` when it has no
     /// variance. 0.954 is expected of a normal error.
     pub coverage_2sigma: Option<f64>,
+    /// The same of the sums of the rows' channels, by what the candidate says that samples of a row have in common.
+    pub coverage_2sigma_rows: Option<f64>,
+    /// The same of the numbers of the mean row, by what it says that rows have in common.
+    pub coverage_2sigma_profile: Option<f64>,
+    /// Relative error of the mean albedo, per channel; `None` for a candidate without variance.
+    pub albedo_bias: Option<[f64; 3]>,
+    /// The standard deviation of that error by what the candidate says.
+    pub albedo_bias_sd: Option<[f64; 3]>,
     /// RMS length of the difference of drift between shots of one name, camera px.
     pub drift_rms_px: Option<f64>,
     /// RMS distance between the candidate's lit points and the reference's, mm.
@@ -93,6 +103,7 @@ pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progres
     let mut reciprocity = Reciprocity::new(&shape);
     let (mut all, mut albedo) = (Sums::default(), Albedo::default());
     let mut positions = (0.0, 0_u64);
+    let mut sum_errors = matrix_header(candidate).map(SumErrors::new);
 
     let stage = progress.stage("evaluate", shape.rows());
     for rows in reference.blocks() {
@@ -109,6 +120,9 @@ pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progres
             positions.0 += (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2);
             positions.1 += 1;
         }
+        if let Some((sum_errors, own)) = sum_errors.as_mut().zip(matrix_header(candidate)) {
+            sum_errors.add(&a, &b, own);
+        }
         reciprocity.add(&a, &shape);
         match unmeasured {
             None => splat(&mut lit, &a, shape.window, &own, &fluxes),
@@ -119,6 +133,7 @@ pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progres
     }
     let position_rms_mm = (positions.0 / positions.1.max(1) as f64).sqrt();
     let candidate_header = matrix_header(candidate);
+    let albedo_bias = sum_errors.as_ref().filter(|_| all.with_variance > 0).and_then(SumErrors::albedo_bias);
     Ok(Measures {
         entries: all.entries,
         rel_rmse: (all.size > 0.0).then(|| (all.error / all.size).sqrt()),
@@ -132,6 +147,10 @@ pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progres
         albedo_violations: albedo.violations,
         reciprocity: reciprocity.relative_rms(),
         coverage_2sigma: (all.with_variance > 0).then(|| all.covered as f64 / all.with_variance as f64),
+        coverage_2sigma_rows: sum_errors.as_ref().and_then(SumErrors::rows_coverage),
+        coverage_2sigma_profile: sum_errors.as_ref().and_then(SumErrors::profile_coverage),
+        albedo_bias: albedo_bias.map(|b| b.map(|[bias, _]| bias)),
+        albedo_bias_sd: albedo_bias.map(|b| b.map(|[_, sd]| sd)),
         drift_rms_px: candidate_header.and_then(|h| drift_rms(h, header)),
         position_rms_mm,
         position_rms_px: candidate_header

@@ -26,6 +26,7 @@ pub(super) fn stored(
         lit_mm: (0..rows).map(|i| [(i % points[0]) as f64 * 0.5, (i / points[0]) as f64 * 0.75]).collect(),
         position_sd_mm: (0..rows).map(position_sd_mm).collect(),
         shot_of: vec![None; rows],
+        common: None,
         shots: Vec::new(),
         camera_px_per_mm: None,
         warnings: Vec::new(),

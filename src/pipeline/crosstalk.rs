@@ -52,14 +52,14 @@ pub(super) fn overlap_samples(scene: &Scene<'_>) -> Option<f64> {
     scene.smallest_spacing().filter(|spacing| spacing * window.pitch_mm <= reach_mm(window))
 }
 
-/// Leaves in each row the light of its own dot. `None` when no dot's light can reach another's window, or no row holds
-/// any.
+/// Leaves in each row the light of its own dot; with it, the variance by sample that this leaves, mean over rows. `None`
+/// when no dot's light can reach another's window, or no row holds any.
 pub(super) fn separate(
     scene: &Scene<'_>,
     results: &mut [ShotResult],
     rows: &impl RowSink,
     progress: &Progress,
-) -> Result<Option<CrossTalk>> {
+) -> Result<Option<(CrossTalk, Vec<f64>)>> {
     let manifest = &scene.capture.manifest;
     let Some(spacing_samples) = overlap_samples(scene) else { return Ok(None) };
     let stage = progress.stage("separate", results.len());
@@ -87,13 +87,14 @@ pub(super) fn separate(
     let mut sum = Separation::default();
     found.iter().for_each(|f| sum.add(f));
     let share = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
-    Ok(Some(CrossTalk {
+    let crosstalk = CrossTalk {
         spacing_samples,
         needed_samples: model.spacing_for(ENOUGH, &manifest.window),
         removed_share: share(sum.removed, sum.light),
         modelled_share: share(sum.modelled as f64, sum.samples as f64),
         common_share: model.left_at(spacing_samples, &manifest.window).light_share,
-    }))
+    };
+    Ok(Some((crosstalk, sum.mean_variance())))
 }
 
 /// Fits the model to shots that are spread over the sweep.

@@ -276,6 +276,7 @@ pub(super) fn unmeasured(m: &Manifest) -> MatrixHeader {
         lit_mm: vec![[0.0; 2]; m.grid.len()],
         position_sd_mm: vec![0.0; m.grid.len()],
         shot_of: vec![None; m.grid.len()],
+        common: None,
         shots: vec![],
         camera_px_per_mm: None,
         warnings: vec![],

@@ -135,6 +135,11 @@ impl Flicker {
         [common, (mean - common).max(0.0)]
     }
 
+    /// Relative variance of the white reference's light that is left: all rows have it in common.
+    pub(super) fn white_variance(&self) -> f64 {
+        self.white_variance
+    }
+
     /// What to tell people, given the mean relative variance that remains; `None` without flicker.
     pub(super) fn warning(&self, remaining: f64) -> Option<RadianceWarning> {
         self.sd.map(|relative_sd| RadianceWarning::Flicker { relative_sd, remaining_sd: remaining.sqrt() })

@@ -12,7 +12,7 @@ use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Bracket, Curve, Radiance, StrayLight};
 use crate::registration::{CameraMotion, Drift};
-use crate::response::{CellWeights, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
+use crate::response::{CellWeights, Flux, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
 use crate::transport::Row;
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -41,6 +41,8 @@ pub(super) struct LitPoint {
     pub(super) dot: [usize; 2],
     pub(super) center_mm: Point,
     pub(super) flux: [f64; 3],
+    /// Relative variance of what all samples of its row have in common.
+    pub(super) scale_variance: [f64; 3],
     pub(super) findings: RowFindings,
     /// The largest of the channels.
     pub(super) albedo: f64,
@@ -243,7 +245,8 @@ fn extract_shot(
         put(manifest.grid.row_index(dot), &row)?;
         let albedo = albedo(&row, &manifest.window);
         let half_light_mm = search.half_light_mm(&row);
-        result.lit.push(LitPoint { dot, center_mm: center, flux: lit.flux.value, findings, albedo, half_light_mm });
+        let Flux { value: flux, relative_variance: scale_variance } = lit.flux;
+        result.lit.push(LitPoint { dot, center_mm: center, flux, scale_variance, findings, albedo, half_light_mm });
     }
     Ok(result)
 }

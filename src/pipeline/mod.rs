@@ -1,5 +1,6 @@
 //! From a capture folder to the matrix: the way of the photographs, stage by stage.
 
+mod common;
 mod crosstalk;
 mod defects;
 mod dots_seen;
@@ -321,9 +322,12 @@ fn build_rows(
     if seen.is_empty() && !mixed {
         seen = reciprocity::judge(&scene, &shots, rows, options)?;
     }
+    let (crosstalk, left_by_others) = crosstalk.unzip();
+    let common = common::common_errors(&scene, &light, &shots, &left_by_others.unwrap_or_default());
     let stages = Stages { before, registered: &registered, light: &light };
     let secs = BuildSecs { once: (prepared - before.start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
     let (mut header, mut report) = findings::summarize(&scene, &stages, &shots, crosstalk, secs)?;
+    header.common = Some(common);
     report.taken_over = taken_over;
     tell(&mut header, &mut report, seen);
     Ok((header, report))

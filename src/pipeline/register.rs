@@ -1,15 +1,16 @@
 //! Slab, camera and projector related to each other: by the board or the frame's marks, and by the Gray code.
 
 use super::BuildOptions;
-use super::photographs::Photographs;
+use super::photographs::{Fine, Photographs};
 use super::scene::on_slab;
 use crate::capture::{Board, Pattern, Surface};
 use crate::geometry::{CameraView, Lens, Point};
 use crate::progress::{Progress, Stage};
 use crate::radiance::Radiance;
 use crate::registration::{
-    BitPair, FrameFit, LensChoice, LensTrial, Pairs, PointSpread, Registration, StripeArea, StripeFit, StripeSurface,
-    ViewFit, find_board, fit_lens_of_views, marks_moved, measure_point_spread, register_frame, register_projector,
+    BitPair, FrameFit, LensChoice, Observation, Pairs, PointSpread, Registration, SeenEdge, StripeArea, StripeFit,
+    StripeSurface, ViewFit, find_board, fit_lens_of_views, fit_lens_with_stripes, marks_moved, measure_point_spread,
+    register_frame, register_projector,
 };
 use crate::warning::bounds::{BOARD_ELSEWHERE_PX, FRAME_MOVED_PX, MAP_BENDS_PX, MOVED_SIGMA, STRIPES_LEFT_OUT};
 use crate::{ConsistencyWarning, Error, RegistrationWarning, Result, Warning};
@@ -49,20 +50,54 @@ pub(super) fn register(
         },
         || bit_pairs(photographs, &codes, &stage),
     );
-    let ((camera, choice, point_spread, warnings), pairs) = (camera?, pairs?);
-    let mut warnings: Vec<Warning> = warnings.into_iter().map(Warning::from).collect();
+    let (seen, pairs) = (camera?, pairs?);
+    let fine = &photographs.fine;
+    let mut camera = seen.slab(fine);
+    let mut warnings: Vec<Warning> = seen.warnings.iter().cloned().map(Warning::from).collect();
     warnings.extend(mirrored(photographs, &camera.view, options)?);
     let sum = |p: &BitPair| p.pattern.iter().zip(&p.inverse).step_by(SUM_STEP).map(|(a, b)| a + b).collect();
     let first = codes[0];
     // On the frame they are not of the white reference.
     let on_white = matches!(stripe_surface(photographs, &codes)?, StripeSurface::White);
     let sums = if on_white { pairs.iter().map(sum).collect() } else { vec![] };
-    let stripes = projector_fit(photographs, &codes, &camera.view, &pairs)?.map_err(photographs.failed(first))?;
+    let fit = |view: &CameraView| projector_fit(photographs, &codes, view, &pairs)?.map_err(photographs.failed(first));
+    let mut stripes = fit(&camera.view)?;
+    let mut choice = seen.choice.clone();
+    if let Some((fits, joint)) = lens_with_stripes(photographs, &seen, &stripes.edges) {
+        camera = in_working_px(fine, &fits[0]);
+        (choice, stripes) = (joint, fit(&camera.view)?);
+    }
+    let choice = choice.scaled(fine.scale());
     warnings.extend(stripe_warnings(&stripes).map(Warning::from));
     let size_mm = photographs.capture.manifest.slab.size_mm;
-    Registration::new(&camera, choice, point_spread, &stripes.projector, size_mm)
+    Registration::new(&camera, choice, seen.point_spread, &stripes.projector, size_mm)
         .map(|registration| Registered { registration, sums, warnings })
         .ok_or_else(|| photographs.failed(first)("the projector's map cannot be inverted".into()))
+}
+
+/// The lens by boards and stripes together, in the pixels of the boards.
+fn lens_with_stripes(
+    photographs: &Photographs<'_>,
+    seen: &SeenPlanes,
+    edges: &[Observation],
+) -> Option<(Vec<ViewFit>, LensChoice)> {
+    let camera = photographs.fine.camera();
+    let edge = |o: &Observation| SeenEdge { at_px: seen.fits[0].view.camera_from_slab(o.from), axis: o.axis, to: o.to };
+    let edges: Vec<SeenEdge> = edges.iter().map(edge).collect();
+    let projector = projector_lens(photographs);
+    fit_lens_with_stripes(&seen.planes, &seen.choice, &edges, camera.principal_px, camera.focal_px, projector)
+}
+
+fn projector_lens(photographs: &Photographs<'_>) -> Lens {
+    let projector = &photographs.capture.rig.projector;
+    // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
+    Lens::ideal(projector.lens_center_px(), projector.size_px[0] as f64)
+}
+
+/// A view of the boards' pixels in those that lattice shots are worked on in.
+fn in_working_px(fine: &Fine<'_>, fit: &ViewFit) -> ViewFit {
+    let scale = fine.scale();
+    ViewFit { view: fine.view(&fit.view), rms_px: scale * fit.rms_px, sd_px: scale * fit.sd_px }
 }
 
 /// A slab whose axes are those of a mirror.
@@ -85,8 +120,7 @@ fn projector_fit(
     pairs: &[BitPair],
 ) -> Result<std::result::Result<StripeFit, String>> {
     let rig = &photographs.capture.rig;
-    // Coefficients of the lens count in widths of the image: its focal length is not known, and need not be.
-    let lens = Lens::ideal(rig.projector.lens_center_px(), rig.projector.size_px[0] as f64);
+    let lens = projector_lens(photographs);
     let surface = stripe_surface(photographs, codes)?;
     let area = stripe_area(photographs);
     Ok(register_projector(pairs, rig.camera.size_px, view, surface, &area, lens))
@@ -131,7 +165,7 @@ pub(super) fn exchanged_pair(photographs: &Photographs<'_>) -> Result<Option<[us
     let manifest = &photographs.capture.manifest;
     let codes = photographs.capture.shots(|p| matches!(p, Pattern::GrayCode { .. }));
     let silent = Progress::silent();
-    let (camera, ..) = camera_view(photographs)?;
+    let camera = camera_view(photographs)?.slab(&photographs.fine);
     let mut pairs = bit_pairs(photographs, &codes, &silent.stage("register", codes.len()))?;
     let [nx, ny] = manifest.grid.points;
     let rms = |pairs: &[BitPair]| -> Result<Option<f64>> {
@@ -170,11 +204,26 @@ pub(super) fn exchanged_pair(photographs: &Photographs<'_>) -> Result<Option<[us
     Ok(shot(false).zip(shot(true)).map(|(pattern, inverse)| [pattern, inverse]))
 }
 
+/// What boards and frames say, in the pixels that they were looked at in.
+struct SeenPlanes {
+    planes: Vec<Pairs>,
+    fits: Vec<ViewFit>,
+    choice: LensChoice,
+    /// In pixels of the working resolution.
+    point_spread: Option<PointSpread>,
+    warnings: Vec<RegistrationWarning>,
+}
+
+impl SeenPlanes {
+    /// The slab's plane, in pixels of the working resolution.
+    fn slab(&self, fine: &Fine<'_>) -> ViewFit {
+        in_working_px(fine, &self.fits[0])
+    }
+}
+
 /// The board gives a plane, the frame's marks the plane as the sample really lies; the lens is fitted to all of them
 /// together, and to boards in other poses where there are any.
-fn camera_view(
-    photographs: &Photographs<'_>,
-) -> Result<(ViewFit, LensChoice, Option<PointSpread>, Vec<RegistrationWarning>)> {
+fn camera_view(photographs: &Photographs<'_>) -> Result<SeenPlanes> {
     let (rig, fine) = (&photographs.capture.rig, &photographs.fine);
     let camera = &fine.camera();
     let mut warnings = Vec::new();
@@ -233,19 +282,13 @@ fn camera_view(
     // picture is.
     let seen = &fits[usize::from(first.is_some() && fits.len() > 1)].view;
     let point_spread = sharp.and_then(|(picture, board)| measure_point_spread(&picture, board, seen));
-    // All of it was in finer pixels.
     let scale = fine.scale();
-    let fit = ViewFit { view: fine.view(&fits[0].view), rms_px: scale * fits[0].rms_px, sd_px: scale * fits[0].sd_px };
-    let choice = LensChoice {
-        trials: choice.trials.into_iter().map(|t| LensTrial { rms_px: scale * t.rms_px, ..t }).collect(),
-        ..choice
-    };
     let point_spread = point_spread.map(|p| PointSpread {
         psf_px: scale * p.psf_px,
         variance_sd_px2: scale * scale * p.variance_sd_px2,
         range_px: p.range_px.map(|r| scale * r),
     });
-    Ok((fit, choice, point_spread, warnings))
+    Ok(SeenPlanes { planes, fits, choice, point_spread, warnings })
 }
 
 /// Whether board and frame disagree about where the slab's corners are seen.

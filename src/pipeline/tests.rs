@@ -23,7 +23,7 @@ pub(super) fn capture(shots: &[(Pattern, &[f64])]) -> Capture {
         projector: Projector { size_px: [64, 36], principal_px: None },
         board: None,
         frame: None,
-        white_reference: WhiteReference { reflectance: [0.91, 0.74, 0.52] },
+        white_reference: WhiteReference { reflectance: [0.91, 0.74, 0.52], relative_sd: 0.0 },
     };
     let name = |k: usize| format!("shot {k}");
     let photograph = |k: usize, secs: f64| Photograph {

@@ -14,6 +14,8 @@ pub struct Drift {
     pub camera_px: Point,
     /// Standard deviation per axis of `camera_px`.
     pub sd_px: f64,
+    /// The part of it that all shots have in common, px: of dots on the sample, their depth.
+    pub common_sd_px: f64,
     /// Number of dots that it was measured from.
     pub dots: usize,
     /// How far apart the dots are, of what they should be, with its standard deviation; `None` for fewer than four.
@@ -74,7 +76,7 @@ pub fn measure_drift(dots: &[(Point, Radiance)], registration: &Registration, do
     let photon = moved.iter().map(|m| m.1).sum::<f64>() / n;
     let sd_px = ((photon + CENTROID_FLOOR_PX.powi(2)) / n).sqrt();
     let scale = scale(&places, &moved.iter().map(|m| m.0).collect::<Vec<_>>());
-    Some(Drift { slab_mm, camera_px, sd_px, dots: moved.len(), scale, depth: None })
+    Some(Drift { slab_mm, camera_px, sd_px, common_sd_px: 0.0, dots: moved.len(), scale, depth: None })
 }
 
 /// How much farther apart things are than at `places` when they have `moved` from there, and its standard deviation.

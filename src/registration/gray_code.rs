@@ -51,13 +51,15 @@ const OFF_PLANE_STRIPES: f64 = 1.0;
 const MOST_LEFT_OUT: f64 = 0.5;
 
 /// What the stripes say of the projector.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct StripeFit {
     /// The map.
     pub projector: ProjectorFit,
     /// Share of the area that was left out: squares whose codes, or edges that, are far off the map; the larger of
     /// both.
     pub left_out: f64,
+    /// The edges that the map rests on: slab mm to one projector coordinate.
+    pub edges: Vec<Observation>,
     /// How many of the finest bits of each axis were ignored: the camera does not tell their stripes apart.
     pub ignored_bits: [usize; 2],
 }
@@ -144,11 +146,11 @@ pub fn register_projector(
             }
         }
     }
-    let fit = fit_projector(edges, lens).ok_or("too few stripe edges were found")?;
+    let (fit, edges) = fit_projector(edges, lens).ok_or("too few stripe edges were found")?;
     if fit.rms_px > 1.0 {
         return Err(format!("the stripes fit no plane: RMS {:.2} projector px", fit.rms_px));
     }
-    Ok(StripeFit { left_out: left_out.max(fit.left_out), ignored_bits, projector: fit })
+    Ok(StripeFit { left_out: left_out.max(fit.left_out), ignored_bits, edges, projector: fit })
 }
 
 /// Removes the finest bits of each axis that are not told apart, while two are left; how many.

@@ -31,8 +31,20 @@ pub struct LensChoice {
     pub radial_terms: usize,
     /// Whether it has a centre of its own.
     pub center: bool,
-    /// All that were tried.
+    /// All that were tried, by boards and marks alone.
     pub trials: Vec<LensTrial>,
+    /// The model that is used, where the stripes have decided too: its information criterion is that of both.
+    #[serde(default)]
+    pub with_stripes: Option<LensTrial>,
+}
+
+impl LensChoice {
+    /// The same in pixels of another size.
+    pub(crate) fn scaled(self, scale: f64) -> Self {
+        let trial = |t: LensTrial| LensTrial { rms_px: scale * t.rms_px, ..t };
+        let trials = self.trials.into_iter().map(trial).collect();
+        Self { trials, with_stripes: self.with_stripes.map(trial), ..self }
+    }
 }
 
 /// Parameters of each model, in the order k1, k2, centre x, centre y.
@@ -40,7 +52,7 @@ const MODELS: [usize; 4] = [0, 1, 2, 4];
 /// A term is tried only with this many points for each.
 const PAIRS_PER_TERM: usize = 15;
 /// Points are never known better than this, px.
-const FLOOR_PX: f64 = 0.003;
+pub(super) const FLOOR_PX: f64 = 0.003;
 
 /// Fits a lens to several views, each of a plane of its own; every view counts by how well its own points agree.
 ///
@@ -52,8 +64,7 @@ pub fn fit_lens_of_views(views: &[Pairs], center_px: Point, focal_px: f64) -> Op
     if views.is_empty() {
         return None;
     }
-    let alone: Vec<f64> =
-        views.iter().map(|v| Some(fit_view(v, center_px, focal_px)?.rms_px.max(FLOOR_PX))).collect::<Option<_>>()?;
+    let alone = sds_alone(views, center_px, focal_px)?;
     let points: usize = views.iter().map(Vec::len).sum();
     let n = 2.0 * points as f64;
     let mut best: Option<(f64, usize, Vec<CameraView>)> = None;
@@ -70,23 +81,35 @@ pub fn fit_lens_of_views(views: &[Pairs], center_px: Point, focal_px: f64) -> Op
         }
     }
     let (_, terms, found) = best?;
-    let choice = LensChoice { views: views.len(), points, radial_terms: terms.min(2), center: terms == 4, trials };
+    let radial_terms = terms.min(2);
+    let choice =
+        LensChoice { views: views.len(), points, radial_terms, center: terms == 4, trials, with_stripes: None };
+    Some((view_fits(&found, views, terms), choice))
+}
+
+/// What each view's points are off by when it is fitted alone, px.
+pub(super) fn sds_alone(views: &[Pairs], center_px: Point, focal_px: f64) -> Option<Vec<f64>> {
+    views.iter().map(|v| Some(fit_view(v, center_px, focal_px)?.rms_px.max(FLOOR_PX))).collect()
+}
+
+/// Views that share a lens of so many parameters, with what their points are off by.
+pub(super) fn view_fits(found: &[CameraView], views: &[Pairs], terms: usize) -> Vec<ViewFit> {
     let fit = |(view, pairs): (&CameraView, &Pairs)| {
         let n = 2.0 * pairs.len() as f64;
         let rms_px = (square_px(view, pairs) / n).sqrt();
         ViewFit { view: *view, rms_px, sd_px: rms_px * ((8 + terms) as f64 / n).sqrt() }
     };
-    Some((found.iter().zip(views).map(fit).collect(), choice))
+    found.iter().zip(views).map(fit).collect()
 }
 
-fn lens(k: [f64; 4], center_px: Point, focal_px: f64) -> Lens {
+pub(super) fn lens(k: [f64; 4], center_px: Point, focal_px: f64) -> Lens {
     // The centre counts in focal lengths, so that all parameters are small numbers.
     let center_px = [center_px[0] + focal_px * k[2], center_px[1] + focal_px * k[3]];
     Lens { center_px, focal_px, k1: k[0], k2: k[1] }
 }
 
 /// Every view's plane for a given lens, and the residuals over what the views' points are off by alone.
-fn solve_planes(views: &[Pairs], alone: &[f64], lens: Lens) -> Option<(Vec<CameraView>, Vec<f64>)> {
+pub(super) fn solve_planes(views: &[Pairs], alone: &[f64], lens: Lens) -> Option<(Vec<CameraView>, Vec<f64>)> {
     let (mut found, mut weighted) = (Vec::new(), Vec::new());
     for (pairs, sd) in views.iter().zip(alone) {
         let ideal = pairs.iter().map(|&(from, to)| (from, lens.undistort(to)));

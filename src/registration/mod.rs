@@ -9,6 +9,7 @@ mod drift;
 mod fit;
 mod frame_marks;
 mod gray_code;
+mod joint_fit;
 mod jumps;
 mod lens_fit;
 #[cfg(test)]
@@ -27,6 +28,7 @@ pub(crate) use drift::{median, scaled_deviation};
 pub use fit::{Observation, ViewFit, fit_homography, fit_view};
 pub use frame_marks::{FoundMark, FrameFit, marks_moved, register_frame};
 pub use gray_code::{BitPair, StripeFit, register_projector};
+pub use joint_fit::{SeenEdge, fit_lens_with_stripes};
 pub use jumps::{Jump, find_jumps};
 pub use lens_fit::{LensChoice, LensTrial, Pairs, fit_lens_of_views};
 pub use projector_fit::{MapTrend, ProjectorFit, fit_projector};

@@ -5,6 +5,7 @@ use super::fit::{Observation, fit_homography};
 use crate::geometry::{Homography, Lens, Point, SlabFromProjector};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use std::collections::BTreeMap;
 
 /// The projector registered to the slab's plane.
 #[derive(Debug, Clone, Copy)]
@@ -40,10 +41,10 @@ pub struct MapTrend {
 /// Edges that decide about the lens: more tell no more.
 const DECIDING_EDGES: usize = 6000;
 /// Neighbouring pixels along one edge share their errors: about so many are one.
-const ALIKE: f64 = 8.0;
+pub(super) const ALIKE: f64 = 8.0;
 /// A distortion that moves no edge by this is not worth a model, projector px: the homography takes up most of it, and
 /// it may be the camera's lens that is a little off.
-const WORTH_PX: f64 = 0.25;
+pub(super) const WORTH_PX: f64 = 0.25;
 /// Rounds in which homography and distortion settle on each other.
 const ROUNDS: usize = 4;
 /// Edges further off than so many robust deviations are left out: of a normal distribution's 1e-5.
@@ -51,13 +52,13 @@ const FAR_SIGMA: f64 = 4.5;
 /// Blur and prints displace no edge as far as this, projector px.
 const ELSEWHERE_PX: f64 = 0.5;
 /// The least robust deviation that edges are given, projector px: of an exact picture all would be far off.
-const LEAST_SD_PX: f64 = 1e-3;
+pub(super) const LEAST_SD_PX: f64 = 1e-3;
 
 /// Fits homography and lens to edges (slab mm to one projector coordinate), dropping edges far off until none is.
 ///
 /// The lens has at most two radial terms about `lens.center_px`, as many as lower the Bayesian information criterion,
-/// and none that moves no edge by a quarter of a pixel. `None` for fewer than nine edges or a degenerate layout.
-pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<ProjectorFit> {
+/// and none that moves no edge by a quarter of a pixel. With the fit come the edges that it rests on. `None` for fewer than nine edges or a degenerate layout.
+pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<(ProjectorFit, Vec<Observation>)> {
     let lens = Lens { k1: 0.0, k2: 0.0, ..lens };
     let step = (edges.len() / DECIDING_EDGES).max(1);
     let deciding: Vec<Observation> = edges.iter().copied().step_by(step).collect();
@@ -76,7 +77,7 @@ pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<ProjectorFit
     let mut best: Option<(f64, Lens)> = None;
     for terms in 0..=2 {
         let Some((h, found, rms)) = fit_lens(&few, first, lens, terms) else { continue };
-        let n = few.len() as f64 / ALIKE;
+        let n = independent_edges(&few, &offs(&few, &h, &found));
         let information = n * rms.max(1e-4).powi(2).ln() + (8 + terms) as f64 * n.ln();
         let worth = terms == 0 || few.iter().any(|o| bend(&found, h.map(o.from)) > WORTH_PX);
         if worth && best.is_none_or(|(b, _)| information < b) {
@@ -88,9 +89,9 @@ pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<ProjectorFit
     let edges = near(&edges, &start);
     let (h, rms_px) = fit_given(&edges, first, &chosen)?;
     let ideal_rms_px = if chosen.is_ideal() { rms_px } else { fit_given(&edges, first, &lens)?.1 };
-    let independent = (edges.len() as f64 / ALIKE).max(11.0);
+    let independent = independent_edges(&edges, &offs(&edges, &h, &chosen)).max(11.0);
     let parameters = 8 + usize::from(chosen.k1 != 0.0) + usize::from(chosen.k2 != 0.0);
-    Some(ProjectorFit {
+    let fit = ProjectorFit {
         slab_from_projector: SlabFromProjector::new(h, chosen)?,
         rms_px,
         ideal_rms_px,
@@ -98,7 +99,42 @@ pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<ProjectorFit
         edges: edges.len(),
         left_out: far,
         trend: trend(&edges, &h, &chosen),
-    })
+    };
+    Some((fit, edges))
+}
+
+/// How far edges are off the map, signed, projector px.
+fn offs(edges: &[Observation], h: &Homography, lens: &Lens) -> Vec<f64> {
+    edges.iter().map(|o| lens.distort(h.map(o.from))[o.axis] - o.to).collect()
+}
+
+/// As how many independent edges these count, which are `off` the map: neighbours along one edge share their errors, and
+/// so do all edges of a picture where the pictures of the code lie elsewhere (a projector that moves).
+///
+/// What the edges of a picture have in common is their intraclass correlation ρ by analysis of variance: m of them are
+/// m / (1 + (m − 1) ρ).
+pub(super) fn independent_edges(edges: &[Observation], off: &[f64]) -> f64 {
+    let n = (edges.len() as f64 / ALIKE).max(1.0);
+    let mut pictures: BTreeMap<(usize, u32), [f64; 3]> = BTreeMap::new();
+    for (o, off) in edges.iter().zip(off) {
+        // Edges of bit j lie at odd multiples of 2^j, less half a pixel.
+        let bit = ((o.to + 0.5).round().max(0.0) as u64).trailing_zeros();
+        let sum = pictures.entry((o.axis, bit)).or_default();
+        (sum[0], sum[1], sum[2]) = (sum[0] + 1.0, sum[1] + off, sum[2] + off * off);
+    }
+    let groups = pictures.len() as f64;
+    if groups < 3.0 || n <= groups {
+        return n;
+    }
+    let (all, sum) = pictures.values().fold((0.0, 0.0), |(n, s), p| (n + p[0], s + p[1]));
+    let mean = sum / all;
+    let between: f64 = pictures.values().map(|p| p[0] * (p[1] / p[0] - mean).powi(2)).sum();
+    let within: f64 = pictures.values().map(|p| p[2] - p[1] * p[1] / p[0]).sum();
+    // Of independent ones: sums of squares have ALIKE times as many terms as there are.
+    let (between, within) = (between / ALIKE / (groups - 1.0), within / ALIKE / (n - groups));
+    let m = n / groups;
+    let shared = ((between - within) / (between + (m - 1.0) * within).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+    n / (1.0 + (m - 1.0) * shared)
 }
 
 /// How far an edge is off the map, projector px.
@@ -191,14 +227,14 @@ pub(super) fn plane_of_most(observations: &[Observation]) -> Option<Homography> 
 }
 
 /// How far the lens moves an ideal point, px.
-fn bend(lens: &Lens, ideal: Point) -> f64 {
+pub(super) fn bend(lens: &Lens, ideal: Point) -> f64 {
     let q = lens.distort(ideal);
     (q[0] - ideal[0]).hypot(q[1] - ideal[1])
 }
 
 /// The homography for a given lens, and the RMS residual: what the lens adds to each coordinate is taken off where the
 /// last map puts it.
-fn fit_given(edges: &[Observation], start: Homography, lens: &Lens) -> Option<(Homography, f64)> {
+pub(super) fn fit_given(edges: &[Observation], start: Homography, lens: &Lens) -> Option<(Homography, f64)> {
     if lens.is_ideal() {
         return fit_homography(edges);
     }
@@ -215,7 +251,12 @@ fn fit_given(edges: &[Observation], start: Homography, lens: &Lens) -> Option<(H
 }
 
 /// Homography and the first `terms` coefficients, by turns.
-fn fit_lens(edges: &[Observation], start: Homography, lens: Lens, terms: usize) -> Option<(Homography, Lens, f64)> {
+pub(super) fn fit_lens(
+    edges: &[Observation],
+    start: Homography,
+    lens: Lens,
+    terms: usize,
+) -> Option<(Homography, Lens, f64)> {
     let solve = |k: [f64; 2]| {
         let lens = Lens { k1: k[0], k2: k[1], ..lens };
         let (h, rms) = fit_given(edges, start, &lens)?;
@@ -247,10 +288,10 @@ mod tests {
     #[test]
     fn a_projectors_distortion_is_found_where_there_is_one_and_only_there() {
         let ideal = Lens::ideal([150.0, 130.0], 300.0);
-        let fit = fit_projector(edges(&ideal), ideal).unwrap();
+        let fit = fit_projector(edges(&ideal), ideal).unwrap().0;
         assert!(fit.slab_from_projector.lens().is_ideal(), "{fit:?}");
         let real = Lens { k1: -0.02, ..ideal };
-        let fit = fit_projector(edges(&real), ideal).unwrap();
+        let fit = fit_projector(edges(&real), ideal).unwrap().0;
         // Edges are off by 0.006 px RMS: a bend of up to 2 px is told to a few thousandths of itself.
         assert!((fit.slab_from_projector.lens().k1 + 0.02).abs() < 3e-4, "{fit:?}");
         assert!(fit.rms_px < 0.008 && fit.ideal_rms_px > 0.05, "{fit:?}");
@@ -275,7 +316,7 @@ mod tests {
         for (k1, k2, parameters) in [(0.0, 0.0, 8.0), (-0.02, 0.0, 9.0), (-0.06, 0.12, 10.0f64)] {
             let real = Lens { k1, k2, ..ideal };
             let seen = edges(&real);
-            let fit = fit_projector(seen.clone(), ideal).unwrap();
+            let fit = fit_projector(seen.clone(), ideal).unwrap().0;
             let lens = fit.slab_from_projector.lens();
             assert_eq!((lens.k1 != 0.0, lens.k2 != 0.0), (k1 != 0.0, k2 != 0.0), "{lens:?}");
             assert_eq!(fit.edges, 2000);
@@ -285,7 +326,7 @@ mod tests {
         }
         // 43 edges would be five: at least eleven are taken for as many, more than a lens has parameters.
         let few: Vec<Observation> = edges(&ideal).into_iter().step_by(47).collect();
-        let fit = fit_projector(few, ideal).unwrap();
+        let fit = fit_projector(few, ideal).unwrap().0;
         assert!((fit.sd_px - fit.rms_px * (8.0 / 11.0f64).sqrt()).abs() < 1e-12, "{fit:?}");
     }
 
@@ -295,14 +336,14 @@ mod tests {
         let mut seen = edges(&ideal);
         // Every fiftieth is off by 3 px, once to each side; the others by no more than a hundredth.
         seen.iter_mut().step_by(50).enumerate().for_each(|(k, o)| o.to += if k % 2 == 0 { 3.0 } else { -3.0 });
-        let fit = fit_projector(seen, ideal).unwrap();
+        let fit = fit_projector(seen, ideal).unwrap().0;
         assert_eq!(fit.edges, 1960);
         // The others are off by 0.01 / √3.
         assert!((fit.rms_px - 0.01 / 3f64.sqrt()).abs() < 2e-4, "{fit:?}");
         assert_eq!(fit.rms_px, fit.ideal_rms_px);
         // The farthest point is 0.62 focal lengths from the centre: k1 · r³ · f is 0.07 px per thousandth.
         let bent = |k1: f64| {
-            let fit = fit_projector(edges(&Lens { k1, ..ideal }), ideal).unwrap();
+            let fit = fit_projector(edges(&Lens { k1, ..ideal }), ideal).unwrap().0;
             fit.slab_from_projector.lens().k1
         };
         assert_eq!(bent(-0.002), 0.0);
@@ -312,7 +353,7 @@ mod tests {
     #[test]
     fn edges_that_are_off_together_are_a_trend_with_its_place() {
         let ideal = Lens::ideal([150.0, 130.0], 300.0);
-        assert_eq!(fit_projector(edges(&ideal), ideal).unwrap().trend, None);
+        assert_eq!(fit_projector(edges(&ideal), ideal).unwrap().0.trend, None);
         // Rows' edges between 20 and 24.5 mm, and 9 and 13.5, are off by 0.02 px: less than what is left out (4.5
         // deviations of 0.0074 px), and of six times 28 edges, as good as 21 independent ones, sixteen deviations of
         // their mean.
@@ -321,7 +362,7 @@ mod tests {
         seen.sort_by_key(|o| o.axis);
         let there = |p: Point| (20.0..24.5).contains(&p[0]) && (9.0..13.5).contains(&p[1]);
         seen.iter_mut().filter(|o| o.axis == 1 && there(o.from)).for_each(|o| o.to += 0.02);
-        let fit = fit_projector(seen, ideal).unwrap();
+        let fit = fit_projector(seen, ideal).unwrap().0;
         let trend = fit.trend.unwrap();
         assert!(there(trend.at_mm) && trend.off_px < -0.01 && trend.off_px > -0.02, "{fit:?}");
         // The part has a column of edges that are not off, which scatter about the mean with the others.
@@ -351,12 +392,12 @@ mod tests {
         // The same edges seven times over, one axis after the other as the stripes' pictures come.
         let mut many: Vec<Observation> = (0..7).flat_map(|_| edges(&real)).collect();
         many.sort_by_key(|o| o.axis);
-        let (a, b) = (fit_projector(many, ideal).unwrap(), fit_projector(edges(&real), ideal).unwrap());
+        let (a, b) = (fit_projector(many, ideal).unwrap().0, fit_projector(edges(&real), ideal).unwrap().0);
         assert_eq!(a.edges, 14_000);
         // Every second edge decides, seven times over all of them: k1 is told to 3e-4.
         assert!((a.slab_from_projector.lens().k1 - b.slab_from_projector.lens().k1).abs() < 3e-4);
         assert!((a.sd_px / a.rms_px - (9.0 / 1750.0f64).sqrt()).abs() < 1e-12);
-        assert!(fit_projector(edges(&ideal)[..8].to_vec(), ideal).is_none_or(|f| f.rms_px.is_finite()));
+        assert!(fit_projector(edges(&ideal)[..8].to_vec(), ideal).is_none_or(|(f, _)| f.rms_px.is_finite()));
         assert!(fit_projector(edges(&ideal)[..7].to_vec(), ideal).is_none());
     }
 
@@ -368,9 +409,33 @@ mod tests {
         let of_one = most(&Lens { k1: 1e-4, ..ideal }) / 1e-4;
         let found = |px: f64| {
             let real = Lens { k1: px / of_one, ..ideal };
-            !fit_projector(edges(&real), ideal).unwrap().slab_from_projector.lens().is_ideal()
+            !fit_projector(edges(&real), ideal).unwrap().0.slab_from_projector.lens().is_ideal()
         };
         // Edges are off by a hundredth of a pixel: k1 is found to a hundredth of the bend.
         assert_eq!([0.15, 0.22, 0.28, 0.4].map(found), [false, false, true, true]);
+    }
+
+    #[test]
+    fn edges_of_pictures_that_lie_elsewhere_count_as_few() {
+        let ideal = Lens::ideal([150.0, 130.0], 300.0);
+        let off = |o: &[Observation]| offs(o, &H, &ideal);
+        // Twelve pictures of two axes: bits 0 to 5.
+        let at = |k: usize, axis: usize, bit: u32| Observation {
+            from: [(k % 50) as f64 * 0.6, (k / 50) as f64 * 0.7],
+            axis,
+            to: f64::from(1u32 << bit) * (2 * (k % 9) + 1) as f64 - 0.5,
+        };
+        let all: Vec<Observation> = (0..4800).map(|k| at(k % 400, k / 400 % 2, (k / 800) as u32)).collect();
+        assert_eq!(off(&all).len(), 4800);
+        let noise = |k: usize| f64::from((k * 7919 % 1000) as u32) / 500.0 - 1.0;
+        let still: Vec<f64> = (0..4800).map(|k| 0.1 * noise(k)).collect();
+        // As many as there are, an eighth of all; the correlation's own scatter may cost a few.
+        let independent = independent_edges(&all, &still);
+        assert!(independent > 400.0 && independent <= 600.0, "{independent}");
+        let moved: Vec<f64> = (0..4800).map(|k| still[k] + 0.4 * noise(17 * (k / 400) + 3)).collect();
+        // Twelve displacements, each told very well: about a dozen.
+        let independent = independent_edges(&all, &moved);
+        assert!((10.0..20.0).contains(&independent), "{independent}");
+        assert_eq!(independent_edges(&all[..300], &still[..300]), 37.5, "of one picture nothing is told");
     }
 }

@@ -180,8 +180,9 @@ impl Parallax {
         let depth = SeenDepth { depth_mm: self.depth_mm, sd_mm: self.depth_sd_mm, tangent };
         let noise = dots.iter().map(|d| d.variance_px2).sum::<f64>() / n;
         // The spread between dots has the pixels' noise in it already; in dim captures that noise is more.
-        let sd_px = (self.dot_sd_px.powi(2).max(noise) / n + depth_px * depth_px + COMMON_PX * COMMON_PX).sqrt();
-        Some(Drift { slab_mm, camera_px, sd_px, dots: dots.len(), scale: None, depth: Some(depth) })
+        let common_sd_px = depth_px.hypot(COMMON_PX);
+        let sd_px = (self.dot_sd_px.powi(2).max(noise) / n).sqrt().hypot(common_sd_px);
+        Some(Drift { slab_mm, camera_px, sd_px, common_sd_px, dots: dots.len(), scale: None, depth: Some(depth) })
     }
 }
 

@@ -9,12 +9,16 @@ use crate::transport::MatrixHeader;
 
 /// Both maps with their scales.
 pub(super) fn section(header: &MatrixHeader, survey: &RowSurvey, files: &mut Files) -> Result<String> {
-    let albedo = Map {
-        values: &survey.albedo,
-        name: "albedo",
-        title: "share of the arriving light that leaves inside the window, mean of the channels",
-        log: false,
-    };
+    let mean = survey.mean_albedo.map_or_else(String::new, |mean| {
+        let channel =
+            |(name, [v, sd]): (&str, [f64; 2])| format!("{name} {} ± {}", significant(v, 4), significant(sd, 2));
+        format!(
+            "; mean of all rows {}",
+            ["R", "G", "B"].into_iter().zip(mean).map(channel).collect::<Vec<_>>().join(", ")
+        )
+    });
+    let title = format!("share of the arriving light that leaves inside the window, mean of the channels{mean}");
+    let albedo = Map { values: &survey.albedo, name: "albedo", title: &title, log: false };
     // A few rows may be much worse than the rest: a linear scale would show those only.
     let error = Map {
         values: &survey.error,

@@ -10,12 +10,16 @@ use std::fmt::Write;
 type Measure = (&'static str, &'static str, fn(f64) -> String);
 
 /// Measures that the page knows; others are shown by their names alone.
-const MEASURES: [Measure; 15] = [
+const MEASURES: [Measure; 19] = [
     ("rel_rmse", "relative error ‖R̂ − R‖ / ‖R‖", percent),
     ("psnr_db", "peak signal to noise over all entries and channels", decibel),
     ("log_rmse", "error of ln R above 10⁻⁴ of each row's peak: the tails", three),
     ("relit_psnr_db", "the same ratio for the slab under a fixed set of lights", decibel),
     ("coverage_2sigma", "entries within two standard deviations; 95.4 % is right", percent),
+    ("coverage_2sigma_rows", "the rows' sums within two standard deviations", percent),
+    ("coverage_2sigma_profile", "the same of the numbers of the mean row", percent),
+    ("albedo_bias", "relative error of the mean albedo, R G B", three),
+    ("albedo_bias_sd", "standard deviation of that error as the matrix says it, R G B", three),
     ("drift_rms_px", "difference of the shots' drift, camera px", three),
     ("position_rms_mm", "difference of the lit points' places, mm", three),
     ("position_rms_px", "the same in camera px", three),

@@ -1,6 +1,7 @@
 //! One pass over the matrix beside its reconstruction: what each row says, and which rows to show.
 
-use crate::transport::{MatrixHeader, MatrixReader, RowBlock};
+use crate::transport::common::{RowErrors, RowsSum};
+use crate::transport::{CommonErrors, MatrixHeader, MatrixReader, RowBlock};
 use crate::{Error, Result};
 use rayon::prelude::*;
 
@@ -12,6 +13,9 @@ pub struct RowSurvey {
     pub albedo: Vec<Option<f64>>,
     /// ‖R̂ − R‖ / ‖R‖ of each row over its measured samples.
     pub error: Vec<Option<f64>>,
+    /// Mean albedo of the rows by channel and its standard deviation, by what the matrix says that its errors have in
+    /// common; `None` without variance.
+    pub mean_albedo: Option<[[f64; 2]; 3]>,
     /// Rows to look at.
     pub rows: Vec<ComparedRow>,
 }
@@ -45,6 +49,9 @@ impl RowSurvey {
         // Some tens of megabytes per block, however large the window.
         let block_rows = ((1 << 22) / n.max(1)).max(1);
         let mut survey = Self::default();
+        let no_common = CommonErrors::none(header.rows(), n);
+        let common = header.common.as_ref().unwrap_or(&no_common);
+        let (mut light, mut with_variance) = ([RowsSum::default(); 3], false);
         for first in (0..header.rows()).step_by(block_rows) {
             let block = matrix.read(first..(first + block_rows).min(header.rows()))?;
             let found: Result<Vec<_>> = (0..block.rows)
@@ -54,11 +61,26 @@ impl RowSurvey {
                     Ok(assess(header, slice(&block.response, i, n), slice(&block.valid, i, n), &estimate))
                 })
                 .collect();
+            let sums = (0..block.rows).into_par_iter().map(|i| {
+                let sd = header.position_sd_mm[first + i];
+                let row = RowErrors::new(block.view(i), first + i, header.window, header.pitch_mm, sd, common);
+                [0, 1, 2].map(|c| row.sum(c))
+            });
+            for (i, sums) in sums.collect::<Vec<_>>().iter().enumerate() {
+                if slice(&block.valid, i, n).contains(&1) {
+                    light.iter_mut().zip(sums).for_each(|(all, row)| all.add(row));
+                }
+            }
+            with_variance |= block.variance.iter().any(|v| *v > 0.0);
             for (albedo, error) in found? {
                 survey.albedo.push(albedo);
                 survey.error.push(error);
             }
         }
+        let area = header.pitch_mm * header.pitch_mm;
+        let mean =
+            |c: usize| [light[c].value, light[c].sd(common.of_all.scale_sd[c])].map(|v| area * v / light[c].rows);
+        survey.mean_albedo = with_variance.then(|| [0, 1, 2].map(mean));
         for (index, reason) in choose(header, &survey.error) {
             let RowBlock { response, variance, valid, .. } = matrix.read(index..index + 1)?;
             let reconstructed = checked(reconstruct(index)?, n)?;

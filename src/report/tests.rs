@@ -18,6 +18,7 @@ pub(super) fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
         lit_mm: (0..n).map(|i| [2.0 + 0.5 * (i % points[0]) as f64, 2.0 + 0.5 * (i / points[0]) as f64]).collect(),
         position_sd_mm: vec![0.001; n],
         shot_of: (0..n).map(|i| Some(i % 4)).collect(),
+        common: None,
         shots: (0..4)
             .map(|i| ShotRecord {
                 name: format!("lattice <{i}>"),
@@ -58,6 +59,7 @@ fn survey(header: &MatrixHeader) -> RowSurvey {
     let n = header.rows();
     let checker = |i: usize| (i % header.points[0] / 4 + i / header.points[0] / 4) % 2;
     RowSurvey {
+        mean_albedo: Some([[0.71234, 0.0123], [0.5, 0.002], [0.25, 0.0017]]),
         albedo: (0..n).map(|i| (i != 3).then(|| 0.5 + 0.3 * checker(i) as f64)).collect(),
         error: (0..n).map(|i| (i != 3).then(|| 0.01 + 0.02 * checker(i) as f64 + 0.001 * (i % 5) as f64)).collect(),
         rows: vec![row(n / 2, "middle of the grid"), row(n - 1, "the worst row")],
@@ -162,6 +164,7 @@ fn every_picture_beside_the_page_is_in_it() {
     let dir = tempfile::tempdir().unwrap();
     write_into(dir.path());
     let html = std::fs::read_to_string(dir.path().join("report.html")).unwrap();
+    assert!(html.contains("mean of all rows R 0.7123 ± 0.012, G 0.5000 ± 0.0020, B 0.2500 ± 0.0017"), "albedo");
     let mut pngs = 0;
     for entry in std::fs::read_dir(dir.path()).unwrap() {
         let path = entry.unwrap().path();

@@ -5,7 +5,7 @@ use super::reconstruct::CellWeights;
 use crate::capture::{Rect, Window};
 use crate::geometry::{CameraView, Point};
 use crate::radiance::Radiance;
-use crate::transport::Row;
+use crate::transport::{Row, common::slopes};
 
 /// A lit dot whose window is to be extracted.
 #[derive(Debug, Clone, Copy)]
@@ -204,35 +204,10 @@ fn weighted_mean(light: &Radiance, weights: &CellWeights, sensitivity: &Sensitiv
     Some(sum)
 }
 
-/// Adds sd² |∇R|² to the variance, the slope by central differences where both neighbours are valid.
+/// Adds sd² |∇R|² to the variance.
 fn add_position_variance(row: &mut Row, grid: &WindowGrid, sd_mm: f64) {
-    let [wx, wy] = grid.samples;
-    let slope = |a: Option<usize>, b: Option<usize>, here: usize| {
-        let ok = |k: &Option<usize>| k.filter(|&k| row.valid[k]);
-        let (a, b) = (ok(&a), ok(&b));
-        let steps = a.is_some() as usize + b.is_some() as usize;
-        if steps == 0 {
-            return 0.0;
-        }
-        let (low, high) = (row.response[a.unwrap_or(here)], row.response[b.unwrap_or(here)]);
-        f64::from(high - low) / (steps as f64 * grid.pitch_mm)
-    };
-    let index = |i: usize, j: usize, c: usize| 3 * (j * wx + i) + c;
-    let mut added = vec![0.0f32; row.variance.len()];
-    for j in 0..wy {
-        for i in 0..wx {
-            for c in 0..3 {
-                let k = index(i, j, c);
-                if row.valid[k] {
-                    let x =
-                        slope(i.checked_sub(1).map(|i| index(i, j, c)), (i + 1 < wx).then(|| index(i + 1, j, c)), k);
-                    let y =
-                        slope(j.checked_sub(1).map(|j| index(i, j, c)), (j + 1 < wy).then(|| index(i, j + 1, c)), k);
-                    added[k] = (sd_mm * sd_mm * (x * x + y * y)) as f32;
-                }
-            }
-        }
-    }
+    let slopes = slopes(&row.response, |k| row.valid[k], grid.samples, grid.pitch_mm);
+    let added = slopes.iter().map(|[x, y]| (sd_mm * sd_mm * (x * x + y * y)) as f32);
     row.variance.iter_mut().zip(added).for_each(|(v, a)| *v += a);
 }
 

@@ -10,6 +10,7 @@ pub struct Irradiance {
     white: Radiance,
     sensitivity: Sensitivity,
     reflectance: [f64; 3],
+    relative_sd: f64,
     /// Half the side of the square of pixels over which it is averaged.
     radius_px: usize,
 }
@@ -50,7 +51,8 @@ impl Irradiance {
     /// `radius_px`: half the side of the square over which it is averaged at a dot; falloff must be nearly linear over
     /// it.
     pub fn new(white: Radiance, rig: &Rig, radius_px: usize) -> Self {
-        Self { white, sensitivity: Sensitivity::new(rig), reflectance: rig.white_reference.reflectance, radius_px }
+        let crate::capture::WhiteReference { reflectance, relative_sd } = rig.white_reference;
+        Self { white, sensitivity: Sensitivity::new(rig), reflectance, relative_sd, radius_px }
     }
 
     /// The camera's sensitivity.
@@ -88,7 +90,7 @@ impl Irradiance {
         }
         Some(Flux {
             value: std::array::from_fn(|c| sum[c] / count / self.reflectance[c] * area_mm2),
-            relative_variance: std::array::from_fn(|c| variance[c] / (sum[c] * sum[c])),
+            relative_variance: std::array::from_fn(|c| variance[c] / (sum[c] * sum[c]) + self.relative_sd.powi(2)),
         })
     }
 }
@@ -111,7 +113,7 @@ mod tests {
             vignetting: vec![-0.3, 0.1],
         };
         let projector = Projector { size_px: [64, 36], principal_px: None };
-        let white_reference = WhiteReference { reflectance: REFLECTANCE };
+        let white_reference = WhiteReference { reflectance: REFLECTANCE, relative_sd: 0.0 };
         Rig { format: 1, camera, noise: None, projector, board: None, frame: None, white_reference }
     }
 

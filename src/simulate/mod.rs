@@ -329,6 +329,7 @@ fn header(options: &SimulateOptions, bench: &Bench, plan: &ShotList) -> Result<M
         position_sd_mm: vec![0.0; lit_mm.len()],
         lit_mm,
         shot_of,
+        common: None,
         shots: plan.lattices.iter().map(record).collect(),
         camera_px_per_mm: Some(options.camera_px_per_sample / options.pitch_mm),
         warnings: Vec::new(),

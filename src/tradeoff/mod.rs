@@ -333,6 +333,7 @@ fn middle(reader: &MatrixReader, path: &Path) -> Result<MatrixReader> {
         lit_mm: (0..rows).map(|i| whole.lit_mm[from(i)]).collect(),
         position_sd_mm: (0..rows).map(|i| whole.position_sd_mm[from(i)]).collect(),
         shot_of: (0..rows).map(|i| whole.shot_of[from(i)]).collect(),
+        common: None,
         ..whole.clone()
     };
     let writer = MatrixWriter::create(path, header)?;

@@ -8,6 +8,7 @@
 //! Not told: stores of versions without these attributes, and those that another program has written anew, whose chunks
 //! have other names or codecs.
 
+use super::store::COMMON;
 use base64::{Engine, prelude::BASE64_STANDARD};
 use rayon::prelude::*;
 use serde_json::{Map, Value};
@@ -22,8 +23,21 @@ pub(super) const GROUP: &str = "checksum";
 /// The arrays of rows, in many chunks.
 pub(super) const ROWS: [&str; 3] = ["response", "variance", "valid"];
 /// All arrays of a store.
-pub(super) const ARRAYS: [&str; 9] =
-    ["dx", "dy", "position_sd_mm", "response", "shot", "valid", "variance", "x_i_mm", "y_i_mm"];
+pub(super) const ARRAYS: [&str; 11] = [
+    "common_sd",
+    "dx",
+    "dy",
+    "position_sd_mm",
+    "response",
+    "row_scale_sd",
+    "shot",
+    "valid",
+    "variance",
+    "x_i_mm",
+    "y_i_mm",
+];
+/// Those that are there with the attribute [`COMMON`] only.
+const OF_COMMON: [&str; 2] = ["common_sd", "row_scale_sd"];
 const TRAILER: usize = 4;
 /// In the list for a chunk that is not written, as nothing in it was measured.
 const NO_CHUNK: [u8; TRAILER] = [0xff; TRAILER];
@@ -155,7 +169,8 @@ impl Checksums {
         if arrays.is_empty() || !arrays.iter().all(|(name, array)| as_written(name, array)) {
             return Ok(None);
         }
-        if let Some(name) = ARRAYS.into_iter().find(|name| !arrays.contains_key(name)) {
+        let expected = |name: &&str| !OF_COMMON.contains(name) || attributes.contains_key(COMMON);
+        if let Some(name) = ARRAYS.into_iter().filter(expected).find(|name| !arrays.contains_key(name)) {
             return Err(format!("array {name}: zarr.json is missing"));
         }
         let names: Option<BTreeSet<String>> =

@@ -2,6 +2,7 @@
 
 pub mod arrays;
 mod checksum;
+pub mod common;
 mod earlier;
 pub mod normalize;
 mod open;
@@ -14,5 +15,6 @@ mod store;
 /// R, G, B.
 const CHANNELS: usize = 3;
 
+pub use common::{CommonErrors, CommonOfAll};
 pub(crate) use earlier::check as check_matrix;
 pub use store::{MatrixHeader, MatrixReader, MatrixWriter, Row, RowBlock, ShotRecord};

@@ -1,10 +1,10 @@
 //! Opening a store, whoever wrote it: what its arrays and attributes say, and what stands for those that it has not.
 //! `docs/matrix-format.md` is the description.
 
-use super::CHANNELS;
 use super::checksum::Checksums;
 use super::row_array::{AXES, RowArray, RowLayout, check_chunks, check_metadata, dimension_names, wide_numbers};
-use super::store::{FORMATS, LARGEST_MM, MOST_POINTS, MOST_SAMPLES, MatrixHeader, ShotRecord};
+use super::store::{COMMON, FORMATS, LARGEST_MM, MOST_POINTS, MOST_SAMPLES, MatrixHeader, ShotRecord};
+use super::{CHANNELS, CommonErrors};
 use crate::geometry::Point;
 use crate::{Error, Result};
 use serde::de::DeserializeOwned;
@@ -158,6 +158,7 @@ fn header(group: &StoreGroup, layout: &RowLayout, pitch_mm: f64) -> Result<Matri
         lit_mm: Vec::new(),
         position_sd_mm: Vec::new(),
         shot_of: Vec::new(),
+        common: None,
         shots: group
             .attribute::<Vec<ShotRecord>>("shots", "a list of {name, drift_px, drift_sd_px}")?
             .unwrap_or_default(),
@@ -199,8 +200,29 @@ fn header(group: &StoreGroup, layout: &RowLayout, pitch_mm: f64) -> Result<Matri
         ));
     }
     header.shot_of = shot.into_iter().map(|v| (v >= 0.0).then_some(v as usize)).collect();
+    header.common = common_errors(group, layout)?;
     header.check().and_then(|()| header.check_places()).map_err(|reason| group.broken(reason))?;
     Ok(header)
+}
+
+/// What of the variance samples have in common; samples outside of a crop have nothing.
+fn common_errors(group: &StoreGroup, layout: &RowLayout) -> Result<Option<CommonErrors>> {
+    let ([nx, ny], [w, h], [wx, wy]) = (layout.points, layout.stored, layout.window);
+    let of_all = group.attribute(COMMON, "{scale_sd: [R, G, B], position_sd_mm}")?;
+    let of_rows = group.by_channel("row_scale_sd", [ny, nx])?;
+    let of_samples = group.by_channel("common_sd", [h, w])?;
+    if of_all.is_none() && of_rows.is_none() && of_samples.is_none() {
+        return Ok(None);
+    }
+    let mut common = CommonErrors::none(nx * ny, wx * wy * CHANNELS);
+    common.of_all = of_all.unwrap_or_default();
+    common.row_scale_sd = of_rows.unwrap_or(common.row_scale_sd);
+    for (k, sd) in of_samples.into_iter().flatten().enumerate() {
+        let (i, j) = (k % w + layout.before[0], k / w + layout.before[1]);
+        let at = CHANNELS * (j * wx + i);
+        common.sample_sd[at..at + CHANNELS].copy_from_slice(&sd);
+    }
+    Ok(Some(common))
 }
 
 /// Values of a small array, its shape, the names of its dimensions.
@@ -345,9 +367,9 @@ impl StoreGroup {
     /// Refuses another unit than this store's, where an array states one.
     fn check_unit(&self, name: &str, array: &Array<FilesystemStore>) -> Result<()> {
         let unit = match name {
-            "response" => 0,
+            "response" | "common_sd" => 0,
             "variance" => 1,
-            "valid" | "shot" => return Ok(()),
+            "valid" | "shot" | "row_scale_sd" => return Ok(()),
             _ => 2,
         };
         let (expected, spelled) = UNITS[unit];
@@ -433,6 +455,18 @@ impl StoreGroup {
             return Err(self.unfit(&format!("array {name}"), "finite numbers", found));
         }
         Ok(Some(values))
+    }
+
+    /// Three numbers, or one for all channels, for each place of two axes.
+    fn by_channel(&self, name: &str, sides: [usize; 2]) -> Result<Option<Vec<[f64; CHANNELS]>>> {
+        let places = sides[0] * sides[1];
+        let Some((values, shape, _)) = self.small(name, CHANNELS * places)? else { return Ok(None) };
+        let channels = values.len() / places;
+        if shape != [sides[0], sides[1], channels] || ![1, CHANNELS].contains(&channels) {
+            let expected = format!("shape {:?}", [sides[0], sides[1], CHANNELS]);
+            return Err(self.unfit(&format!("array {name}"), expected, format_args!("{shape:?}")));
+        }
+        Ok(Some(values.chunks(channels).map(|v| std::array::from_fn(|c| v[c % channels])).collect()))
     }
 
     /// Refuses more lit points than what is stored could be of, before memory is set aside for them.

@@ -9,6 +9,8 @@
 //! | `position_sd_mm` f64 | y_i, x_i | standard deviation of that place per axis, mm |
 //! | `dx`, `dy` f64 | dx; dy | offset of the cell's centre from the lit point, mm |
 //! | `shot` i32 | y_i, x_i | number of the shot that lit it, an index into the attribute `shots` |
+//! | `row_scale_sd` f64 | y_i, x_i, channel | relative standard deviation of what a row's samples have in common; may be missing |
+//! | `common_sd` f64 | dy, dx, channel | standard deviation that all rows have in common, mm⁻²; may be missing |
 //!
 //! Stores of other programs are read too, with defaults for what they leave out: `docs/matrix-format.md`. Everything
 //! else is in the group's attributes, see [`MatrixHeader`]; `findings` are the records ([`FindingRecord`]) of
@@ -18,7 +20,7 @@ use super::checksum::{self, Checksums};
 use super::open::{self, Opened};
 use super::row_array::{RowArray, RowLayout};
 use super::scratch_rows::ScratchRows;
-use super::{CHANNELS, earlier};
+use super::{CHANNELS, CommonErrors, earlier};
 use crate::output::{Earlier, ScratchFolder, WorkLog, put};
 use crate::{Error, FindingRecord, Result, Warning, geometry::Point};
 use rayon::prelude::*;
@@ -30,10 +32,12 @@ use zarrs::array::{Array, ArrayBuilder, ArraySubset, ChunkKeySeparator, data_typ
 use zarrs::filesystem::FilesystemStore;
 
 /// The version of this layout, attribute `acquire_format`.
-const FORMAT: u64 = 2;
+const FORMAT: u64 = 3;
 /// The versions that are read. In 1 the response was 0 where it was not measured, and `points` and `window` were
-/// attributes too.
-pub(super) const FORMATS: [u64; 2] = [1, FORMAT];
+/// attributes too; 2 had no common errors.
+pub(super) const FORMATS: [u64; 3] = [1, 2, FORMAT];
+/// Attribute of the group: [`super::CommonOfAll`].
+pub(super) const COMMON: &str = "common_errors";
 /// The most lit points along an axis.
 pub(super) const MOST_POINTS: usize = 1 << 16;
 /// The most samples of a window along an axis.
@@ -75,6 +79,9 @@ pub struct MatrixHeader {
     /// The shot that lit each of them, an index into `shots`; `None` when unlit.
     #[serde(skip)]
     pub shot_of: Vec<Option<usize>>,
+    /// What of the variance samples have in common; `None` when that is not known.
+    #[serde(skip)]
+    pub common: Option<CommonErrors>,
     /// The lattice shots, with their drift.
     pub shots: Vec<ShotRecord>,
     /// Camera pixels in a mm at the slab's centre; `None` when no camera has seen it.
@@ -116,6 +123,9 @@ impl MatrixHeader {
                 "pitch_mm or lit_pitch_mm: expected {:e} to {LARGEST_MM:e}, found {v}",
                 1.0 / LARGEST_MM
             ));
+        }
+        if let Some(common) = &self.common {
+            common.check(self.rows(), self.row_len())?;
         }
         let drift = |s: &ShotRecord| s.drift_px.into_iter().chain(s.drift_sd_px).all(f64::is_finite);
         match self.shots.iter().find(|s| !drift(s)) {
@@ -347,6 +357,9 @@ impl MatrixWriter {
         if let serde_json::Value::Object(fields) = serde_json::to_value(header)? {
             attributes.extend(fields);
         }
+        if let Some(common) = &header.common {
+            attributes.insert(COMMON.into(), serde_json::to_value(common.of_all)?);
+        }
         // What `warnings` say, as other programs may want it; not read again.
         let findings: Vec<FindingRecord> = header.warnings.iter().map(Warning::record).collect();
         attributes.insert("findings".into(), serde_json::to_value(findings)?);
@@ -401,6 +414,16 @@ impl MatrixWriter {
             let shape = [header.window[a] as u64];
             small_array(store, name, &shape, &[name], data_type::float64(), f64::NAN, offsets.collect())?;
         }
+        if let Some(common) = &header.common {
+            let [samples_x, samples_y] = header.window.map(|n| n as u64);
+            let channels = CHANNELS as u64;
+            let (shape, names) = ([grid[0], grid[1], channels], ["y_i", "x_i", "channel"]);
+            let values = common.row_scale_sd.as_flattened().to_vec();
+            small_array(store, "row_scale_sd", &shape, &names, data_type::float64(), f64::NAN, values)?;
+            let (shape, names) = ([samples_y, samples_x, channels], ["dy", "dx", "channel"]);
+            let values = common.sample_sd.clone();
+            small_array(store, "common_sd", &shape, &names, data_type::float64(), f64::NAN, values)?;
+        }
         Ok(())
     }
 }
@@ -430,7 +453,8 @@ fn units(name: &str, more: &[(&str, &str)]) -> serde_json::Map<String, serde_jso
     let unit = match name {
         "response" => "mm^-2",
         "variance" => "mm^-4",
-        "valid" | "shot" => "1",
+        "valid" | "shot" | "row_scale_sd" => "1",
+        "common_sd" => "mm^-2",
         _ => "mm",
     };
     let all = [("units", unit)].into_iter().chain(more.iter().copied());

@@ -269,7 +269,7 @@ fn what_does_not_fit_is_named_with_what_was_expected() {
         (
             json!({"pitch_mm": 0.5, "acquire_format": 7}),
             &plain,
-            "attribute acquire_format: expected one of [1, 2], or none",
+            "attribute acquire_format: expected one of [1, 2, 3], or none",
         ),
         (
             json!({"pitch_mm": 0.5, "channels": ["B", "G", "R"]}),

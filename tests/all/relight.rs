@@ -31,6 +31,7 @@ fn matrix(path: &Path, albedo: impl Fn(usize) -> f64) -> MatrixReader {
         lit_mm: (0..rows).map(place).collect(),
         position_sd_mm: vec![0.002; rows],
         shot_of: vec![Some(0); rows],
+        common: None,
         shots: vec![ShotRecord { name: "a".into(), drift_px: [0.0; 2], drift_sd_px: None }],
         warnings: Vec::new(),
         camera_px_per_mm: None,

@@ -23,6 +23,7 @@ pub(crate) fn header(points: [usize; 2], window: [usize; 2], lit_pitch_mm: [f64;
         lit_mm: (0..rows).map(place).collect(),
         position_sd_mm: vec![0.0; rows],
         shot_of: vec![None; rows],
+        common: None,
         shots: Vec::new(),
         camera_px_per_mm: None,
         warnings: Vec::new(),

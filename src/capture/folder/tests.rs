@@ -203,7 +203,7 @@ fn whole() -> (Manifest, Rig) {
         projector: Projector { size_px: [100, 60], principal_px: None },
         board: Some(Board { inner_corners: [6, 4], square_mm: 1.5, origin_mm: [0.0; 2], edge_blur_mm: 0.0 }),
         frame: None,
-        white_reference: WhiteReference { reflectance: [0.9; 3] },
+        white_reference: WhiteReference { reflectance: [0.9; 3], relative_sd: 0.0 },
     };
     (manifest, rig)
 }

@@ -12,7 +12,7 @@ const FAINT: f64 = 1e-3;
 const MODELLED_BELOW: f64 = 0.5;
 
 /// What [`TailModel::separate`] did to the rows of a shot, all channels together.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Separation {
     /// Sum of responses before.
     pub light: f64,
@@ -22,6 +22,8 @@ pub struct Separation {
     pub samples: usize,
     /// Of these, what is modelled rather than measured.
     pub modelled: usize,
+    /// Variance that the model's errors leave, by number of a row: sum over rows, and how many had it measured.
+    pub(super) variance: Vec<(f64, u32)>,
 }
 
 impl Separation {
@@ -31,6 +33,16 @@ impl Separation {
         self.removed += other.removed;
         self.samples += other.samples;
         self.modelled += other.modelled;
+        self.variance.resize(self.variance.len().max(other.variance.len()), (0.0, 0));
+        for ((sum, rows), (more, of)) in self.variance.iter_mut().zip(&other.variance) {
+            (*sum, *rows) = (*sum + more, *rows + of);
+        }
+    }
+
+    /// Variance that the model's errors leave in each number of a row, mean over rows. The model errs alike where
+    /// neighbours lie alike: a sum over samples or rows keeps this error.
+    pub fn mean_variance(&self) -> Vec<f64> {
+        self.variance.iter().map(|(sum, rows)| sum / f64::from((*rows).max(1))).collect()
     }
 }
 
@@ -42,6 +54,7 @@ impl TailModel {
     /// no other dot reaches stay as measured. Its variance is the measurement's times (v/(v+u))² plus v·u/(v+u).
     pub fn separate(&self, shot: &mut [LitRow], window: &Window) -> Separation {
         let mut found = Separation::default();
+        found.variance = vec![(0.0, 0); 3 * window.samples[0] * window.samples[1]];
         for (c, model) in self.channels.iter().enumerate() {
             let shared: Vec<Vec<Share>> =
                 (0..shot.len()).map(|d| model.shares(shot, d, c, window, self.reach_mm(c, window))).collect();
@@ -213,6 +226,7 @@ impl ChannelModel {
             let modelled = if others_variance > 0.0 { own_variance * others_variance / both } else { 0.0 };
             lit.row.response[k] = response as f32;
             lit.row.variance[k] = (f64::from(lit.row.variance[k]) * gain * gain + modelled) as f32;
+            found.variance[k] = (found.variance[k].0 + modelled, found.variance[k].1 + 1);
             found.light += measured;
             found.removed += measured - response;
             found.samples += 1;

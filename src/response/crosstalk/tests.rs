@@ -216,6 +216,7 @@ fn each_row_keeps_its_own_dots_light_and_what_the_model_misses_by_their_uncertai
     let before = shot.clone();
     let found = model.separate(&mut shot, &WIDE);
     let (mut light, mut removed, mut modelled) = (0.0, 0.0, 0);
+    let mut left = vec![0.0; 63];
     for d in 0..2 {
         for k in (0..63).filter(|&k| k != 10) {
             let [own, v] = part(&model, &before, d, d, k / 3, k % 3);
@@ -229,6 +230,7 @@ fn each_row_keeps_its_own_dots_light_and_what_the_model_misses_by_their_uncertai
             assert!((f64::from(shot[d].row.variance[k]) / variance - 1.0).abs() < 1e-4, "{d} {k}: {variance}");
             (light, removed) = (light + seen, removed + seen - expected);
             modelled += usize::from(gain < 0.5);
+            left[k] += v * u / (v + u) / 2.0;
         }
         assert_eq!(shot[d].row.response[10], before[d].row.response[10]);
         assert_eq!(shot[d].row.variance[10], before[d].row.variance[10]);
@@ -236,8 +238,13 @@ fn each_row_keeps_its_own_dots_light_and_what_the_model_misses_by_their_uncertai
     assert!((found.light / light - 1.0).abs() < 1e-5 && (found.removed / removed - 1.0).abs() < 1e-4, "{found:?}");
     assert_eq!((found.samples, found.modelled), (2 * 62, modelled));
     assert!(modelled > 5, "both kinds occur");
-    let mut twice = found;
-    twice.add(&Separation { light: 1.0, removed: 0.25, samples: 3, modelled: 2 });
+    // The mean of two rows, but for the number that none has measured.
+    for (k, (found, expected)) in found.mean_variance().iter().zip(&left).enumerate() {
+        assert!((found - expected).abs() <= 1e-4 * expected, "{k}: {found} {expected}");
+    }
+    let mut twice = found.clone();
+    twice.add(&Separation { light: 1.0, removed: 0.25, samples: 3, modelled: 2, ..Separation::default() });
+    assert_eq!(twice.mean_variance(), found.mean_variance());
     let expected = (found.light + 1.0, found.removed + 0.25, found.samples + 3, found.modelled + 2);
     assert_eq!((twice.light, twice.removed, twice.samples, twice.modelled), expected);
 }

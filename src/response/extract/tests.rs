@@ -24,7 +24,7 @@ fn sensitivity() -> Sensitivity {
         vignetting: vec![VIGNETTING],
     };
     let projector = Projector { size_px: [64, 36], principal_px: None };
-    let white_reference = WhiteReference { reflectance: [0.91, 0.74, 0.52] };
+    let white_reference = WhiteReference { reflectance: [0.91, 0.74, 0.52], relative_sd: 0.0 };
     Sensitivity::new(&Rig { format: 1, camera, noise: None, projector, board: None, frame: None, white_reference })
 }
 

@@ -90,6 +90,8 @@ impl SimulatedScene {
             .collect();
         lit.extend(outline(slab_size_mm, frame_mm));
         let raster = Raster::around(options, &slab_from_centered, &lit)?;
+        // Of reflectances that are anywhere within what they are off by at most.
+        let certified = options.white_unevenness / 3.0_f64.sqrt();
         let mut scene = Self {
             slab_size_mm,
             frame_mm,
@@ -104,7 +106,7 @@ impl SimulatedScene {
             marks: options.frame_marks.then(|| marks(slab_size_mm, frame_mm)),
             camera,
             reference_dots: Vec::new(),
-            white: WhiteReference { reflectance: WHITE_REFLECTANCE },
+            white: WhiteReference { reflectance: WHITE_REFLECTANCE, relative_sd: certified },
             falloff: options.falloff,
             white_unevenness: options.white_unevenness,
             without_board: options.without_board,

@@ -376,6 +376,7 @@ fn header(
         lit_mm,
         position_sd_mm,
         shot_of: vec![None; nx * ny],
+        common: None,
         shots: Vec::new(),
         camera_px_per_mm: None,
         warnings: Vec::new(),

@@ -1,4 +1,5 @@
 use super::*;
+use crate::transport::CommonOfAll;
 
 pub(in crate::transport) fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
     let rows = points[0] * points[1];
@@ -10,6 +11,7 @@ pub(in crate::transport) fn header(points: [usize; 2], window: [usize; 2]) -> Ma
         lit_mm: (0..rows).map(|r| [(r % points[0]) as f64 * 0.5, 1.0 + (r / points[0]) as f64 * 0.5]).collect(),
         position_sd_mm: vec![0.01; rows],
         shot_of: (0..rows).map(|r| (r > 0).then_some(0)).collect(),
+        common: None,
         shots: vec![ShotRecord { name: "a".into(), drift_px: [0.1, 0.2], drift_sd_px: None }],
         camera_px_per_mm: None,
         warnings: vec![crate::ResponseWarning::UnlitPoints { rows: 1 }.into()],
@@ -88,6 +90,11 @@ fn uneven() -> MatrixHeader {
         lit_mm: (0..6).map(|r| [10.0 + f64::from(r), -20.0 - 0.5 * f64::from(r * r)]).collect(),
         position_sd_mm: (0..6).map(|r| 0.01 * f64::from(r)).collect(),
         shot_of: [Some(1), None, Some(0), Some(1), Some(0), None].to_vec(),
+        common: Some(CommonErrors {
+            row_scale_sd: (0..6).map(|r| [0.01, 0.02 * f64::from(r), 0.003]).collect(),
+            of_all: CommonOfAll { scale_sd: [0.004, 0.005, 0.001], position_sd_mm: 0.007 },
+            sample_sd: (0..45).map(|k| 1e-3 * f64::from(k * k % 13)).collect(),
+        }),
         shots: ["a", "b"].map(|n| ShotRecord { name: n.into(), drift_px: [0.1, 0.2], drift_sd_px: Some(0.3) }).to_vec(),
         camera_px_per_mm: None,
         warnings: Vec::new(),
@@ -322,8 +329,8 @@ fn a_folder_that_is_no_whole_matrix_is_refused() {
     assert_eq!(after(&|_| ()), None);
     let said = |change: &dyn Fn(&Path), part: &str| assert!(after(change).unwrap().contains(part), "{part}");
     said(
-        &edit("zarr.json", "\"acquire_format\": 2", "\"acquire_format\": 3"),
-        "acquire_format: expected one of [1, 2]",
+        &edit("zarr.json", "\"acquire_format\": 3", "\"acquire_format\": 4"),
+        "acquire_format: expected one of [1, 2, 3]",
     );
     said(&|path: &Path| put(path, "/shot", vec![2i32; 6]), "numbers below 2");
     said(&|path: &Path| std::fs::write(path.join("x_i_mm/c/0/0"), [0; 47]).unwrap(), "array x_i_mm");
@@ -355,7 +362,8 @@ fn a_folder_that_is_no_whole_matrix_is_refused() {
 
 /// A store with two chunks a line, whose rows differ.
 fn in_chunks(path: &Path) -> MatrixHeader {
-    let header = MatrixHeader { shot_of: vec![None; 60], ..header([30, 2], [131, 131]) };
+    let common = Some(CommonErrors::none(60, 3 * 131 * 131));
+    let header = MatrixHeader { shot_of: vec![None; 60], common, ..header([30, 2], [131, 131]) };
     let writer = MatrixWriter::create(path, header.clone()).unwrap();
     for index in [0, 20, 40] {
         writer.put(index, &row(&header, index)).unwrap();
@@ -454,7 +462,7 @@ fn a_store_without_checksums_and_one_that_was_written_anew_are_read() {
 fn a_crop_that_another_program_made_is_read_and_is_not_replaced_and_an_array_of_ours_that_is_gone_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let (path, crop) = (folder.path().join("m.rd.zarr"), folder.path().join("crop.rd.zarr"));
-    let header = header([3, 2], [5, 3]);
+    let header = MatrixHeader { common: uneven().common, ..header([3, 2], [5, 3]) };
     let writer = MatrixWriter::create(&path, header.clone()).unwrap();
     (0..6).for_each(|index| writer.put(index, &row(&header, index)).unwrap());
     writer.finish().unwrap();
@@ -482,6 +490,12 @@ fn a_crop_that_another_program_made_is_read_and_is_not_replaced_and_an_array_of_
     let array = array.build(to.clone(), "/response").unwrap();
     array.store_metadata().unwrap();
     array.store_array_subset(&array.subset_all(), values).unwrap();
+    let source = Array::open(from.clone(), "/common_sd").unwrap();
+    let kept = ArraySubset::new_with_ranges(&[0..3, 1..5, 0..3]);
+    let values: Vec<f64> = source.retrieve_array_subset(&kept).unwrap();
+    let array = builder(&[3, 4, 3], &source, &["dy", "dx", "channel"]).build(to.clone(), "/common_sd").unwrap();
+    array.store_metadata().unwrap();
+    array.store_array_subset(&array.subset_all(), values).unwrap();
     let source = Array::open(from, "/dx").unwrap();
     let values: Vec<f64> =
         source.retrieve_array_subset(&ArraySubset::new_with_start_shape(vec![1], vec![4]).unwrap()).unwrap();
@@ -490,6 +504,11 @@ fn a_crop_that_another_program_made_is_read_and_is_not_replaced_and_an_array_of_
     array.store_array_subset(&array.subset_all(), values).unwrap();
     let cropped = MatrixReader::open(&crop).unwrap();
     assert_eq!((cropped.header().points, cropped.header().window), ([3, 2], [5, 3]));
+    let (left, all) = (cropped.header().common.clone().unwrap(), header.common.clone().unwrap());
+    assert_eq!((left.of_all, &left.row_scale_sd), (all.of_all, &vec![[0.0; 3]; 6]), "rows' own were left out");
+    for (k, sd) in left.sample_sd.iter().enumerate() {
+        assert_eq!(*sd, if (k / CHANNELS).is_multiple_of(5) { 0.0 } else { all.sample_sd[k] }, "number {k}");
+    }
     let (whole, part) = (MatrixReader::open(&path).unwrap().read(0..6).unwrap(), cropped.read(0..6).unwrap());
     for k in 0..whole.response.len() {
         let expected = if (k / CHANNELS).is_multiple_of(5) { (0.0, 0) } else { (whole.response[k], whole.valid[k]) };
