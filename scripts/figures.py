@@ -11,6 +11,7 @@ import math
 import os
 import re
 import shlex
+import struct
 import subprocess
 import sys
 import tempfile
@@ -111,8 +112,15 @@ def measured(given, run, options):
         truth = tomllib.loads((capture / "truth.toml").read_text())
         told["camera_px"], told["projector_px"] = registration_rms(truth, told["provenance"]["registration"])
         shots = told["shots"]
+        told["position_sd_mm"] = position_sd_mm(Path(folder) / "t.rd.zarr")
         told["drift_sd_px"] = math.sqrt(sum(s["drift_sd_px"] ** 2 for s in shots) / len(shots)) if shots else None
         return told
+
+
+def position_sd_mm(matrix):
+    """RMS of the stated standard deviations of the places, both axes together: the array is one chunk of f64 and a checksum."""
+    data = (matrix / "position_sd_mm/c/0/0").read_bytes()[:-4]
+    return math.sqrt(2 * sum(v[0] ** 2 for v in struct.iter_unpack("<d", data)) / (len(data) // 8))
 
 
 def shown(template, values, old):
@@ -120,7 +128,7 @@ def shown(template, values, old):
     def field(match):
         value = values
         for part in match[1].split("."):
-            value = value[part]
+            value = value[int(part) if isinstance(value, list) else part] if value is not None else None
         return "–" if value is None else (format(value, match[2]) if match[2] else str(value))
 
     text = FIELD.sub(field, template.removesuffix("…")).replace("%", " %").replace("  %", " %")

@@ -320,8 +320,12 @@ fn require_shots(manifest: &Manifest, path: &Path) -> Result<()> {
         let expected = "exactly one, or none and a shot of kind \"frame\"";
         return Err(Error::field(path, "shots of kind \"board\"", expected, board));
     }
-    let once: [Kind; 3] = [
-        ("reference-white", |p| matches!(p, Pattern::ReferenceWhite)),
+    let white = count(|p| matches!(p, Pattern::ReferenceWhite));
+    if !(1..=2).contains(&white) {
+        let expected = "one, or a second after the lattice shots";
+        return Err(Error::field(path, "shots of kind \"reference-white\"", expected, white));
+    }
+    let once: [Kind; 2] = [
         ("reference-black", |p| matches!(p, Pattern::ReferenceBlack)),
         ("sample-black", |p| matches!(p, Pattern::SampleBlack)),
     ];

@@ -268,6 +268,9 @@ typed!(Simulate => SimulateOptions {
     /// Side of a dot, projector pixels. 3: a dark pixel between neighbours.
     #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().dot_projector_px, help_heading = "Projector")]
     dot_projector_px: usize,
+    /// Dots are discs of that diameter, not squares.
+    #[arg(long, help_heading = "Projector")]
+    round_dots: bool,
     /// Blur of a projector pixel (standard deviation), projector pixels.
     #[arg(long, value_name = "PX", default_value_t = SimulateOptions::default().projector_blur_px, help_heading = "Projector")]
     projector_blur_px: f64,

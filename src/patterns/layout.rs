@@ -117,7 +117,13 @@ impl PlanLayout {
         }
         let center = self.projector_from_slab.map(self.slab_mm.map(|s| 0.5 * s));
         let origin = |a: usize| whole_dot(center[a] - 0.5 * (points[a] - 1) as f64 * step[a], dot);
-        Ok(Grid { points, origin_projector_px: [origin(0), origin(1)], step_projector_px: step, dot_projector_px: dot })
+        Ok(Grid {
+            points,
+            origin_projector_px: [origin(0), origin(1)],
+            step_projector_px: step,
+            dot_projector_px: dot,
+            dot_area_projector_px2: None,
+        })
     }
 
     /// Two dots on each side of the frame.

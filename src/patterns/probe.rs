@@ -164,7 +164,7 @@ impl Probe {
     /// The time in which the brightest pixel reaches [`BRIGHTEST`], in whole thirds of a stop below it.
     fn shortest_secs(&self, options: &PatternsOptions) -> f64 {
         // Larger dots bring more light; on a diffusing sample their peak grows no faster than that.
-        let dots = (options.dot_px as f64 / self.manifest.grid.dot_projector_px as f64).powi(2);
+        let dots = (options.dot_px as f64).powi(2) / self.manifest.grid.dot_area_px2();
         let secs = BRIGHTEST * self.range_dn / (self.peak_dn_per_sec * dots.max(1.0));
         ((3.0 * secs.log2()).floor() / 3.0).exp2()
     }

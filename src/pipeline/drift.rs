@@ -193,7 +193,7 @@ pub(super) fn dot_shape(scene: &Scene<'_>) -> Result<DotShape> {
     let a = scene.registration.slab_from_projector.jacobian(middle);
     let b = scene.registration.view.jacobian(scene.registration.slab_from_projector.map(middle));
     let camera_from_projector = std::array::from_fn(|i| std::array::from_fn(|k| b[i][0] * a[0][k] + b[i][1] * a[1][k]));
-    DotShape::new(camera_from_projector, grid.dot_projector_px as f64)
+    DotShape::new(camera_from_projector, grid.dot_side_px())
         .ok_or_else(|| Error::internal("dots have no shape in a registration that was accepted"))
 }
 

@@ -198,8 +198,14 @@ fn extract_shot(
     let camera = (believed == Camera::Measured).then(|| movements.camera_motion(scene, &rims)).flatten();
     let camera_px = camera.filter(CameraMotion::is_sure).map_or(STILL, |m| m.camera_px);
     let registration = &scene.registration.moved(camera_px);
-    let Steadied { variance: flicker_variance, lamp, dots: dots_show } =
+    let Steadied { variance: mut flicker_variance, lamp, dots: dots_show } =
         light.flicker.steady(scene, &mut references_seen, &mut windows);
+    // Reference dots tell each shot's lamp; without them, what lies between two white references does.
+    if let Some(between) = scene.references.lamp.filter(|_| manifest.reference_dots.is_none()) {
+        let [level, variance] = between.at(shot);
+        flicker_variance += variance;
+        windows.iter_mut().for_each(|bracket| bracket.scale_secs(&vec![level; bracket.exposures().len()]));
+    }
     let drift = movements.drift(scene, shot, registration, &references_seen, &windows)?;
     let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
     let seen = search.look(scene, shot, registration, drift, &windows);
@@ -264,7 +270,7 @@ fn cell_weights(scene: &Scene<'_>, sampling: Sampling) -> Vec<CellWeights> {
 fn lit_dot(scene: &Scene<'_>, shot: usize, dot: [usize; 2], center: Point, drift: Option<Drift>) -> Result<LitDot> {
     let grid = &scene.capture.manifest.grid;
     let pixel_mm2 = scene.registration.slab_from_projector.area_scale(grid.dot_projector_px(dot));
-    let area_mm2 = pixel_mm2 * (grid.dot_projector_px * grid.dot_projector_px) as f64;
+    let area_mm2 = pixel_mm2 * grid.dot_area_px2();
     let at = scene.registration.view.camera_from_slab(center);
     let flux = scene.references.irradiance.flux(at, area_mm2).ok_or_else(|| {
         let name = &scene.capture.manifest.shots[shot].name;

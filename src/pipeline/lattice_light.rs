@@ -96,7 +96,7 @@ impl LatticeLight {
     pub(super) fn of(scene: &Scene<'_>, level: &Level) -> Option<Self> {
         let reflectance = scene.capture.rig.white_reference.reflectance;
         let grid = &scene.capture.manifest.grid;
-        let size_px2 = (grid.dot_projector_px * grid.dot_projector_px) as f64;
+        let size_px2 = grid.dot_area_px2();
         let places = scene.capture.manifest.reference_dots.iter().flat_map(|r| &r.projector_px);
         let psf_px = scene.registration.point_spread.map_or(0.0, |p| p.psf_px);
         // Measured and expected light of each dot.
@@ -175,7 +175,8 @@ impl LatticeLight {
         let grid = &scene.capture.manifest.grid;
         let size = grid.dot_projector_px as f64 * mean.sqrt();
         let fits = (size / size.round() - 1.0).abs() < 0.5 * SAME_SIZE && size.round() != grid.dot_projector_px as f64;
-        let size = fits.then_some(size.round() as usize).filter(|s| *s > 0);
+        let square = grid.dot_area_projector_px2.is_none();
+        let size = (fits && square).then_some(size.round() as usize).filter(|s| *s > 0);
         let finding = ConsistencyWarning::LatticeLight {
             level: mean,
             sd: self.sd,

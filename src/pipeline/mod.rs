@@ -8,6 +8,7 @@ mod drift;
 mod exposure_times;
 mod findings;
 mod flicker;
+mod lamp;
 mod lattice;
 mod lattice_light;
 mod light_spots;

@@ -1,6 +1,7 @@
 //! The shots that every lattice shot is measured against: black, and the white reference.
 
 use super::BuildOptions;
+use super::lamp::LampBetween;
 use super::lattice_light::{FrameShare, frame_shares};
 use super::looks::shown_shot;
 use super::photographs::Photographs;
@@ -29,6 +30,8 @@ pub(super) struct References {
     pub irradiance: Irradiance,
     /// Relative variance of the white reference's light that flicker leaves, when it was measured.
     pub white_variance: Option<f64>,
+    /// From a second white reference.
+    pub lamp: Option<LampBetween>,
     /// At each reference dot.
     pub frame_share: Vec<FrameShare>,
     pub warnings: Vec<Warning>,
@@ -96,6 +99,9 @@ pub(super) fn references(
     let white_variance = steadied.map(|l| l.variance_of_mean);
     white.subtract(&black);
     warnings.extend(unevenness(photographs, registered, &white, shots[1], options)?);
+    let lamp = LampBetween::measure(photographs, &white, &black, flicker_sd, options)?;
+    let (lamp, changed) = lamp.unzip();
+    warnings.extend(changed.flatten());
     let hot = find_hot_pixels(&ambient);
     mend(&mut white, &hot);
     let cell_px = registered.registration.px_per_mm() * photographs.capture.manifest.window.pitch_mm;
@@ -107,7 +113,7 @@ pub(super) fn references(
         let values = ambient.variance.iter_mut().zip(&ambient.value);
         values.for_each(|(variance, value)| *variance += share as f32 * value * value);
     }
-    Ok(References { ambient, hot, irradiance, white_variance, frame_share, warnings })
+    Ok(References { ambient, hot, irradiance, white_variance, lamp, frame_share, warnings })
 }
 
 /// Camera px of the reference dots, without drift.

@@ -101,7 +101,7 @@ fn key(scene: &Scene<'_>, light: &LightCorrections) -> Result<String> {
             scene.photographs.sensor,
             scene.photographs.hash()?
         ),
-        (scene.registration, &references.hot, references.white_variance),
+        (scene.registration, &references.hot, references.white_variance, references.lamp),
         (&light.stray, &light.flicker, times),
     ))
 }

@@ -152,7 +152,7 @@ impl<'a> Scene<'a> {
     pub(super) fn dot_side_px(&self) -> f64 {
         let grid = &self.capture.manifest.grid;
         let pixel_mm = self.registration.slab_from_projector.area_scale(grid.dot_projector_px([0, 0])).sqrt();
-        grid.dot_projector_px as f64 * pixel_mm * self.px_per_mm
+        grid.dot_side_px() * pixel_mm * self.px_per_mm
     }
 
     pub(super) fn outside_picture(&self, shot: usize) -> Error {

@@ -49,6 +49,7 @@ pub(super) fn capture(shots: &[(Pattern, &[f64])]) -> Capture {
                 origin_projector_px: [4.0, 6.0],
                 step_projector_px: [3.0, 2.0],
                 dot_projector_px: 2,
+                dot_area_projector_px2: None,
             },
             window: Window { samples: [7, 5], pitch_mm: 0.5 },
             reference_dots: None,

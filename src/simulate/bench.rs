@@ -53,9 +53,8 @@ impl Bench {
 
     /// Its flux under full white.
     pub(super) fn flux(&self, dot: [usize; 2], drift_mm: Point) -> [f64; 3] {
-        let side = self.scene.grid.dot_projector_px;
-        let area_mm2 =
-            (side * side) as f64 * self.scene.slab_from_projector.area_scale(self.scene.grid.dot_projector_px(dot));
+        let area_mm2 = self.scene.grid.dot_area_px2()
+            * self.scene.slab_from_projector.area_scale(self.scene.grid.dot_projector_px(dot));
         self.scene.white_irradiance(self.scene.dot_mm(dot, drift_mm)).map(|e| e * area_mm2)
     }
 

@@ -175,6 +175,8 @@ pub struct SimulateOptions {
     pub projector_mirrored: bool,
     /// Side of a dot, projector pixels. 3: a dark pixel between neighbours.
     pub dot_projector_px: usize,
+    /// Dots are discs of that diameter.
+    pub round_dots: bool,
     /// Blur of a projector pixel (standard deviation), projector pixels.
     pub projector_blur_px: f64,
     /// Distortion of its lens, Brown's k1 with the image's width for focal length. Usual: 0.01, 1 px at the corner of a
@@ -274,6 +276,7 @@ impl Default for SimulateOptions {
             projector_mirrored: false,
             white_unevenness: 0.002,
             dot_projector_px: 3,
+            round_dots: false,
             projector_black: 2e-4,
             projector_distortion: 0.0,
             gray_on_frame: false,

@@ -281,6 +281,17 @@ pub enum ConsistencyWarning {
         /// Standard deviation of that.
         sd: f64,
     },
+    /// The second white reference is brighter or darker than the first.
+    WhiteChanged {
+        /// The second one's shot.
+        shot: String,
+        /// Its light over that of the first, the median.
+        level: f64,
+        /// Standard deviation of that.
+        level_sd: f64,
+        /// Whether lattice shots are measured against what lies between the two.
+        used: bool,
+    },
     /// The white reference is brighter or darker than each Gray-code pattern and its inverse together.
     WhiteLevel {
         /// Its shot.
@@ -534,6 +545,14 @@ impl fmt::Display for ConsistencyWarning {
                 f,
                 "the white reference (shot \"{shot}\") has {level:.3} times the light (± {level_sd:.3}) that Gray-code patterns and their inverses have together: the lamp changed, or an exposure time is wrong"
             ),
+            Self::WhiteChanged { shot, level, level_sd, used } => write!(
+                f,
+                "the second white reference (shot \"{shot}\") has {level:.4} times the light (± {level_sd:.4}) of the first: the lamp changed between them; {}",
+                match used {
+                    true => "each lattice shot is measured against what an even change has there",
+                    false => "the reference dots tell the lamp of each lattice shot",
+                }
+            ),
             Self::WhiteUneven { shot, looks, share } => write!(
                 f,
                 "the white reference (shot \"{shot}\") is not even: {:.0} % of its pixels differ from their surroundings; {looks}",
@@ -620,6 +639,9 @@ super::record::catalogue!(ConsistencyWarning {
     Self::WhiteLevel { shot: name, level, .. } if (level - 1.0).abs() > REFUSED_LEVEL => "white-level", Warning, Light, Accepted,
         vec![shot(name), part("lamp")], bound("level - 1", REFUSED_LEVEL, "");
     Self::WhiteLevel { shot: name, .. } => "white-level", Warning, Light, Corrected, vec![shot(name), part("lamp")], None;
+    Self::WhiteChanged { shot: name, level, .. } if (level - 1.0).abs() > REFUSED_LEVEL => "white-changed", Warning, Light,
+        Accepted, vec![shot(name), part("lamp")], bound("level - 1", REFUSED_LEVEL, "");
+    Self::WhiteChanged { shot: name, .. } => "white-changed", Warning, Light, Corrected, vec![shot(name), part("lamp")], None;
     Self::WhiteUneven { shot: name, .. } => "white-uneven", Warning, Light, Accepted, vec![shot(name)],
         bound("share", UNEVEN_SHARE, "");
     Self::ClipsBelow { file, given, .. } => "clips-below", Warning, Light, Accepted,

@@ -74,6 +74,8 @@ const WRITTEN: &[&str] = &[
     r#"{"warning":"reference-light","shot":"sample-black","looks":"it is lit","ratio":0.5}"#,
     r#"{"warning":"reference-light","shot":"sample-black","looks":"it has no light","ratio":0.0}"#,
     r#"{"warning":"black-moves","shot":"s","difference_dn":81.5}"#,
+    r#"{"warning":"white-changed","shot":"s","level":0.75,"level_sd":0.01,"used":true}"#,
+    r#"{"warning":"white-changed","shot":"s","level":0.96875,"level_sd":0.001,"used":false}"#,
     r#"{"warning":"white-level","shot":"s","level":1.25,"level_sd":0.01}"#,
     r#"{"warning":"white-level","shot":"s","level":1.05,"level_sd":0.01}"#,
     r#"{"warning":"white-uneven","shot":"s","looks":"stripes","share":0.25}"#,

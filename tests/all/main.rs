@@ -23,6 +23,7 @@ mod geometry;
 mod hot_pixels;
 mod import;
 mod import_matrix;
+mod labs;
 mod merge;
 mod noise;
 mod outputs;

@@ -177,6 +177,7 @@ fn whole() -> (Manifest, Rig) {
             origin_projector_px: [10.0, 20.0],
             step_projector_px: [20.0, 15.0],
             dot_projector_px: 2,
+            dot_area_projector_px2: None,
         },
         window: Window { samples: [7, 5], pitch_mm: 0.2 },
         reference_dots: Some(ReferenceDots { projector_px: vec![[-0.5, 59.5], [99.5, -0.5]] }),
@@ -235,8 +236,13 @@ fn shots_that_are_needed_are_there_as_often_as_they_are_needed() {
             let again = m.shots.iter().find(|s| s.name == name).cloned();
             m.shots.extend(again);
         });
-        assert_eq!(twice, field.filter(|_| kind != "gray-code"));
+        assert_eq!(twice, field.filter(|_| !["gray-code", "reference-white"].contains(&kind)));
     }
+    let thrice = refused(|m, _| {
+        let again = m.shots.iter().find(|s| s.name == "white").cloned();
+        m.shots.extend([again.clone(), again].into_iter().flatten());
+    });
+    assert_eq!(thrice.as_deref(), Some("shots of kind \"reference-white\""));
     let lattice = |s: &super::super::Shot| matches!(s.pattern, Pattern::Lattice { .. });
     assert_eq!(refused(|m, _| m.shots.retain(|s| !lattice(s))).as_deref(), Some("shots of kind \"lattice\""));
     // A frame stands in for the board, but the rig must know its marks.

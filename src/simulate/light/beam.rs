@@ -2,7 +2,7 @@
 
 use super::domain::Domain;
 use crate::geometry::Point;
-use crate::simulate::scene::render::{GAUSS_6, soft_box};
+use crate::simulate::scene::render::{GAUSS_6, soft_dot};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
@@ -16,6 +16,8 @@ pub struct Beam {
     pub mm_from_px: [[f64; 2]; 2],
     /// Side of the square, projector px.
     pub side_px: f64,
+    /// Whether it is a disc of that diameter.
+    pub round: bool,
     /// Standard deviation of the blur, projector px.
     pub blur_px: f64,
 }
@@ -23,7 +25,7 @@ pub struct Beam {
 impl Beam {
     /// All light at one point.
     pub fn pencil(center_mm: Point) -> Self {
-        Self { center_mm, mm_from_px: [[1.0, 0.0], [0.0, 1.0]], side_px: 0.0, blur_px: 0.0 }
+        Self { center_mm, mm_from_px: [[1.0, 0.0], [0.0, 1.0]], side_px: 0.0, round: false, blur_px: 0.0 }
     }
 
     /// Where a photon of the beam arrives.
@@ -32,10 +34,17 @@ impl Beam {
         if self.side_px == 0.0 && self.blur_px == 0.0 {
             return self.center_mm;
         }
-        let q: Point = std::array::from_fn(|_| {
-            let normal: f64 = StandardNormal.sample(rng);
-            self.side_px * (rng.random::<f64>() - 0.5) + self.blur_px * normal
-        });
+        let normal = |rng: &mut Pcg64Mcg| -> f64 { StandardNormal.sample(rng) };
+        let q: Point = if self.round {
+            let (around, share) = (std::f64::consts::TAU * rng.random::<f64>(), rng.random::<f64>());
+            let r = 0.5 * self.side_px * share.sqrt();
+            [r * around.cos(), r * around.sin()].map(|even| even + self.blur_px * normal(rng))
+        } else {
+            std::array::from_fn(|_| {
+                let blur = self.blur_px * normal(rng);
+                self.side_px * (rng.random::<f64>() - 0.5) + blur
+            })
+        };
         std::array::from_fn(|a| self.center_mm[a] + self.mm_from_px[a][0] * q[0] + self.mm_from_px[a][1] * q[1])
     }
 
@@ -68,7 +77,7 @@ impl Beam {
                             corner[1] + (v + 0.5) * domain.voxel_mm - center_mm[1],
                         ];
                         let q = [(j[1][1] * d[0] - j[0][1] * d[1]) / det, (j[0][0] * d[1] - j[1][0] * d[0]) / det];
-                        sum += wu * wv * soft_box(q[0], half, self.blur_px) * soft_box(q[1], half, self.blur_px);
+                        sum += wu * wv * soft_dot(q, half, self.blur_px, self.round);
                     }
                 }
                 flux[y * domain.voxels[0] + x] = sum;
@@ -88,7 +97,7 @@ mod tests {
     use rand::SeedableRng;
 
     fn beam(center_mm: Point) -> Beam {
-        Beam { center_mm, mm_from_px: [[0.2, 0.03], [-0.02, 0.18]], side_px: 3.0, blur_px: 0.3 }
+        Beam { center_mm, mm_from_px: [[0.2, 0.03], [-0.02, 0.18]], side_px: 3.0, round: false, blur_px: 0.3 }
     }
 
     const DOMAIN: Domain = Domain { corner_mm: [0.0, 0.0], voxel_mm: 0.4, voxels: [20, 20] };
@@ -109,7 +118,11 @@ mod tests {
 
     #[test]
     fn photons_arrive_where_the_footprint_is() {
-        let beam = beam([4.1, 3.9]);
+        arrive(&beam([4.1, 3.9]));
+        arrive(&Beam { round: true, ..beam([4.1, 3.9]) });
+    }
+
+    fn arrive(beam: &Beam) {
         let mut rng = Pcg64Mcg::seed_from_u64(2);
         let mut counts = vec![0.0; DOMAIN.columns()];
         let n = 400_000;

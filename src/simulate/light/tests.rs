@@ -31,7 +31,8 @@ fn domain(voxel_mm: f64, voxels: usize, center: Point) -> Domain {
 /// The exitance of a dot at `center`, red in all channels, and where its light went.
 fn respond(slab: &SolverSlab, domain: &Domain, center: Point) -> (Field, Balance) {
     let mm_from_px = [[PX_MM, 0.0], [0.0, PX_MM]];
-    let flux = Beam { center_mm: center, mm_from_px, side_px: DOT_PX as f64, blur_px: BLUR_PX }.footprint(domain);
+    let flux = Beam { center_mm: center, mm_from_px, side_px: DOT_PX as f64, round: false, blur_px: BLUR_PX }
+        .footprint(domain);
     let solution = slab.solve(domain, &flux, 0).unwrap();
     let exitance = solution.exitance();
     let field = Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&exitance; 3]);

@@ -11,6 +11,7 @@ use crate::{
     capture::{Board, Camera, FrameMarks, Grid, Projector, Rig, WhiteReference},
     geometry::{CameraView, Homography, Lens, Point, SlabFromProjector},
 };
+use std::f64::consts::PI;
 
 /// Width of the opaque frame, in outgoing pitches.
 const FRAME_PITCHES: f64 = 7.0;
@@ -242,6 +243,7 @@ impl SimulatedScene {
             center_mm: self.dot_mm(dot, drift_mm),
             mm_from_px: self.slab_from_projector.jacobian(self.grid.dot_projector_px(dot)),
             side_px: self.grid.dot_projector_px as f64,
+            round: self.grid.dot_area_projector_px2.is_some(),
             blur_px: self.projector_blur_px,
         }
     }
@@ -290,6 +292,7 @@ impl Raster {
             origin_projector_px: origin,
             step_projector_px: step,
             dot_projector_px: options.dot_projector_px,
+            dot_area_projector_px2: options.round_dots.then(|| PI / 4.0 * (options.dot_projector_px as f64).powi(2)),
         };
         let slab_from_projector = slab_from_centered.after(&Homography::similarity(1.0, center.map(|c| -c)));
         // The middle of the raster stays where it is.

@@ -196,7 +196,8 @@ impl PixelGrid {
         let light = |p: Point| {
             let q = scene.slab_from_projector.projector_from_slab([p[0] - drift_mm[0], p[1] - drift_mm[1]]);
             let blur = scene.projector_blur_px;
-            let lit = soft_box(q[0] - dot_px[0], half, blur) * soft_box(q[1] - dot_px[1], half, blur);
+            let round = scene.grid.dot_area_projector_px2.is_some();
+            let lit = soft_dot([q[0] - dot_px[0], q[1] - dot_px[1]], half, blur, round);
             scene.white_irradiance(p).map(|e| albedo_lit * lit * e)
         };
         let [xs, ys] = self.seen(scene, [low, high]);
@@ -396,7 +397,28 @@ fn blurred_step(t: f64, blur: f64) -> f64 {
 }
 
 /// A box of half width `half`, blurred as the projector's pixels are; its integral stays 2 · half.
-pub(crate) fn soft_box(t: f64, half: f64, blur_px: f64) -> f64 {
+/// A blurred square of half a side `half`, or a blurred disc of this radius, at `q` from its middle.
+///
+/// The disc: chords, each a blurred line along x, blurred along y; midpoints of the angle, right to 1e-4 for blurs of a
+/// tenth of the radius and more.
+pub(crate) fn soft_dot(q: Point, half: f64, blur_px: f64, round: bool) -> f64 {
+    if !round {
+        return soft_box(q[0], half, blur_px) * soft_box(q[1], half, blur_px);
+    }
+    let chord = |k: usize| {
+        let angle = std::f64::consts::PI * ((k as f64 + 0.5) / CHORDS as f64 - 0.5);
+        let (y, width) = (half * angle.sin(), half * angle.cos());
+        let far = (q[1] - y) / blur_px;
+        soft_box(q[0], width, blur_px) * (-0.5 * far * far).exp() * width
+    };
+    let norm = (std::f64::consts::PI / 2.0).sqrt() / (CHORDS as f64 * blur_px);
+    norm * (0..CHORDS).map(chord).sum::<f64>()
+}
+
+/// Chords of a disc.
+const CHORDS: usize = 64;
+
+fn soft_box(t: f64, half: f64, blur_px: f64) -> f64 {
     blurred_step(t + half, blur_px) - blurred_step(t - half, blur_px)
 }
 

@@ -206,7 +206,7 @@ fn a_heterogeneous_slab_is_reciprocal() {
     let side = 0.5;
     let seen = |from: Point, at: Point| {
         let mm_from_px = [[side, 0.0], [0.0, side]];
-        let beam = Beam { center_mm: from, mm_from_px, side_px: 1.0, blur_px: 0.0 };
+        let beam = Beam { center_mm: from, mm_from_px, side_px: 1.0, round: false, blur_px: 0.0 };
         let window = Some(TallyWindow { corner_mm: at.map(|c| c - 0.5 * side), cell_mm: side, cells: [1; 2] });
         let eye_mm = Some([0.0, 0.0, -1e9]);
         let medium = Medium::new(&volume, 0);
