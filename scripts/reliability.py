@@ -5,7 +5,7 @@ scripts/reliability.py kills [N]        SIGKILL at random moments of commands th
 scripts/reliability.py full-disk        the same commands on a tmpfs of growing size (needs root); nothing may look whole that is not
 scripts/reliability.py resume           kills at a third, half and five sixths of a longer run, then the same command again: times of both over an undisturbed one's
 scripts/reliability.py refusals         inputs that claim more than they hold, devices, bombs: exit status, time, memory
-scripts/reliability.py large [N]        a capture of N photographs (default 10000): time and memory of simulate, check, build-matrix
+scripts/reliability.py large [N]        a capture of N photographs (default 10000), and one of 24 Mpx: time and memory of simulate, check, build-matrix
 scripts/reliability.py damage [N]       one changed bit in a random place of each kind of file; counts what the reader says
 
 ACQUIRE is the program (default target/release/acquire). Everything happens in a temporary folder.
@@ -254,7 +254,18 @@ def large(count):
     side = max(2, round((count / 3) ** 0.5))
     with tempfile.TemporaryDirectory() as base:
         for name, args in [
-            ("simulate", ["simulate", "c", "--grid", f"{side}x{side}", "--window", "9x9", "--exposures", "3", "--lit-pitch-mm", "0.5", "--voxels-per-sample", "1"]),
+            ("simulate", ["simulate", "c", "--grid", f"{side}x{side}", "--window", "9x9", "--exposures", "3", "--lit-pitch-mm", "0.5", "--spacing", f"{side}x{side}", "--voxels-per-sample", "1"]),
+            ("check", ["check", "c"]),
+            ("build-matrix", ["build-matrix", "c", "--out", "c.rd.zarr"]),
+        ]:
+            status, line, secs, mb = measured(*args, "-q", cwd=base)
+            print(f"{name}: exit {status}, {secs:.1f} s, {mb:.0f} MB {line}", flush=True)
+        photographs = list(pathlib.Path(base, "c/photos").iterdir())
+        print(f"{len(photographs)} photographs, {sum(p.stat().st_size for p in photographs) / 1e6:.0f} MB", flush=True)
+        shutil.rmtree(os.path.join(base, "c"))
+    with tempfile.TemporaryDirectory() as base:
+        for name, args in [
+            ("simulate, 24 Mpx", ["simulate", "c", "--grid", "2x2", "--window", "31x25", "--exposures", "3", "--camera-size", "6000x4000", "--voxels-per-sample", "1"]),
             ("check", ["check", "c"]),
             ("build-matrix", ["build-matrix", "c", "--out", "c.rd.zarr"]),
         ]:

@@ -39,7 +39,7 @@ pub(super) struct Said {
 }
 
 /// Pixels of a shot in which its photographs are compared.
-const COMPARED_PX: usize = 1 << 16;
+const COMPARED_PX: usize = 1 << 14;
 
 /// The resolution in which corners and discs are found: to some hundredths of its pixels, whatever these are.
 pub(super) struct Fine<'a> {

@@ -9,8 +9,10 @@ use rayon::prelude::*;
 
 /// Distances from one node of the kernel to the next, in outgoing samples.
 const NODE_SAMPLES: f64 = 0.5;
-/// Rounds of updates; each settles kernel, incident and outgoing factors in turn.
+/// Rounds of updates at the most; each settles kernel, incident and outgoing factors in turn.
 const ROUNDS: usize = 30;
+/// Rounds end when no factor changes by more than this: a thirtieth of what the model is trusted to.
+const SETTLED: f64 = 1e-3;
 /// Relative error of the model that the weights assume while it is fitted.
 pub(super) const ASSUMED_SD: f64 = 0.2;
 /// The model is never trusted to better than this.
@@ -134,9 +136,10 @@ fn fit_channel(
     let mut fit = Fit::new(shots, layout, outgoing.value.clone(), channel);
     fit.kernel = mixture(&fit, NODE_SAMPLES)?;
     for _ in 0..ROUNDS {
-        fit.update_kernel();
-        fit.update_incident();
-        fit.update_outgoing();
+        let changes = [fit.update_kernel(), fit.update_incident(), fit.update_outgoing()];
+        if changes.into_iter().all(|change| change < SETTLED) {
+            break;
+        }
     }
     let relative_sd = fit.relative_sd();
     outgoing.value = fit.outgoing;
@@ -165,6 +168,14 @@ impl Step {
     fn factor(&self) -> f64 {
         (self.top / self.bottom).clamp(1.0 / LARGEST_STEP, LARGEST_STEP)
     }
+}
+
+fn apply(values: &mut [f64], steps: &[Step]) -> f64 {
+    values.iter_mut().zip(steps).fold(0.0, |most: f64, (value, step)| {
+        let factor = step.factor();
+        *value *= factor;
+        most.max((factor - 1.0).abs())
+    })
 }
 
 impl<'a> Fit<'a> {
@@ -205,7 +216,8 @@ impl<'a> Fit<'a> {
         }
     }
 
-    fn update_kernel(&mut self) {
+    /// This and its siblings return by how much the factor that changed most did.
+    fn update_kernel(&mut self) -> f64 {
         let mut steps = vec![Step::anchored(0.5); self.layout.nodes];
         self.each(|_, pairs, shares, weight, ratio| {
             for (pair, share) in pairs.iter().zip(shares) {
@@ -214,21 +226,21 @@ impl<'a> Fit<'a> {
                 steps[n + 1].add(t * share * weight, ratio);
             }
         });
-        self.kernel.iter_mut().zip(&steps).for_each(|(k, s)| *k *= s.factor());
+        apply(&mut self.kernel, &steps)
     }
 
-    fn update_incident(&mut self) {
+    fn update_incident(&mut self) -> f64 {
         let mut steps = vec![Step::anchored(1.0); self.incident.len()];
         self.each(|_, pairs, shares, weight, ratio| {
             pairs.iter().zip(shares).for_each(|(pair, share)| steps[pair.dot].add(share * weight, ratio));
         });
-        self.incident.iter_mut().zip(&steps).for_each(|(a, s)| *a *= s.factor());
+        apply(&mut self.incident, &steps)
     }
 
-    fn update_outgoing(&mut self) {
+    fn update_outgoing(&mut self) -> f64 {
         let mut steps = vec![Step::anchored(2.0); self.outgoing.len()];
         self.each(|sample, _, _, weight, ratio| steps[sample.cell].add(weight, ratio));
-        self.outgoing.iter_mut().zip(&steps).for_each(|(b, s)| *b *= s.factor());
+        apply(&mut self.outgoing, &steps)
     }
 
     /// What the model misses at each node, where a dot has its samples to itself. Beyond, nothing tells it: the larger
