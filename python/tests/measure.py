@@ -48,5 +48,5 @@ with tempfile.TemporaryDirectory() as name:
     print(f"rows, all 4096: {best(lambda: material.rows(np.arange(4096))):.3f} s")
     print(f"relight: {best(lambda: material.relight(np.ones((256, 256)))):.3f} s")
     ours = best(lambda: acquire.factor(truth, terms=15, progress=False), 3)
-    theirs = best(lambda: subprocess.run([program, "factor", truth, "--terms", "15", "-q", "--out", folder / "m.safetensors"], check=True), 3)
+    theirs = best(lambda: subprocess.run([program, "factor", truth, "--terms", "15", "-q", "--force", "--out", folder / "m.safetensors"], check=True), 3)
     print(f"factor, 64 x 64 points, 31 x 31 window, T = 15: {ours:.2f} s from Python, {theirs:.2f} s by the program (and its file)")

@@ -53,8 +53,8 @@ impl TailModel {
     /// linear estimate given the model's errors; what noise adds is not traded against the model, so that samples that
     /// no other dot reaches stay as measured. Its variance is the measurement's times (v/(v+u))² plus v·u/(v+u).
     pub fn separate(&self, shot: &mut [LitRow], window: &Window) -> Separation {
-        let mut found = Separation::default();
-        found.variance = vec![(0.0, 0); 3 * window.samples[0] * window.samples[1]];
+        let variance = vec![(0.0, 0); 3 * window.samples[0] * window.samples[1]];
+        let mut found = Separation { variance, ..Separation::default() };
         for (c, model) in self.channels.iter().enumerate() {
             let shared: Vec<Vec<Share>> =
                 (0..shot.len()).map(|d| model.shares(shot, d, c, window, self.reach_mm(c, window))).collect();
