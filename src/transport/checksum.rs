@@ -37,7 +37,7 @@ pub(super) const ARRAYS: [&str; 11] = [
     "y_i_mm",
 ];
 /// Those that are there with the attribute [`COMMON`] only.
-const OF_COMMON: [&str; 2] = ["common_sd", "row_scale_sd"];
+pub(super) const OF_COMMON: [&str; 2] = ["common_sd", "row_scale_sd"];
 const TRAILER: usize = 4;
 /// In the list for a chunk that is not written, as nothing in it was measured.
 const NO_CHUNK: [u8; TRAILER] = [0xff; TRAILER];
@@ -265,6 +265,7 @@ fn as_written(name: &str, array: &Value) -> bool {
     let separator = array.pointer("/chunk_key_encoding/configuration/separator");
     match ROWS.contains(&name) {
         true => codecs == "bytes zstd crc32c" && separator == Some(&".".into()) && one_line(array),
+        false if OF_COMMON.contains(&name) => codecs == "bytes zstd crc32c" && separator.is_none_or(|s| s == "/"),
         false => codecs == "bytes crc32c" && separator.is_none_or(|s| s == "/"),
     }
 }

@@ -28,7 +28,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use zarrs::array::codec::{Crc32cCodec, ZstdCodec};
-use zarrs::array::{Array, ArrayBuilder, ArraySubset, ChunkKeySeparator, data_type};
+use zarrs::array::{Array, ArrayBuilder, ArraySubset, BytesToBytesCodecTraits, ChunkKeySeparator, data_type};
 use zarrs::filesystem::FilesystemStore;
 
 /// The version of this layout, attribute `acquire_format`.
@@ -496,11 +496,17 @@ fn small_array<T: zarrs::array::Element>(
 where
     Vec<T>: zarrs::array::IntoArrayBytes<'static>,
 {
+    let checked: Arc<dyn BytesToBytesCodecTraits> = Arc::new(Crc32cCodec::new());
+    let codecs = match checksum::OF_COMMON.contains(&name) {
+        // Often zero, or nearly constant.
+        true => vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, false)), checked],
+        false => vec![checked],
+    };
     // The fill value is one that no data has: a chunk that equals it would not be written, and seem lost.
     let array = ArrayBuilder::new(shape.to_vec(), shape.to_vec(), data_type, fill.into())
         .dimension_names(Some(dimensions.iter().copied()))
         .attributes(units(name, &[]))
-        .bytes_to_bytes_codecs(vec![Arc::new(Crc32cCodec::new())])
+        .bytes_to_bytes_codecs(codecs)
         .build(store.clone(), &format!("/{name}"))?;
     array.store_metadata()?;
     array.store_array_subset(&array.subset_all(), values)?;
