@@ -252,27 +252,22 @@ def refusals():
 
 def large(count):
     side = max(2, round((count / 3) ** 0.5))
+    whole_way("many photographs", "--grid", f"{side}x{side}", "--window", "9x9", "--lit-pitch-mm", "0.5", "--spacing", f"{side}x{side}")
+    whole_way("24 Mpx", "--grid", "2x2", "--window", "31x25", "--camera-size", "6000x4000")
+
+
+def whole_way(name, *options):
+    """Time and memory of simulate with these options, of check and build-matrix; the capture's size."""
     with tempfile.TemporaryDirectory() as base:
-        for name, args in [
-            ("simulate", ["simulate", "c", "--grid", f"{side}x{side}", "--window", "9x9", "--exposures", "3", "--lit-pitch-mm", "0.5", "--spacing", f"{side}x{side}", "--voxels-per-sample", "1"]),
-            ("check", ["check", "c"]),
-            ("build-matrix", ["build-matrix", "c", "--out", "c.rd.zarr"]),
+        for command, args in [
+            ("simulate", ["c", *options, "--exposures", "3", "--voxels-per-sample", "1"]),
+            ("check", ["c"]),
+            ("build-matrix", ["c", "--out", "c.rd.zarr"]),
         ]:
-            status, line, secs, mb = measured(*args, "-q", cwd=base)
-            print(f"{name}: exit {status}, {secs:.1f} s, {mb:.0f} MB {line}", flush=True)
+            status, line, secs, mb = measured(command, *args, "-q", cwd=base)
+            print(f"{name}: {command}: exit {status}, {secs:.1f} s, {mb:.0f} MB {line}", flush=True)
         photographs = list(pathlib.Path(base, "c/photos").iterdir())
-        print(f"{len(photographs)} photographs, {sum(p.stat().st_size for p in photographs) / 1e6:.0f} MB", flush=True)
-        shutil.rmtree(os.path.join(base, "c"))
-    with tempfile.TemporaryDirectory() as base:
-        for name, args in [
-            ("simulate, 24 Mpx", ["simulate", "c", "--grid", "2x2", "--window", "31x25", "--exposures", "3", "--camera-size", "6000x4000", "--voxels-per-sample", "1"]),
-            ("check", ["check", "c"]),
-            ("build-matrix", ["build-matrix", "c", "--out", "c.rd.zarr"]),
-        ]:
-            status, line, secs, mb = measured(*args, "-q", cwd=base)
-            print(f"{name}: exit {status}, {secs:.1f} s, {mb:.0f} MB {line}", flush=True)
-        photographs = list(pathlib.Path(base, "c/photos").iterdir())
-        print(f"{len(photographs)} photographs, {sum(p.stat().st_size for p in photographs) / 1e6:.0f} MB")
+        print(f"{name}: {len(photographs)} photographs, {sum(p.stat().st_size for p in photographs) / 1e6:.0f} MB", flush=True)
 
 
 if __name__ == "__main__":

@@ -120,8 +120,8 @@ pub fn evaluate(candidate: &Source, reference: &MatrixReader, progress: &Progres
             positions.0 += (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2);
             positions.1 += 1;
         }
-        if let Some((sum_errors, own)) = sum_errors.as_mut().zip(matrix_header(candidate)) {
-            sum_errors.add(&a, &b, own);
+        if let Some(sum_errors) = &mut sum_errors {
+            sum_errors.add(&a, &b);
         }
         reciprocity.add(&a, &shape);
         match unmeasured {

@@ -1,8 +1,10 @@
 //! Sums over samples and over rows, against what a matrix says of their errors.
 
 use crate::transport::common::{RowErrors, RowsSum};
+use crate::transport::rows::RowView;
 use crate::transport::{CommonErrors, MatrixHeader, RowBlock};
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// Rows that one thread adds up: the same parts for any number of threads, so that sums are the same to the last bit.
 const PART_ROWS: usize = 64;
@@ -26,47 +28,33 @@ struct Channel {
     covered: f64,
 }
 
-/// Coverage of sums, of a candidate that is a matrix.
+/// What some rows say.
 #[derive(Debug)]
-pub(super) struct SumErrors {
-    common: CommonErrors,
+struct Sums {
     numbers: Vec<Number>,
     channels: [Channel; 3],
 }
 
-impl SumErrors {
-    /// For a matrix; it need not know what its errors have in common.
-    pub(super) fn new(header: &MatrixHeader) -> Self {
-        let common = header.common.clone();
-        let common = common.unwrap_or_else(|| CommonErrors::none(header.rows(), header.row_len()));
-        Self { common, numbers: vec![Number::default(); header.row_len()], channels: Default::default() }
+/// Coverage of sums, of a candidate that is a matrix.
+#[derive(Debug)]
+pub(super) struct SumErrors<'a> {
+    header: &'a MatrixHeader,
+    common: Cow<'a, CommonErrors>,
+    all: Sums,
+}
+
+impl Sums {
+    fn new(row_len: usize) -> Self {
+        Self { numbers: vec![Number::default(); row_len], channels: Default::default() }
     }
 
-    /// Adds rows that have only entries which both measured, and variance.
-    pub(super) fn add(&mut self, candidate: &RowBlock, reference: &RowBlock, header: &MatrixHeader) {
-        let starts: Vec<usize> = (0..candidate.rows).step_by(PART_ROWS).collect();
-        let part = |&start: &usize| {
-            let mut part = Self {
-                common: CommonErrors::none(0, 0),
-                numbers: vec![Number::default(); self.numbers.len()],
-                channels: Default::default(),
-            };
-            for k in start..(start + PART_ROWS).min(candidate.rows) {
-                part.add_row(&self.common, candidate, reference, k, header);
-            }
-            (part.numbers, part.channels)
-        };
-        let parts: Vec<_> = starts.par_iter().map(part).collect();
-        for (numbers, channels) in parts {
-            self.numbers.iter_mut().zip(&numbers).for_each(|(all, part)| all.add(part));
-            self.channels.iter_mut().zip(&channels).for_each(|(all, part)| all.add(part));
-        }
+    fn join(&mut self, other: &Self) {
+        self.numbers.iter_mut().zip(&other.numbers).for_each(|(all, part)| all.add(part));
+        self.channels.iter_mut().zip(&other.channels).for_each(|(all, part)| all.add(part));
     }
 
-    fn add_row(&mut self, common: &CommonErrors, a: &RowBlock, b: &RowBlock, k: usize, header: &MatrixHeader) {
-        let (index, a, b) = (a.first + k, a.view(k), b.view(k));
-        let place_sd = header.position_sd_mm[index];
-        let errors = RowErrors::new(a, index, header.window, header.pitch_mm, place_sd, common);
+    /// Adds a row of which only what both measured is valid.
+    fn add(&mut self, a: RowView<'_>, b: RowView<'_>, errors: &RowErrors<'_>) {
         let measured = |s: &usize| a.valid[*s] != 0 && a.variance[*s] > 0.0;
         for s in (0..a.response.len()).filter(measured) {
             let (value, slope) = (f64::from(a.response[s]), errors.slope(s));
@@ -84,18 +72,41 @@ impl SumErrors {
             channel.covered += f64::from(u8::from((found.value - truth).abs() <= 2.0 * found.variance.sqrt()));
         }
     }
+}
+
+impl<'a> SumErrors<'a> {
+    /// For a matrix; it need not know what its errors have in common.
+    pub(super) fn new(header: &'a MatrixHeader) -> Self {
+        Self { header, common: header.common_errors(), all: Sums::new(header.row_len()) }
+    }
+
+    /// Adds rows of which only what both measured is valid.
+    pub(super) fn add(&mut self, candidate: &RowBlock, reference: &RowBlock) {
+        let starts: Vec<usize> = (0..candidate.rows).step_by(PART_ROWS).collect();
+        let part = |&start: &usize| {
+            let mut part = Sums::new(self.header.row_len());
+            for k in start..(start + PART_ROWS).min(candidate.rows) {
+                let row = candidate.view(k);
+                let errors = RowErrors::new(row, candidate.first + k, self.header, &self.common);
+                part.add(row, reference.view(k), &errors);
+            }
+            part
+        };
+        let parts: Vec<Sums> = starts.par_iter().map(part).collect();
+        parts.iter().for_each(|part| self.all.join(part));
+    }
 
     /// Share of rows' sums within two standard deviations.
     pub(super) fn rows_coverage(&self) -> Option<f64> {
         let [covered, rows] =
-            [|c: &Channel| c.covered, |c: &Channel| c.sum.rows].map(|of| self.channels.iter().map(of).sum::<f64>());
+            [|c: &Channel| c.covered, |c: &Channel| c.sum.rows].map(|of| self.all.channels.iter().map(of).sum::<f64>());
         (rows > 0.0).then(|| covered / rows)
     }
 
     /// Share of the mean row's numbers within two standard deviations.
     pub(super) fn profile_coverage(&self) -> Option<f64> {
         let of_all = self.common.of_all;
-        let seen = self.numbers.iter().enumerate().filter(|(_, n)| n.rows > 0.0);
+        let seen = self.all.numbers.iter().enumerate().filter(|(_, n)| n.rows > 0.0);
         let covered: Vec<bool> = seen
             .map(|(k, n)| {
                 let place = of_all.position_sd_mm * n.slope[0].hypot(n.slope[1]);
@@ -114,8 +125,8 @@ impl SumErrors {
         let bias = |(c, sums): (usize, &Channel)| {
             [sums.sum.value - sums.truth, sums.sum.sd(of_all.scale_sd[c])].map(|v| v / sums.truth)
         };
-        let found: Vec<[f64; 2]> = self.channels.iter().enumerate().map(bias).collect();
-        found.try_into().ok().filter(|_| self.channels.iter().all(|c| c.truth > 0.0))
+        let found: Vec<[f64; 2]> = self.all.channels.iter().enumerate().map(bias).collect();
+        found.try_into().ok().filter(|_| self.all.channels.iter().all(|c| c.truth > 0.0))
     }
 }
 

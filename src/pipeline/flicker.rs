@@ -92,7 +92,13 @@ impl Flicker {
     }
 
     /// Takes what can be taken out of a shot's exposure times.
-    pub(super) fn steady(&self, scene: &Scene<'_>, references: &mut [Bracket], windows: &mut [Bracket]) -> Steadied {
+    pub(super) fn steady(
+        &self,
+        scene: &Scene<'_>,
+        shot: usize,
+        references: &mut [Bracket],
+        windows: &mut [Bracket],
+    ) -> Steadied {
         let both = references.iter_mut().chain(windows.iter_mut()).collect();
         let [common, own] = self.steady_stack(&scene.photographs.sensor, both);
         let seen = reference_light(scene, references);
@@ -101,12 +107,21 @@ impl Flicker {
         if let Some((level, seen)) = both {
             (dots.strange, dots.colour) = (level.strange(&seen.light), level.colour(&seen.light));
         }
-        let Some(found) = both.and_then(|(level, seen)| level.scale_of(&seen.light)) else {
-            return Steadied { variance: common + own + self.white_variance, lamp: None, dots };
+        let scale = |brackets: &mut [Bracket], level: f64| {
+            brackets.iter_mut().for_each(|b| b.scale_secs(&vec![level; b.exposures().len()]));
         };
-        for bracket in references.iter_mut().chain(windows) {
-            bracket.scale_secs(&vec![found.log_level.exp(); bracket.exposures().len()]);
-        }
+        let Some(found) = both.and_then(|(level, seen)| level.scale_of(&seen.light)) else {
+            let mut variance = common + own + self.white_variance;
+            // Without reference dots, what lies between two white references tells the lamp.
+            if let Some(between) = scene.references.lamp.filter(|_| scene.capture.manifest.reference_dots.is_none()) {
+                let [level, of_lamp] = between.at(shot);
+                scale(windows, level);
+                variance += of_lamp;
+            }
+            return Steadied { variance, lamp: None, dots };
+        };
+        scale(references, found.log_level.exp());
+        scale(windows, found.log_level.exp());
         let lamp = found.is_lamp.then(|| [found.log_level.exp(), found.variance.sqrt()]);
         Steadied { variance: found.variance + own + self.white_variance, lamp, dots }
     }

@@ -2,7 +2,7 @@
 
 use super::BuildOptions;
 use super::photographs::Photographs;
-use super::register::SUM_STEP;
+use super::references::lit_places;
 use crate::capture::Pattern;
 use crate::radiance::Radiance;
 use crate::registration::scaled_deviation;
@@ -25,8 +25,6 @@ const LEVEL_SIGMA: f64 = 6.0;
 /// What a lamp between two moments is off the straight line between them by, over what it changes by: an exponential
 /// approach that has one time constant between the two is off by 0.12 at most, one that has three by 0.32.
 const NOT_STRAIGHT: f64 = 0.2;
-/// Pixels this bright, of the brightest, are lit.
-const LIT_SHARE: f32 = 0.3;
 
 impl LampBetween {
     /// From both shots, the first without black; `None` where there is no second, or too little of it is lit.
@@ -75,9 +73,7 @@ impl LampBetween {
 fn ratio(before: &Radiance, after: &Radiance) -> Option<[f64; 2]> {
     let (a, b) = (before.luminance(), after.luminance());
     let used = |p: usize| [before, after].iter().all(|r| !r.used[3 * p..3 * p + 3].contains(&0));
-    let brightest = a.iter().copied().fold(0.0, f32::max);
-    let lit = (0..a.len()).step_by(SUM_STEP).filter(|&p| a[p] > LIT_SHARE * brightest && used(p));
-    let mut ratios: Vec<f64> = lit.map(|p| f64::from(b[p] / a[p])).collect();
+    let mut ratios: Vec<f64> = lit_places(&a).filter(|&p| used(p)).map(|p| f64::from(b[p] / a[p])).collect();
     let n = ratios.len();
     if n < 30 {
         return None;

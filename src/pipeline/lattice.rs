@@ -198,14 +198,8 @@ fn extract_shot(
     let camera = (believed == Camera::Measured).then(|| movements.camera_motion(scene, &rims)).flatten();
     let camera_px = camera.filter(CameraMotion::is_sure).map_or(STILL, |m| m.camera_px);
     let registration = &scene.registration.moved(camera_px);
-    let Steadied { variance: mut flicker_variance, lamp, dots: dots_show } =
-        light.flicker.steady(scene, &mut references_seen, &mut windows);
-    // Reference dots tell each shot's lamp; without them, what lies between two white references does.
-    if let Some(between) = scene.references.lamp.filter(|_| manifest.reference_dots.is_none()) {
-        let [level, variance] = between.at(shot);
-        flicker_variance += variance;
-        windows.iter_mut().for_each(|bracket| bracket.scale_secs(&vec![level; bracket.exposures().len()]));
-    }
+    let Steadied { variance: flicker_variance, lamp, dots: dots_show } =
+        light.flicker.steady(scene, shot, &mut references_seen, &mut windows);
     let drift = movements.drift(scene, shot, registration, &references_seen, &windows)?;
     let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
     let seen = search.look(scene, shot, registration, drift, &windows);

@@ -123,6 +123,12 @@ fn reference_px(photographs: &Photographs<'_>, registered: &Registered) -> Vec<P
     dots.map(|&p| view.camera_from_slab(slab_from_projector.map(p))).collect()
 }
 
+/// Every [`SUM_STEP`]th pixel, those of them that are lit.
+pub(super) fn lit_places(light: &[f32]) -> impl Iterator<Item = usize> {
+    let brightest = light.iter().copied().fold(0.0, f32::max);
+    (0..light.len()).step_by(SUM_STEP).filter(move |&p| light[p] > LIT_SHARE * brightest)
+}
+
 /// The lamp's mean level over the Gray code, of that of the white reference.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Level {
@@ -138,8 +144,7 @@ struct Level {
 /// The median over pixels, so that those that some exposure did not measure do not matter.
 fn white_level(sums: &[Vec<f32>], white: &Radiance, black: &Radiance) -> Option<Level> {
     let (light, dark) = (white.luminance(), black.luminance());
-    let brightest = light.iter().copied().fold(0.0, f32::max);
-    let lit: Vec<usize> = (0..light.len()).step_by(SUM_STEP).filter(|&p| light[p] > LIT_SHARE * brightest).collect();
+    let lit: Vec<usize> = lit_places(&light).collect();
     let ratio = |sum: &Vec<f32>| {
         let mut all: Vec<f32> = lit.iter().map(|&p| (sum[p / SUM_STEP] - dark[p]) / light[p]).collect();
         let middle = all.len() / 2;

@@ -64,8 +64,11 @@ pub(super) fn register(
     let mut stripes = fit(&camera.view)?;
     let mut choice = seen.choice.clone();
     if let Some((fits, joint)) = lens_with_stripes(photographs, &seen, &stripes.edges) {
-        camera = in_working_px(fine, &fits[0]);
-        (choice, stripes) = (joint, fit(&camera.view)?);
+        let before = camera.view;
+        (camera, choice) = (in_working_px(fine, &fits[0]), joint);
+        if camera.view != before {
+            stripes = fit(&camera.view)?;
+        }
     }
     let choice = choice.scaled(fine.scale());
     warnings.extend(stripe_warnings(&stripes).map(Warning::from));

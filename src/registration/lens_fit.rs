@@ -74,7 +74,7 @@ pub fn fit_lens_of_views(views: &[Pairs], center_px: Point, focal_px: f64) -> Op
         let (found, weighted) = gauss_newton(&solve, &mut start, terms)?;
         let square: f64 = weighted.iter().map(|r| r * r).sum();
         let information = n * (square / n).max(1e-6).ln() + (8 * views.len() + terms) as f64 * n.ln();
-        let rms_px = (found.iter().zip(views).map(|(v, pairs)| square_px(v, pairs)).sum::<f64>() / n).sqrt();
+        let rms_px = rms_of_views(&found, views);
         trials.push(LensTrial { radial_terms: terms.min(2), center: terms == 4, rms_px, information });
         if best.as_ref().is_none_or(|(b, ..)| information < *b) {
             best = Some((information, terms, found));
@@ -90,6 +90,12 @@ pub fn fit_lens_of_views(views: &[Pairs], center_px: Point, focal_px: f64) -> Op
 /// What each view's points are off by when it is fitted alone, px.
 pub(super) fn sds_alone(views: &[Pairs], center_px: Point, focal_px: f64) -> Option<Vec<f64>> {
     views.iter().map(|v| Some(fit_view(v, center_px, focal_px)?.rms_px.max(FLOOR_PX))).collect()
+}
+
+/// RMS of all views' points, px.
+pub(super) fn rms_of_views(found: &[CameraView], views: &[Pairs]) -> f64 {
+    let n = 2.0 * views.iter().map(Vec::len).sum::<usize>() as f64;
+    (found.iter().zip(views).map(|(v, pairs)| square_px(v, pairs)).sum::<f64>() / n).sqrt()
 }
 
 /// Views that share a lens of so many parameters, with what their points are off by.

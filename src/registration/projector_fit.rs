@@ -57,7 +57,8 @@ pub(super) const LEAST_SD_PX: f64 = 1e-3;
 /// Fits homography and lens to edges (slab mm to one projector coordinate), dropping edges far off until none is.
 ///
 /// The lens has at most two radial terms about `lens.center_px`, as many as lower the Bayesian information criterion,
-/// and none that moves no edge by a quarter of a pixel. With the fit come the edges that it rests on. `None` for fewer than nine edges or a degenerate layout.
+/// and none that moves no edge by a quarter of a pixel. With the fit come the edges that it rests on. `None` for fewer
+/// than nine edges or a degenerate layout.
 pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<(ProjectorFit, Vec<Observation>)> {
     let lens = Lens { k1: 0.0, k2: 0.0, ..lens };
     let step = (edges.len() / DECIDING_EDGES).max(1);
@@ -103,9 +104,14 @@ pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<(ProjectorFi
     Some((fit, edges))
 }
 
-/// How far edges are off the map, signed, projector px.
-fn offs(edges: &[Observation], h: &Homography, lens: &Lens) -> Vec<f64> {
-    edges.iter().map(|o| lens.distort(h.map(o.from))[o.axis] - o.to).collect()
+/// How far an edge is off the map, signed, projector px.
+fn signed_off(o: &Observation, h: &Homography, lens: &Lens) -> f64 {
+    lens.distort(h.map(o.from))[o.axis] - o.to
+}
+
+/// The same of several.
+pub(super) fn offs(edges: &[Observation], h: &Homography, lens: &Lens) -> Vec<f64> {
+    edges.iter().map(|o| signed_off(o, h, lens)).collect()
 }
 
 /// As how many independent edges these count, which are `off` the map: neighbours along one edge share their errors, and
@@ -139,7 +145,7 @@ pub(super) fn independent_edges(edges: &[Observation], off: &[f64]) -> f64 {
 
 /// How far an edge is off the map, projector px.
 fn off(o: &Observation, (h, lens): &(Homography, Lens)) -> f64 {
-    (lens.distort(h.map(o.from))[o.axis] - o.to).abs()
+    signed_off(o, h, lens).abs()
 }
 
 /// The edges that are not far off the map.
@@ -166,7 +172,7 @@ fn trend(edges: &[Observation], h: &Homography, lens: &Lens) -> Option<MapTrend>
     let part = |p: Point| [0, 1].map(|a| (((p[a] - low[a]) / side[a]) as usize).min(PARTS - 1));
     let mut sums = vec![[0.0; 3]; 2 * PARTS * PARTS];
     for o in edges {
-        let off = lens.distort(h.map(o.from))[o.axis] - o.to;
+        let off = signed_off(o, h, lens);
         let [i, j] = part(o.from);
         let sum = &mut sums[(o.axis * PARTS + j) * PARTS + i];
         (sum[0], sum[1], sum[2]) = (sum[0] + 1.0, sum[1] + off, sum[2] + off * off);
@@ -251,16 +257,11 @@ pub(super) fn fit_given(edges: &[Observation], start: Homography, lens: &Lens) -
 }
 
 /// Homography and the first `terms` coefficients, by turns.
-pub(super) fn fit_lens(
-    edges: &[Observation],
-    start: Homography,
-    lens: Lens,
-    terms: usize,
-) -> Option<(Homography, Lens, f64)> {
+fn fit_lens(edges: &[Observation], start: Homography, lens: Lens, terms: usize) -> Option<(Homography, Lens, f64)> {
     let solve = |k: [f64; 2]| {
         let lens = Lens { k1: k[0], k2: k[1], ..lens };
         let (h, rms) = fit_given(edges, start, &lens)?;
-        let residuals = edges.iter().map(|o| lens.distort(h.map(o.from))[o.axis] - o.to).collect();
+        let residuals = offs(edges, &h, &lens);
         Some(((h, lens, rms), residuals))
     };
     let mut k = [0.0; 2];
@@ -418,7 +419,6 @@ mod tests {
     #[test]
     fn edges_of_pictures_that_lie_elsewhere_count_as_few() {
         let ideal = Lens::ideal([150.0, 130.0], 300.0);
-        let off = |o: &[Observation]| offs(o, &H, &ideal);
         // Twelve pictures of two axes: bits 0 to 5.
         let at = |k: usize, axis: usize, bit: u32| Observation {
             from: [(k % 50) as f64 * 0.6, (k / 50) as f64 * 0.7],
@@ -426,7 +426,7 @@ mod tests {
             to: f64::from(1u32 << bit) * (2 * (k % 9) + 1) as f64 - 0.5,
         };
         let all: Vec<Observation> = (0..4800).map(|k| at(k % 400, k / 400 % 2, (k / 800) as u32)).collect();
-        assert_eq!(off(&all).len(), 4800);
+        assert_eq!(offs(&all, &H, &ideal).len(), 4800);
         let noise = |k: usize| f64::from((k * 7919 % 1000) as u32) / 500.0 - 1.0;
         let still: Vec<f64> = (0..4800).map(|k| 0.1 * noise(k)).collect();
         // As many as there are, an eighth of all; the correlation's own scatter may cost a few.

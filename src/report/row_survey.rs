@@ -1,7 +1,7 @@
 //! One pass over the matrix beside its reconstruction: what each row says, and which rows to show.
 
 use crate::transport::common::{RowErrors, RowsSum};
-use crate::transport::{CommonErrors, MatrixHeader, MatrixReader, RowBlock};
+use crate::transport::{MatrixHeader, MatrixReader, RowBlock};
 use crate::{Error, Result};
 use rayon::prelude::*;
 
@@ -49,8 +49,7 @@ impl RowSurvey {
         // Some tens of megabytes per block, however large the window.
         let block_rows = ((1 << 22) / n.max(1)).max(1);
         let mut survey = Self::default();
-        let no_common = CommonErrors::none(header.rows(), n);
-        let common = header.common.as_ref().unwrap_or(&no_common);
+        let common = header.common_errors();
         let (mut light, mut with_variance) = ([RowsSum::default(); 3], false);
         for first in (0..header.rows()).step_by(block_rows) {
             let block = matrix.read(first..(first + block_rows).min(header.rows()))?;
@@ -58,21 +57,16 @@ impl RowSurvey {
                 .into_par_iter()
                 .map(|i| {
                     let estimate = checked(reconstruct(first + i)?, n)?;
-                    Ok(assess(header, slice(&block.response, i, n), slice(&block.valid, i, n), &estimate))
+                    let (row, index) = (block.view(i), first + i);
+                    let errors = RowErrors::new(row, index, header, &common);
+                    Ok((assess(header, row.response, row.valid, &estimate), [0, 1, 2].map(|c| errors.sum(c))))
                 })
                 .collect();
-            let sums = (0..block.rows).into_par_iter().map(|i| {
-                let sd = header.position_sd_mm[first + i];
-                let row = RowErrors::new(block.view(i), first + i, header.window, header.pitch_mm, sd, common);
-                [0, 1, 2].map(|c| row.sum(c))
-            });
-            for (i, sums) in sums.collect::<Vec<_>>().iter().enumerate() {
-                if slice(&block.valid, i, n).contains(&1) {
-                    light.iter_mut().zip(sums).for_each(|(all, row)| all.add(row));
-                }
-            }
             with_variance |= block.variance.iter().any(|v| *v > 0.0);
-            for (albedo, error) in found? {
+            for ((albedo, error), sums) in found? {
+                if albedo.is_some() {
+                    light.iter_mut().zip(&sums).for_each(|(all, row)| all.add(row));
+                }
                 survey.albedo.push(albedo);
                 survey.error.push(error);
             }
@@ -96,10 +90,6 @@ fn checked(row: Vec<f32>, expected: usize) -> Result<Vec<f32>> {
     } else {
         Err(Error::internal(format_args!("a reconstructed row of {} numbers, not {expected}", row.len())))
     }
-}
-
-fn slice<T>(all: &[T], i: usize, n: usize) -> &[T] {
-    &all[i * n..(i + 1) * n]
 }
 
 /// Albedo and relative error of one row.

@@ -1,7 +1,7 @@
 //! Errors that samples have in common, which a sum over them keeps.
 
-use super::CHANNELS;
 use super::rows::RowView;
+use super::{CHANNELS, MatrixHeader};
 use crate::geometry::Point;
 use serde::{Deserialize, Serialize};
 
@@ -107,17 +107,10 @@ impl RowsSum {
 }
 
 impl<'a> RowErrors<'a> {
-    /// Of row `index`; `window` are the samples along x and y of the matrix, `position_sd_mm` that of the row's place.
-    pub fn new(
-        row: RowView<'a>,
-        index: usize,
-        window: [usize; 2],
-        pitch_mm: f64,
-        position_sd_mm: f64,
-        common: &'a CommonErrors,
-    ) -> Self {
-        let row_scale_sd = common.row_scale_sd.get(index).copied().unwrap_or_default();
-        let slopes = slopes(row.response, |k| row.valid[k] != 0, window, pitch_mm);
+    /// Of row `index` of the matrix of this header; `common` is its [`MatrixHeader::common_errors`].
+    pub fn new(row: RowView<'a>, index: usize, header: &MatrixHeader, common: &'a CommonErrors) -> Self {
+        let (row_scale_sd, position_sd_mm) = (common.row_scale_sd[index], header.position_sd_mm[index]);
+        let slopes = slopes(row.response, |k| row.valid[k] != 0, header.window, header.pitch_mm);
         let independent = (0..row.response.len()).map(|k| {
             let r = f64::from(row.response[k]);
             let shared = (row_scale_sd[k % CHANNELS] * r).powi(2)
@@ -187,6 +180,7 @@ pub fn slopes(response: &[f32], valid: impl Fn(usize) -> bool, [wx, wy]: [usize;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::transport::store::tests::header;
 
     const WINDOW: [usize; 2] = [5, 3];
 
@@ -222,7 +216,8 @@ mod tests {
         let variance: Vec<f32> =
             truth.iter().map(|r| (noise * noise + sample * sample + (scale * f64::from(*r)).powi(2)) as f32).collect();
         let view = RowView { response: &truth, variance: &variance, valid: &valid };
-        let errors = RowErrors::new(view, 1, WINDOW, 0.5, 0.0, &common);
+        let header = MatrixHeader { position_sd_mm: vec![0.0; 2], ..header([2, 1], WINDOW) };
+        let errors = RowErrors::new(view, 1, &header, &common);
         let mut seed = 7_u64;
         let mut normal = || {
             // Sum of twelve uniform numbers.

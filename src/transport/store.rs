@@ -25,6 +25,7 @@ use crate::output::{Earlier, ScratchFolder, WorkLog, put};
 use crate::{Error, FindingRecord, Result, Warning, geometry::Point};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use zarrs::array::codec::{Crc32cCodec, ZstdCodec};
@@ -107,6 +108,14 @@ impl MatrixHeader {
     /// Numbers of one row: dy, dx, channel.
     pub fn row_len(&self) -> usize {
         self.window_len() * CHANNELS
+    }
+
+    /// [`Self::common`], or none where that is not known.
+    pub fn common_errors(&self) -> Cow<'_, CommonErrors> {
+        match &self.common {
+            Some(common) => Cow::Borrowed(common),
+            None => Cow::Owned(CommonErrors::none(self.rows(), self.row_len())),
+        }
     }
 
     /// Bounds that keep every later product, index and stored number in range; says what is wrong.

@@ -237,13 +237,18 @@ impl SimulatedScene {
         [p[0] + drift_mm[0], p[1] + drift_mm[1]]
     }
 
+    /// Whether dots are discs: only those have an area of their own.
+    pub(super) fn has_round_dots(&self) -> bool {
+        self.grid.dot_area_projector_px2.is_some()
+    }
+
     /// The light of that dot as it arrives.
     pub(super) fn beam(&self, dot: [usize; 2], drift_mm: Point) -> Beam {
         Beam {
             center_mm: self.dot_mm(dot, drift_mm),
             mm_from_px: self.slab_from_projector.jacobian(self.grid.dot_projector_px(dot)),
             side_px: self.grid.dot_projector_px as f64,
-            round: self.grid.dot_area_projector_px2.is_some(),
+            round: self.has_round_dots(),
             blur_px: self.projector_blur_px,
         }
     }

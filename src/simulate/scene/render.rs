@@ -196,8 +196,7 @@ impl PixelGrid {
         let light = |p: Point| {
             let q = scene.slab_from_projector.projector_from_slab([p[0] - drift_mm[0], p[1] - drift_mm[1]]);
             let blur = scene.projector_blur_px;
-            let round = scene.grid.dot_area_projector_px2.is_some();
-            let lit = soft_dot([q[0] - dot_px[0], q[1] - dot_px[1]], half, blur, round);
+            let lit = soft_dot([q[0] - dot_px[0], q[1] - dot_px[1]], half, blur, scene.has_round_dots());
             scene.white_irradiance(p).map(|e| albedo_lit * lit * e)
         };
         let [xs, ys] = self.seen(scene, [low, high]);
@@ -396,7 +395,6 @@ fn blurred_step(t: f64, blur: f64) -> f64 {
     normal_cdf(t / blur.max(1e-9))
 }
 
-/// A box of half width `half`, blurred as the projector's pixels are; its integral stays 2 · half.
 /// A blurred square of half a side `half`, or a blurred disc of this radius, at `q` from its middle.
 ///
 /// The disc: chords, each a blurred line along x, blurred along y; midpoints of the angle, right to 1e-4 for blurs of a
@@ -418,6 +416,7 @@ pub(crate) fn soft_dot(q: Point, half: f64, blur_px: f64, round: bool) -> f64 {
 /// Chords of a disc.
 const CHORDS: usize = 64;
 
+/// A box of half width `half`, blurred as the projector's pixels are; its integral stays 2 · half.
 fn soft_box(t: f64, half: f64, blur_px: f64) -> f64 {
     blurred_step(t + half, blur_px) - blurred_step(t - half, blur_px)
 }
