@@ -8,17 +8,13 @@
 
 use acquire::factor::{FactorOptions, factor};
 use acquire::progress::Progress;
-use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter};
+use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter, RowBlock};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
-use rayon::prelude::*;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Instant;
-use zarrs::array::Array;
-use zarrs::filesystem::FilesystemStore;
 
 /// The farthest that a peak lies from its lit point, samples.
 const REACH: usize = 2;
@@ -38,8 +34,7 @@ fn main() -> acquire::Result<()> {
     let store = args.get(2).map_or_else(|| folder.path().join("large.rd.zarr"), PathBuf::from);
     if !store.exists() {
         let start = Instant::now();
-        write(&store, points, window)
-            .map_err(|e| acquire::Error::io("write", &store)(std::io::Error::other(e.to_string())))?;
+        write(&store, points, window)?;
         println!("written in {:.1} s", start.elapsed().as_secs_f64());
     }
     if args.get(3).is_some_and(|name| name == "none") {
@@ -90,9 +85,9 @@ fn peak_kib() -> Option<f64> {
     status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?.trim().trim_end_matches("kB").trim().parse().ok()
 }
 
-/// Writes the store chunk by chunk, without the scratch file of a [`MatrixWriter`]: that would take nine bytes an entry
-/// of disk (26 GB at 512 × 512 points) and twice the time.
-fn write(store: &Path, points: usize, window: usize) -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// Writes the store chunk by chunk, without a scratch file: that would take nine bytes an entry of disk (26 GB at
+/// 512 × 512 points) and twice the time.
+fn write(store: &Path, points: usize, window: usize) -> acquire::Result<()> {
     let rows = points * points;
     let header = MatrixHeader {
         points: [points; 2],
@@ -108,36 +103,16 @@ fn write(store: &Path, points: usize, window: usize) -> Result<(), Box<dyn std::
         warnings: Vec::new(),
         provenance: serde_json::json!({ "bench": "factor" }),
     };
-    // A store without any row, then its chunks replaced; it gets its name when it is complete.
-    let unfinished = store.with_extension("unfinished");
-    MatrixWriter::create(&unfinished, header.clone())?.finish()?;
-    let files = Arc::new(FilesystemStore::new(&unfinished)?);
-    let open = |name| Array::open(files.clone(), name);
-    let [response, variance, valid] = [open("/response")?, open("/variance")?, open("/valid")?];
     let profiles = profiles(window);
-    let grid = response.chunk_grid_shape().to_vec();
-    let chunk_rows = response.chunk_shape(&[0; 5])?[1].get() as usize;
-    (0..grid[0] * grid[1]).into_par_iter().try_for_each(|chunk| {
-        let (y, x) = (chunk / grid[1], chunk % grid[1]);
-        let n = chunk_rows * header.row_len();
-        let (mut values, mut variances) = (Vec::with_capacity(n), Vec::with_capacity(n));
-        let first = x as usize * chunk_rows;
-        for column in first..(first + chunk_rows).min(points) {
-            let variance = row(&header, &profiles, y as usize * points + column, &mut values);
-            variances.resize(values.len(), variance);
+    MatrixWriter::create(store, header.clone())?.finish_with(|rows| {
+        let n = rows.len() * header.row_len();
+        let (mut response, mut variance) = (Vec::with_capacity(n), Vec::with_capacity(n));
+        for index in rows.clone() {
+            let of_row = row(&header, &profiles, index, &mut response);
+            variance.resize(response.len(), of_row);
         }
-        let ones = vec![1_u8; n];
-        // A chunk at the end of a line is stored whole.
-        values.resize(n, 0.0);
-        variances.resize(n, 0.0);
-        let at = [y, x, 0, 0, 0];
-        response.store_chunk(&at, values)?;
-        variance.store_chunk(&at, variances)?;
-        valid.store_chunk(&at, ones)?;
-        Ok::<_, Box<dyn std::error::Error + Send + Sync>>(())
-    })?;
-    std::fs::rename(&unfinished, store)?;
-    Ok(())
+        Ok(RowBlock { first: rows.start, rows: rows.len(), response, variance, valid: vec![1; n] })
+    })
 }
 
 /// e^(−r/w) (r/(r+w))^m cos(mθ), per profile and sample of a window wide enough for every displacement.

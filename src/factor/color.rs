@@ -24,7 +24,7 @@ const INDEPENDENT: f64 = 1e-8;
 /// Samples that are worked on at a time: those of all columns stay in the nearest cache.
 const TILE: usize = 256;
 /// P + 1 at the most.
-const MOST: usize = MOST_DEGREE + 1;
+pub(super) const MOST: usize = MOST_DEGREE + 1;
 
 /// An orthonormal basis of the polynomials at the arguments of one row.
 #[derive(Debug, Clone)]
@@ -80,13 +80,13 @@ impl PolynomialBasis {
     }
 
     /// What rounding a Legendre coefficient to f32 is expected to add, over its square.
-    fn ridge(&self) -> f64 {
-        self.samples as f64 * F32_ROUNDING * F32_ROUNDING / 3.0
+    pub(super) fn ridge_of(samples: usize) -> f64 {
+        samples as f64 * F32_ROUNDING * F32_ROUNDING / 3.0
     }
 
     fn fit_projected(&self, along: &[f64], energy: f64, degree: usize) -> Fit {
         let n = along.len().min(degree + 1);
-        let ridge = self.ridge();
+        let ridge = Self::ridge_of(self.samples);
         // (I + λ T Tᵀ) s = Qᵀ y, T the Legendre coefficients of the orthonormal polynomials.
         let mut normal = vec![0.0; n * n];
         for a in 0..n {
@@ -148,7 +148,7 @@ impl PolynomialBasis {
             (expected > 0.0).then(|| dot(q, values).powi(2) / expected)
         };
         // Beyond these the ridge keeps less than half of a share: the row cannot make use of the degree.
-        let ridge = self.ridge();
+        let ridge = Self::ridge_of(self.samples);
         let usable = |l: &&[f64; MOST]| ridge * l.iter().map(|c| c * c).sum::<f64>() < 1.0;
         let count = self.legendre.iter().take_while(usable).count();
         (0..count).map(|p| z2(self.column(p))).collect()

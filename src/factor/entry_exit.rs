@@ -269,7 +269,7 @@ mod tests {
         let mut sums = Marginals::new(reader).unwrap();
         reader
             .for_each_block(|block| {
-                sums.add(&block, [7, 5]);
+                sums.add(block, [7, 5]);
                 Ok(())
             })
             .unwrap();

@@ -166,15 +166,14 @@ impl<'a> PreparedRows<'a> {
         }
         let stage = self.progress.stage(stage, self.reader.header().rows());
         let basis = self.basis.prepared(&self.patterns);
-        for range in self.reader.blocks() {
-            let block = self.reader.read_responses(range)?;
-            let raw = RawRows::extract(&block, self.content, |k| self.scale(block.first + k));
+        self.reader.for_each_block_of_responses(|block| {
+            let raw = RawRows::extract(block, self.content, |k| self.scale(block.first + k));
             let mut chunk = self.place(raw);
             basis.fill(&mut chunk.values, &chunk.missing);
             each(chunk.first, &chunk.values, &chunk.missing)?;
             stage.advance(block.rows);
-        }
-        Ok(())
+            Ok(())
+        })
     }
 
     /// Columns of a row that were not measured.

@@ -1,6 +1,8 @@
 //! Colour polynomials of a whole matrix: the paper's second half (`Kurt2013`, eqs. (2)–(4)).
 
-use super::color::PolynomialBasis;
+use super::color::{Fit, PolynomialBasis};
+use super::moments::MomentFits;
+use super::vector;
 use crate::Result;
 use crate::material::{Material, Responses, legendre};
 use crate::progress::Progress;
@@ -8,6 +10,9 @@ use crate::transport::rows::RowView;
 use crate::transport::{MatrixReader, RowBlock};
 use rayon::prelude::*;
 use std::ops::Range;
+
+/// Rows whose intensities are made together: they stay in the processor's cache.
+const TOGETHER: usize = 16;
 
 /// Arguments and values of one channel of a row, where it was measured.
 pub(super) struct Channel {
@@ -33,16 +38,26 @@ fn channels(material: &Material, index: usize, intensity: &[f64], row: RowView<'
     });
     let argument = |v: f64| legendre::argument(v, low, high);
     if complete {
-        let [first, ..] = &mut out;
-        layout.for_each_line(shift, |k, e, len| {
-            first.at.extend(k..k + len);
-            first.arguments.extend(intensity[e..e + len].iter().map(|&v| argument(v)));
+        let [first, second, third] = &mut out;
+        let mut lines = Vec::with_capacity(layout.window[1]);
+        layout.for_each_line(shift, |k, e, len| lines.push((k, e, len)));
+        let inside = lines.iter().map(|(.., len)| len).sum();
+        first.arguments.resize(inside, 0.0);
+        let values = [&mut first.values, &mut second.values, &mut third.values];
+        let [mut r, mut g, mut b] = values.map(|v| {
+            v.resize(inside, 0.0);
+            v.as_mut_slice()
         });
-        for (c, channel) in out.iter_mut().enumerate() {
-            layout.for_each_line(shift, |k, _, len| {
-                let values = row.response[3 * k..3 * (k + len)].as_chunks::<3>().0;
-                channel.values.extend(values.iter().map(|rgb| f64::from(rgb[c])));
+        let (response, mut arguments) = (row.response.as_chunks::<3>().0, first.arguments.as_mut_slice());
+        for (k, e, len) in lines {
+            first.at.extend(k..k + len);
+            let [to, r, g, b] = [&mut arguments, &mut r, &mut g, &mut b].map(|rest| {
+                let (to, others) = std::mem::take(rest).split_at_mut(len);
+                *rest = others;
+                to
             });
+            vector::arguments(&intensity[e..e + len], [low, high], to);
+            vector::split_channels(&response[k..k + len], [r, g, b]);
         }
         return out;
     }
@@ -76,6 +91,13 @@ pub(super) fn with_bases(
     }
 }
 
+/// Fits of a row whose channels share their samples, from sums over them, where that is as good.
+fn of_sums(quick: &MomentFits, channels: &[Channel; 3]) -> Option<[Fit; 3]> {
+    let [first, others @ ..] = channels;
+    let shared = others.iter().all(|c| c.at.is_empty() && c.values.len() == first.values.len());
+    shared.then(|| quick.fit(&first.arguments, channels.each_ref().map(|c| c.values.as_slice())))?
+}
+
 /// Fits β of all rows, one pass, and returns Σ (R̂−R)² over valid entries.
 pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usize, progress: &Progress) -> Result<f64> {
     let stage = progress.stage("color", reader.header().rows());
@@ -83,10 +105,12 @@ pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usiz
     material.header.intensity_range = intensity_range(material, std::iter::once(0..material.header.rows()));
     let mut error = 0.0;
     let mut coefficients = Vec::with_capacity(reader.header().rows() * 3 * (degree + 1));
-    let responses = Responses::new(material);
-    for range in reader.blocks() {
-        let block = reader.read_responses(range.clone())?;
-        let fits = rows(&responses, &block, |_, channels| {
+    let (responses, quick) = (Responses::new(material), MomentFits::new(degree));
+    reader.for_each_block_of_responses(|block| {
+        let fits = rows(&responses, block, |_, channels| {
+            if let Some(fits) = of_sums(&quick, channels) {
+                return fits.into();
+            }
             let mut fits = Vec::with_capacity(3);
             with_bases(channels, degree, |_, _, values, basis| fits.push(basis.fit(values, degree)));
             fits
@@ -96,7 +120,8 @@ pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usiz
             error += fit.error;
         }
         stage.advance(block.rows);
-    }
+        Ok(())
+    })?;
     material.color_coefficients = coefficients;
     Ok(error)
 }
@@ -108,42 +133,39 @@ pub(super) fn rows<T: Send>(
     each: impl Fn(usize, &[Channel; 3]) -> T + Sync,
 ) -> Vec<T> {
     let material = responses.material();
-    let samples = material.header.layout().len();
-    let indices: Vec<usize> = (block.first..block.first + block.rows).collect();
-    let intensity = responses.plane(0, &indices);
-    (0..block.rows)
-        .into_par_iter()
-        .map(|k| {
-            let row = &intensity[k * samples..(k + 1) * samples];
-            each(k, &channels(material, block.first + k, row, block.view(k)))
-        })
-        .collect()
+    let samples = material.header.layout().len().max(1);
+    let groups = (0..block.rows.div_ceil(TOGETHER)).into_par_iter().map(|group| {
+        let range = group * TOGETHER..((group + 1) * TOGETHER).min(block.rows);
+        let indices: Vec<usize> = range.clone().map(|k| block.first + k).collect();
+        let intensity = responses.plane(0, &indices);
+        let of_row = |(k, row): (usize, &[f64])| each(k, &channels(material, block.first + k, row, block.view(k)));
+        range.zip(intensity.chunks_exact(samples)).map(of_row).collect::<Vec<T>>()
+    });
+    groups.collect::<Vec<_>>().into_iter().flatten().collect()
 }
 
 /// The range of the reconstructed intensities over the windows of some rows.
 pub(super) fn intensity_range(material: &Material, rows: impl IntoIterator<Item = Range<usize>>) -> [f32; 2] {
-    let samples = material.header.layout().len();
-    let step = ((4 << 20) / samples.max(1)).max(1);
+    let samples = material.header.layout().len().max(1);
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     let responses = Responses::new(material);
-    let pieces =
-        |rows: Range<usize>| rows.clone().step_by(step).map(move |first| (first, (first + step).min(rows.end)));
-    for (first, end) in rows.into_iter().flat_map(pieces) {
-        let block = responses.plane(0, &(first..end).collect::<Vec<_>>());
-        let ranges: Vec<[f64; 2]> = (first..end)
-            .into_par_iter()
-            .filter(|&i| material.incident(0, i).iter().any(|&f| f != 0.0))
-            .map(|i| {
-                let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for rows in rows {
+        let (first, count) = (rows.start, rows.len());
+        let ranges = (0..count.div_ceil(TOGETHER)).into_par_iter().map(|group| {
+            let indices = first + group * TOGETHER..first + ((group + 1) * TOGETHER).min(count);
+            let indices: Vec<usize> =
+                indices.filter(|&i| material.incident(0, i).iter().any(|&f| f != 0.0)).collect();
+            let intensity = responses.plane(0, &indices);
+            let mut range = [f64::INFINITY, f64::NEG_INFINITY];
+            for (&i, row) in indices.iter().zip(intensity.chunks_exact(samples)) {
                 material.header.layout().for_each_line(material.shift[i], |_, e, n| {
-                    for &v in &block[(i - first) * samples + e..][..n] {
-                        (low, high) = (low.min(v), high.max(v));
-                    }
+                    let [low, high] = vector::range(&row[e..e + n]);
+                    range = [range[0].min(low), range[1].max(high)];
                 });
-                [low, high]
-            })
-            .collect();
-        for range in ranges {
+            }
+            range
+        });
+        for range in ranges.collect::<Vec<_>>() {
             (low, high) = (low.min(range[0]), high.max(range[1]));
         }
     }

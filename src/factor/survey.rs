@@ -147,7 +147,7 @@ pub(super) fn survey(
     reader.for_each_block(|block| {
         let found: Vec<Placement> =
             (0..block.rows).into_par_iter().map(|k| place(block.view(k), window, limit)).collect();
-        let raw = RawRows::extract(&block, content, |k| scale(content, Some(&found[k])));
+        let raw = RawRows::extract(block, content, |k| scale(content, Some(&found[k])));
         let groups: Vec<(Sums, NoiseSums)> = (0..block.rows.div_ceil(GROUP))
             .into_par_iter()
             .map(|g| {
@@ -156,7 +156,7 @@ pub(super) fn survey(
                 for k in g * GROUP..((g + 1) * GROUP).min(block.rows) {
                     let sd_px = header.position_sd_mm[block.first + k] / header.pitch_mm;
                     sums.add(
-                        &block,
+                        block,
                         &raw,
                         k,
                         &found[k],
@@ -173,7 +173,7 @@ pub(super) fn survey(
             noise.rows.extend(row_noise.rows);
         }
         placements.extend(found);
-        each(&block);
+        each(block);
         if let Some(keep) = keep.as_deref_mut() {
             keep.push(raw);
         }

@@ -505,8 +505,7 @@ fn residual_of(rows: &PreparedRows<'_>, reader: &MatrixReader, material: &Materi
 /// The same for any material, by evaluating it: one pass over the store.
 fn residual_of_rows(reader: &MatrixReader, material: &Material) -> Result<f64> {
     let (mut error, responses) = (0.0, Responses::new(material));
-    for range in reader.blocks() {
-        let block = reader.read_responses(range)?;
+    reader.for_each_block_of_responses(|block| {
         let errors: Vec<f64> = (0..block.rows)
             .into_par_iter()
             .map(|k| {
@@ -516,7 +515,8 @@ fn residual_of_rows(reader: &MatrixReader, material: &Material) -> Result<f64> {
             })
             .collect();
         error += errors.iter().sum::<f64>();
-    }
+        Ok(())
+    })?;
     Ok(error)
 }
 

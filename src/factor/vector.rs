@@ -2,6 +2,7 @@
 //!
 //! No fused multiply-add: results are the same on every processor.
 
+use crate::material::legendre::argument;
 use pulp::{Arch, NullaryFnOnce};
 
 /// Lanes of a sum: a single one would wait for each addition.
@@ -74,6 +75,69 @@ pub(super) fn energy_and_peak(values: &[f32]) -> (f64, f64) {
     Arch::new().dispatch(EnergyAndPeak(values))
 }
 
+struct Range<'a>(&'a [f64]);
+
+impl NullaryFnOnce for Range<'_> {
+    type Output = [f64; 2];
+
+    #[inline(always)]
+    fn call(self) -> [f64; 2] {
+        let (parts, rest) = self.0.as_chunks::<LANES>();
+        let (mut low, mut high) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
+        for part in parts {
+            for k in 0..LANES {
+                low[k] = if part[k] < low[k] { part[k] } else { low[k] };
+                high[k] = if part[k] > high[k] { part[k] } else { high[k] };
+            }
+        }
+        let all = low.iter().zip(&high).map(|(&l, &h)| [l, h]).chain(rest.iter().map(|&v| [v, v]));
+        all.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], [l, h]| [low.min(l), high.max(h)])
+    }
+}
+
+/// The smallest and the largest value; infinities the wrong way round when there is none.
+pub(super) fn range(values: &[f64]) -> [f64; 2] {
+    Arch::new().dispatch(Range(values))
+}
+
+struct Split<'a>(&'a [[f32; 3]], [&'a mut [f64]; 3]);
+
+impl NullaryFnOnce for Split<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self(from, [r, g, b]) = self;
+        for ((rgb, r), (g, b)) in from.iter().zip(r.iter_mut()).zip(g.iter_mut().zip(b.iter_mut())) {
+            (*r, *g, *b) = (f64::from(rgb[0]), f64::from(rgb[1]), f64::from(rgb[2]));
+        }
+    }
+}
+
+/// Channels side by side to one after the other.
+pub(super) fn split_channels(from: &[[f32; 3]], to: [&mut [f64]; 3]) {
+    Arch::new().dispatch(Split(from, to));
+}
+
+struct Arguments<'a>(&'a [f64], [f64; 2], &'a mut [f64]);
+
+impl NullaryFnOnce for Arguments<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self(from, [low, high], to) = self;
+        for (to, &v) in to.iter_mut().zip(from) {
+            *to = argument(v, low, high);
+        }
+    }
+}
+
+/// Arguments of polynomials on an interval of intensities.
+pub(super) fn arguments(intensities: &[f64], interval: [f64; 2], to: &mut [f64]) {
+    Arch::new().dispatch(Arguments(intensities, interval, to));
+}
+
 /// y ← y + s x inside a dispatched function.
 #[inline(always)]
 pub(super) fn axpy_in(s: f64, x: &[f64], y: &mut [f64]) {
@@ -119,6 +183,33 @@ mod tests {
         // Squares of 1e30 are beyond f32.
         let (energy, peak) = energy_and_peak(&[1e30, -2e30, 1e-30]);
         assert!((energy / 5e60 - 1.0).abs() < 1e-6 && peak == f64::from(1e30_f32), "f32 inputs: {energy:e} {peak:e}");
+    }
+
+    #[test]
+    fn ranges_have_the_smallest_and_the_largest_wherever_they_stand() {
+        for n in [1, 15, 16, 40] {
+            for at in [0, n / 2, n - 1] {
+                let mut values: Vec<f64> = (0..n).map(|k| (k % 5) as f64 + 1.0).collect();
+                values[at] = -3.0;
+                assert_eq!(range(&values)[0], -3.0, "{n} {at}");
+                values[at] = 7.0;
+                assert_eq!(range(&values)[1], 7.0, "{n} {at}");
+            }
+        }
+        assert_eq!(range(&[]), [f64::INFINITY, f64::NEG_INFINITY]);
+    }
+
+    #[test]
+    fn channels_are_split_and_arguments_are_those_of_the_polynomials() {
+        let rgb: Vec<[f32; 3]> = (0..21).map(|k| [k as f32, -0.5 * k as f32, 100.0 + k as f32]).collect();
+        let mut to = [[0.0; 21]; 3];
+        split_channels(&rgb, to.each_mut().map(|c| c.as_mut_slice()));
+        assert!((0..63).all(|s| to[s % 3][s / 3] == f64::from(rgb[s / 3][s % 3])));
+        let mut u = [9.0; 21];
+        arguments(&to[0], [2.0, 12.0], &mut u);
+        assert_eq!((u[0], u[7], u[20]), (-1.0, 0.0, 1.0), "clamped to the interval");
+        arguments(&to[0], [2.0, 2.0], &mut u);
+        assert_eq!(u, [0.0; 21]);
     }
 
     #[test]

@@ -11,6 +11,7 @@ mod row_array;
 pub mod rows;
 mod scratch_rows;
 mod store;
+mod whole_chunk;
 
 /// R, G, B.
 const CHANNELS: usize = 3;

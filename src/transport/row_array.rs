@@ -2,6 +2,7 @@
 //! wrote it.
 
 use super::CHANNELS;
+use super::whole_chunk::WholeChunks;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::path::Path;
@@ -42,6 +43,8 @@ pub(super) struct RowArray {
     pub(super) sides: [usize; 5],
     /// The number that xarray has agreed on to stand for "missing", where it is not NaN.
     missing: Option<f64>,
+    /// Its chunks, where they are as this program writes them.
+    whole_chunks: Option<WholeChunks>,
 }
 
 impl RowArray {
@@ -75,7 +78,8 @@ impl RowArray {
             }
         }
         let missing = missing(&array).map_err(|found| ["a number as _FillValue".into(), found])?;
-        Ok(Self { array, has, sides, missing })
+        let whole_chunks = WholeChunks::of(&array).filter(|_| missing.is_none());
+        Ok(Self { array, has, sides, missing, whole_chunks })
     }
 
     /// Lit points along x and y that one chunk has (of a shard, one of its chunks).
@@ -109,6 +113,9 @@ impl RowArray {
     /// Numbers of lit points, row-major; a range is part of one line of points, or some whole lines. Samples that are
     /// not stored are left as they are in `out`.
     pub(super) fn read(&self, rows: Range<usize>, layout: &RowLayout, out: &mut [f32]) -> Result<(), String> {
+        if self.read_whole(&rows, layout, bytemuck::cast_slice_mut(out)) {
+            return Ok(());
+        }
         let is = |t: zarrs::array::DataType| *self.array.data_type() == t;
         if is(data_type::float32()) {
             self.fetch::<f32, _>(&rows, layout, out, |v| v)?;
@@ -127,6 +134,9 @@ impl RowArray {
 
     /// The same of flags: of any whole numbers or truths; those above 255 are 255.
     pub(super) fn read_flags(&self, rows: Range<usize>, layout: &RowLayout, out: &mut [u8]) -> Result<(), String> {
+        if self.read_whole(&rows, layout, out) {
+            return Ok(());
+        }
         let is = |t: zarrs::array::DataType| *self.array.data_type() == t;
         if is(data_type::uint8()) {
             self.fetch::<u8, _>(&rows, layout, out, |v| v)?;
@@ -137,6 +147,11 @@ impl RowArray {
             self.place(&wide, layout, out, |v| if v == 0.0 || v == 1.0 { v as u8 } else { u8::MAX });
         }
         Ok(())
+    }
+
+    fn read_whole(&self, rows: &Range<usize>, layout: &RowLayout, out: &mut [u8]) -> bool {
+        let chunks = self.whole_chunks.as_ref().filter(|_| layout.stored == layout.window);
+        chunks.is_some_and(|chunks| chunks.read(&self.array, rows, out))
     }
 
     fn subset(&self, rows: &Range<usize>, nx: usize) -> ArraySubset {

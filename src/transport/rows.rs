@@ -33,12 +33,28 @@ impl RowBlock {
 }
 
 impl MatrixReader {
-    /// Calls `each` with the blocks of [`Self::blocks`].
+    /// Calls `each` with the blocks of [`Self::blocks`], one after the other in the same memory.
     ///
     /// # Errors
     /// What [`MatrixReader::read`] or `each` return.
-    pub fn for_each_block(&self, mut each: impl FnMut(RowBlock) -> Result<()>) -> Result<()> {
-        self.blocks().into_iter().try_for_each(|rows| each(self.read(rows)?))
+    pub fn for_each_block(&self, each: impl FnMut(&RowBlock) -> Result<()>) -> Result<()> {
+        self.for_each_block_with(true, each)
+    }
+
+    /// [`Self::for_each_block`] without the variance.
+    ///
+    /// # Errors
+    /// What [`MatrixReader::read_responses`] or `each` return.
+    pub fn for_each_block_of_responses(&self, each: impl FnMut(&RowBlock) -> Result<()>) -> Result<()> {
+        self.for_each_block_with(false, each)
+    }
+
+    fn for_each_block_with(&self, variance: bool, mut each: impl FnMut(&RowBlock) -> Result<()>) -> Result<()> {
+        let mut block = RowBlock::zeros(0..0, 0);
+        self.blocks().into_iter().try_for_each(|rows| {
+            self.read_into(rows, variance, &mut block)?;
+            each(&block)
+        })
     }
 
     /// Consecutive ranges of rows that together are all rows, in order, each of about 48 MiB and of whole chunks: no
@@ -225,7 +241,7 @@ mod tests {
         let small = MatrixHeader { window: [3, 1], ..header };
         MatrixWriter::create(&path, small).unwrap().finish().unwrap();
         let mut rows = Vec::new();
-        let each = |block: RowBlock| {
+        let each = |block: &RowBlock| {
             rows.extend(block.first..block.first + block.rows);
             Ok(())
         };

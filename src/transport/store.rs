@@ -47,6 +47,8 @@ pub(super) const MOST_SAMPLES: usize = 4095;
 pub(super) const LARGEST_MM: f64 = 1e9;
 /// Whatever the Zarr crate answers; turned into ours at the public functions.
 type BoxedError = Box<dyn std::error::Error + Send + Sync>;
+/// Gives consecutive rows.
+type BlockSource<'a> = dyn Fn(std::ops::Range<usize>) -> Result<RowBlock> + Sync + 'a;
 /// A chunk holds about this many bytes of responses: large enough for the disk, small enough to stream.
 const CHUNK_BYTES: usize = 4 << 20;
 /// Numbers that one thread looks through at a time.
@@ -327,8 +329,21 @@ impl MatrixWriter {
     /// # Errors
     /// [`Error::Io`]; [`Error::Internal`] when the header holds what [`MatrixReader::open`] would refuse.
     pub fn finish(self) -> Result<()> {
+        self.finish_from(&|rows| self.rows.block(rows).map_err(Error::io("read", &self.path)))
+    }
+
+    /// [`Self::finish`] with rows that were not put: `block` is called once for each of some ranges that together are
+    /// all rows, from several threads. No scratch file is needed then, which takes nine bytes a number.
+    ///
+    /// # Errors
+    /// Those of [`Self::finish`] and of `block`.
+    pub fn finish_with(self, block: impl Fn(std::ops::Range<usize>) -> Result<RowBlock> + Sync) -> Result<()> {
+        self.finish_from(&block)
+    }
+
+    fn finish_from(&self, block: &BlockSource<'_>) -> Result<()> {
         self.header.check().and_then(|()| self.header.check_places()).map_err(Error::internal)?;
-        let done = self.write();
+        let done = self.write(block);
         // A full disk, say: the rows need not be measured again.
         match &done {
             Ok(()) if !self.stays => self.folder.let_go(),
@@ -341,23 +356,25 @@ impl MatrixWriter {
         done
     }
 
-    fn write(&self) -> Result<()> {
+    fn write(&self, block: &BlockSource<'_>) -> Result<()> {
         let store_path = self.folder.new_path();
         // Half of one that a stopped run has left.
         match std::fs::remove_dir_all(&store_path) {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(Error::io("write", &self.path)(e)),
             _ => {}
         }
-        self.write_store(&store_path).map_err(|e| e.to_string()).map_err(|reason| Error::Io {
-            path: self.path.clone(),
-            action: "write",
-            source: std::io::Error::new(kind_of(&reason), reason),
+        self.write_store(&store_path, block).map_err(|e| match e.downcast::<Error>() {
+            Ok(error) => *error,
+            Err(e) => {
+                let reason = e.to_string();
+                Error::io("write", &self.path)(std::io::Error::new(kind_of(&reason), reason))
+            }
         })?;
         earlier::check(&self.path, self.replaces)?;
         put(&self.folder, &self.path, self.replaces).map_err(Error::io("write", &self.path))
     }
 
-    fn write_store(&self, store_path: &Path) -> Result<(), BoxedError> {
+    fn write_store(&self, store_path: &Path, block: &BlockSource<'_>) -> Result<(), BoxedError> {
         let header = &self.header;
         let store = Arc::new(FilesystemStore::new(store_path)?);
         let mut attributes = serde_json::Map::new();
@@ -384,7 +401,11 @@ impl MatrixWriter {
         }
         let chunks: Vec<_> = chunks(header).collect();
         chunks.into_par_iter().try_for_each(|rows| {
-            let mut block = self.rows.block(rows.clone())?;
+            let mut block = block(rows.clone())?;
+            let n = rows.len() * header.row_len();
+            if [block.response.len(), block.variance.len(), block.valid.len()] != [n; 3] {
+                return Err(Error::internal(format_args!("rows {rows:?} do not fit the matrix")).into());
+            }
             let not = block.valid.iter().enumerate().filter(|(_, v)| **v == 0).map(|(k, _)| k);
             not.for_each(|k| (block.response[k], block.variance[k]) = (f32::NAN, f32::NAN));
             let subset = subset(header, rows);
@@ -634,13 +655,26 @@ impl MatrixReader {
     }
 
     fn read_parts(&self, rows: std::ops::Range<usize>, variance: bool) -> Result<RowBlock> {
+        let mut block = RowBlock::zeros(0..0, 0);
+        self.read_into(rows, variance, &mut block)?;
+        Ok(block)
+    }
+
+    /// [`Self::read`], with the variance or without, into the memory of another block.
+    pub(super) fn read_into(
+        &self,
+        rows: std::ops::Range<usize>,
+        variance: bool,
+        block: &mut RowBlock,
+    ) -> Result<()> {
         if rows.end > self.header.rows() || rows.start > rows.end {
             return Err(Error::internal(format_args!("rows {rows:?} of a matrix of {}", self.header.rows())));
         }
-        let mut block = RowBlock::zeros(rows.clone(), self.header.row_len());
-        if !variance {
-            block.variance = Vec::new();
-        }
+        let n = rows.len() * self.header.row_len();
+        (block.first, block.rows) = (rows.start, rows.len());
+        block.response.resize(n, 0.0);
+        block.variance.resize(if variance { n } else { 0 }, 0.0);
+        block.valid.resize(n, 0);
         // Chunks are decoded side by side, each into its place.
         let mut parts = Vec::new();
         let (mut response, mut variances, mut valid) =
@@ -655,8 +689,7 @@ impl MatrixReader {
             variances = rest;
             parts.push(Part { rows, response: response_here, variance: variance_here, valid: valid_here });
         }
-        parts.into_par_iter().try_for_each(|part| self.read_part(part))?;
-        Ok(block)
+        parts.into_par_iter().try_for_each(|part| self.read_part(part))
     }
 
     fn read_part(&self, part: Part<'_>) -> Result<()> {
@@ -676,7 +709,10 @@ impl MatrixReader {
             checked.map_err(|reason| Error::BrokenMatrix { path: self.path.clone(), reason })?;
         }
         if self.layout.stored != self.layout.window {
+            // Nothing is read there.
             response.fill(f32::NAN);
+            variance.fill(0.0);
+            valid.fill(0);
         }
         let (a, b) = rayon::join(
             || self.response.read(rows.clone(), &self.layout, response).map_err(|e| unread("response", e)),
@@ -684,7 +720,10 @@ impl MatrixReader {
                 Some(array) if !variance.is_empty() => {
                     array.read(rows.clone(), &self.layout, variance).map_err(|e| unread("variance", e))
                 }
-                _ => Ok(()),
+                _ => {
+                    variance.fill(0.0);
+                    Ok(())
+                }
             },
         );
         a.and(b)?;

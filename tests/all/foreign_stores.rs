@@ -87,7 +87,7 @@ fn all(reader: &MatrixReader) -> RowBlock {
         }
     }
     let mut blocks = Vec::new();
-    let keep = |block: acquire::transport::RowBlock| {
+    let keep = |block: &acquire::transport::RowBlock| {
         blocks.extend(block.response);
         Ok(())
     };

@@ -211,7 +211,7 @@ fn rounding_of_coefficients_adds_the_square_of_the_polynomial_that_it_changes_th
     assert!((basis.rounded(&exact, &rounded) / expected - 1.0).abs() < 1e-10, "{expected}");
     // A third of the square of half a unit in the last place of 1, for every sample.
     let half_unit = f64::from(f32::EPSILON) / 2.0;
-    assert!((basis.ridge() / (50.0 * half_unit * half_unit / 3.0) - 1.0).abs() < 1e-14);
+    assert!((PolynomialBasis::ridge_of(50) / (50.0 * half_unit * half_unit / 3.0) - 1.0).abs() < 1e-14);
 }
 
 /// Arguments of which all are within `width` of −1, where Legendre polynomials hardly differ.
