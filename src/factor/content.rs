@@ -1,7 +1,8 @@
 //! What of a matrix's rows is factored, as it stands in the store.
 
 use crate::transport::RowBlock;
-use crate::transport::rows::{RowView, intensity_into};
+use crate::transport::rows::{RowView, intensity_into, is_complete};
+use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 /// What of the matrix is factored.
@@ -36,12 +37,11 @@ impl Content {
     /// everywhere.
     pub(super) fn extract(self, row: RowView<'_>, scale: f64, out: &mut [f32]) -> Option<Box<[bool]>> {
         let samples = row.valid.len() / 3;
-        let complete = row.valid.iter().all(|&v| v != 0);
+        let complete = is_complete(row.valid);
         if self == Self::Channels {
-            for (c, plane) in out.chunks_exact_mut(samples.max(1)).enumerate() {
-                let values = row.response.iter().skip(c).step_by(3);
-                plane.iter_mut().zip(values).for_each(|(o, &v)| *o = (f64::from(v) / scale) as f32);
-            }
+            let (r, rest) = out.split_at_mut(samples);
+            let (g, b) = rest.split_at_mut(samples);
+            Arch::new().dispatch(Planes { response: row.response, over: 1.0 / scale, planes: [r, g, b] });
         } else {
             intensity_into(row, scale, out);
         }
@@ -56,6 +56,26 @@ impl Content {
         let measured: Box<[bool]> = planes.map(|(p, k)| measured(p, k)).collect();
         out.iter_mut().zip(&measured).filter(|(_, m)| !**m).for_each(|(o, _)| *o = 0.0);
         Some(measured)
+    }
+}
+
+/// Channels side by side to planes one after the other.
+struct Planes<'a> {
+    response: &'a [f32],
+    over: f64,
+    planes: [&'a mut [f32]; 3],
+}
+
+impl NullaryFnOnce for Planes<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { response, over, planes: [r, g, b] } = self;
+        let planes = r.iter_mut().zip(g.iter_mut()).zip(b.iter_mut());
+        for (((r, g), b), rgb) in planes.zip(response.as_chunks::<3>().0) {
+            [*r, *g, *b] = rgb.map(|v| (f64::from(v) * over) as f32);
+        }
     }
 }
 

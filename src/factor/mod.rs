@@ -11,6 +11,7 @@ mod color;
 mod content;
 mod entry_exit;
 mod fill;
+mod independent;
 mod moments;
 mod noise;
 mod nonnegative;

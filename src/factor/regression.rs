@@ -6,7 +6,7 @@ use super::vector;
 use crate::Result;
 use crate::material::{Material, Responses, legendre};
 use crate::progress::Progress;
-use crate::transport::rows::RowView;
+use crate::transport::rows::{RowView, is_complete};
 use crate::transport::{MatrixReader, RowBlock};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -30,7 +30,7 @@ fn channels(material: &Material, index: usize, intensity: &[f64], row: RowView<'
     let shift = material.shift.get(index).copied().unwrap_or_default();
     let layout = material.header.layout();
     let n = row.valid.len() / 3;
-    let complete = row.valid.iter().fold(true, |all, &v| all & (v != 0));
+    let complete = is_complete(row.valid);
     let mut out: [Channel; 3] = std::array::from_fn(|_| Channel {
         at: Vec::with_capacity(n),
         arguments: Vec::with_capacity(n),

@@ -2,12 +2,13 @@
 
 use super::content::{Content, RawRows};
 use super::fill::extend_edges;
-use super::noise::{NoiseSums, independent};
+use super::independent::independent;
+use super::noise::NoiseSums;
 use super::{Misfit, vector};
 use crate::material::Layout;
 use crate::progress::Progress;
 use crate::transport::normalize::{Placement, layout, place};
-use crate::transport::rows::RowView;
+use crate::transport::rows::{RowView, is_complete};
 use crate::transport::{MatrixReader, RowBlock};
 use crate::{FactorWarning, Result};
 use rayon::prelude::*;
@@ -239,7 +240,10 @@ impl Sums {
     ) {
         let row = block.view(k);
         // What was not measured is zero, and adds nothing.
-        self.entries += row.valid.iter().map(|&v| u64::from(v)).sum::<u64>();
+        self.entries += match is_complete(row.valid) {
+            true => row.valid.len() as u64,
+            false => row.valid.iter().map(|&v| u64::from(v)).sum(),
+        };
         let (energy, peak) = vector::energy_and_peak(row.response);
         (self.energy, self.peak) = (self.energy + energy, self.peak.max(peak));
         if content == Content::Grey {
@@ -253,19 +257,15 @@ impl Sums {
         }
         self.live += 1;
         let row_noise = independent(row, content, scale(content, Some(placement)), self.layout.window, sd_px);
-        noise.rows.push(row_noise.iter().sum());
+        noise.rows.push(vector::sum(&row_noise));
         let values = &raw.values[k * planes * window..(k + 1) * planes * window];
         let measured = raw.measured[k].as_deref();
         for p in 0..planes {
             self.layout.for_each_line(placement.shift, |w, e, n| {
                 let (from, to) = (p * window + w, p * samples + e);
-                let sums = self.value[to..to + n].iter_mut().zip(&mut self.noise[to..to + n]);
-                let row = values[from..from + n].iter().zip(&row_noise[from..from + n]);
                 // Both are zero where nothing was measured.
-                sums.zip(row).for_each(|((value, noise), (&v, &s))| {
-                    *value += f64::from(v);
-                    *noise += s;
-                });
+                vector::add_wide(&mut self.value[to..to + n], &values[from..from + n]);
+                vector::add(&mut self.noise[to..to + n], &row_noise[from..from + n]);
                 let counts = self.count[to..to + n].iter_mut();
                 match measured {
                     None => counts.for_each(|c| *c += 1),

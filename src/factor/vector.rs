@@ -44,6 +44,67 @@ pub(super) fn dot_in(a: &[f64], b: &[f64]) -> f64 {
     sum
 }
 
+/// Σ v.
+pub(super) fn sum(values: &[f64]) -> f64 {
+    Arch::new().dispatch(Sum(values))
+}
+
+struct Sum<'a>(&'a [f64]);
+
+impl NullaryFnOnce for Sum<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        sum_in(self.0)
+    }
+}
+
+/// Σ v inside a dispatched function.
+#[inline(always)]
+pub(super) fn sum_in(values: &[f64]) -> f64 {
+    let (parts, rest) = values.as_chunks::<LANES>();
+    let mut lanes = [0.0; LANES];
+    for part in parts {
+        for k in 0..LANES {
+            lanes[k] += part[k];
+        }
+    }
+    lanes.iter().chain(rest).sum()
+}
+
+/// y ← y + x.
+pub(super) fn add(y: &mut [f64], x: &[f64]) {
+    Arch::new().dispatch(Add(y, x));
+}
+
+struct Add<'a>(&'a mut [f64], &'a [f64]);
+
+impl NullaryFnOnce for Add<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.0.iter_mut().zip(self.1).for_each(|(y, x)| *y += x);
+    }
+}
+
+/// y ← y + x of f32.
+pub(super) fn add_wide(y: &mut [f64], x: &[f32]) {
+    Arch::new().dispatch(AddWide(y, x));
+}
+
+struct AddWide<'a>(&'a mut [f64], &'a [f32]);
+
+impl NullaryFnOnce for AddWide<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.0.iter_mut().zip(self.1).for_each(|(y, &x)| *y += f64::from(x));
+    }
+}
+
 struct EnergyAndPeak<'a>(&'a [f32]);
 
 impl NullaryFnOnce for EnergyAndPeak<'_> {
@@ -164,6 +225,19 @@ mod tests {
                 naive += a[k] * b[k];
             }
             assert_eq!(dot(&a, &b), naive, "{n} entries");
+        }
+    }
+
+    #[test]
+    fn sums_have_every_entry_once_whatever_the_length() {
+        for n in [0, 1, 15, 16, 17, 47] {
+            let (mut a, b) = numbers(n);
+            assert_eq!(sum(&a), a.iter().sum::<f64>(), "{n} entries");
+            let both: Vec<f64> = a.iter().zip(&b).map(|(a, b)| a + b).collect();
+            add(&mut a, &b);
+            assert_eq!(a, both);
+            add_wide(&mut a, &b.iter().map(|&b| b as f32).collect::<Vec<f32>>());
+            assert!((0..n).all(|k| a[k] == both[k] + b[k]));
         }
     }
 

@@ -7,6 +7,7 @@
 
 use super::rows::{RowView, intensity};
 use acquire_material::Layout;
+use pulp::{Arch, NullaryFnOnce};
 
 /// How many standard deviations a sample must exceed the centre by to be taken for the peak.
 ///
@@ -36,11 +37,23 @@ pub fn place(row: RowView<'_>, window: [usize; 2], limit: [usize; 2]) -> Placeme
     let offset = |k: usize| [(k % window[0]) as i64 - centre[0] as i64, (k / window[0]) as i64 - centre[1] as i64];
     let within = |k: &usize| (0..2).all(|a| offset(*k)[a].unsigned_abs() <= limit[a] as u64);
     let far = |k: usize| offset(k).iter().map(|o| o * o).sum::<i64>();
-    let brighter = |a: usize, b: usize| values[a] > values[b] || (values[a] == values[b] && far(a) < far(b));
-    let best = |a: usize, b: usize| if brighter(b, a) { b } else { a };
-
-    let candidates = || (0..values.len()).filter(|&k| measured[k]);
-    let Some(largest) = candidates().reduce(best) else { return Placement::default() };
+    // The brightest of the samples within so many of the centre.
+    let brightest = |reach: [usize; 2]| {
+        let range = |a: usize| centre[a].saturating_sub(reach[a])..(centre[a].saturating_add(reach[a]) + 1).min(window[a]);
+        let line = |y: usize| {
+            let at = range(0).start + y * window[0];
+            (at, &values[at..at + range(0).len()], &measured[at..at + range(0).len()])
+        };
+        let most = |y: usize| Arch::new().dispatch(Largest { values: line(y).1, measured: line(y).2 });
+        let of_lines: Vec<f64> = range(1).map(most).collect();
+        let largest = of_lines.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let bright = range(1).zip(&of_lines).filter(|(_, v)| **v == largest).flat_map(|(y, _)| {
+            let (at, values, measured) = line(y);
+            (0..values.len()).filter(move |&x| measured[x] && values[x] == largest).map(move |x| at + x)
+        });
+        bright.min_by_key(|&k| far(k))
+    };
+    let Some(largest) = brightest(window) else { return Placement::default() };
     if values[largest] <= 0.0 {
         return Placement::default();
     }
@@ -49,13 +62,34 @@ pub fn place(row: RowView<'_>, window: [usize; 2], limit: [usize; 2]) -> Placeme
     let exceeds =
         |k: usize, m: usize| values[k] - values[m] > PEAK_SIGMAS * (variance(k) + variance(m)).max(0.0).sqrt();
     let mut placement = Placement { scale: values[largest], ..Default::default() };
-    if let Some(peak) = candidates().filter(within).reduce(best).filter(|_| measured[middle]) {
+    if let Some(peak) = brightest(limit).filter(|_| measured[middle]) {
         if peak != middle && exceeds(peak, middle) {
             placement.shift = offset(peak).map(|o| o as i16);
         }
         placement.limited = limit != [0, 0] && !within(&largest) && exceeds(largest, peak);
     }
     placement
+}
+
+/// The largest measured value, −∞ when there is none.
+struct Largest<'a> {
+    values: &'a [f64],
+    measured: &'a [bool],
+}
+
+impl NullaryFnOnce for Largest<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        let mut lanes = [f64::NEG_INFINITY; 8];
+        for (values, measured) in self.values.chunks(8).zip(self.measured.chunks(8)) {
+            for ((lane, &v), &m) in lanes.iter_mut().zip(values).zip(measured) {
+                *lane = if m && v > *lane { v } else { *lane };
+            }
+        }
+        lanes.into_iter().fold(f64::NEG_INFINITY, f64::max)
+    }
 }
 
 /// The common window for rows with these placements.

@@ -2,6 +2,7 @@
 
 use super::{MatrixReader, RowBlock};
 use crate::Result;
+use pulp::{Arch, NullaryFnOnce};
 use std::ops::Range;
 
 /// About how many bytes a block of rows may take in memory, decoded: enough for the cores to share and for products to
@@ -73,18 +74,60 @@ impl MatrixReader {
     }
 }
 
+/// Whether all of a row was measured.
+pub fn is_complete(valid: &[u8]) -> bool {
+    // Without a way out of the inner loop it is a matter of vector instructions.
+    valid.chunks(1024).all(|part| part.iter().fold(true, |all, &v| all & (v != 0)))
+}
+
 /// Intensity of one row: the mean of its three channels, and where it was measured (all three were).
 pub fn intensity(row: RowView<'_>) -> (Vec<f64>, Vec<bool>) {
-    let value = |rgb: &[f32]| rgb.iter().map(|&v| f64::from(v)).sum::<f64>() / 3.0;
+    let mut values = vec![0.0; row.valid.len() / 3];
+    Arch::new().dispatch(Means { response: row.response, out: &mut values });
+    if is_complete(row.valid) {
+        let measured = vec![true; values.len()];
+        return (values, measured);
+    }
     let measured: Vec<bool> = row.valid.chunks_exact(3).map(|v| v.iter().all(|&v| v != 0)).collect();
-    let values = row.response.chunks_exact(3).zip(&measured).map(|(rgb, &m)| if m { value(rgb) } else { 0.0 });
-    (values.collect(), measured)
+    values.iter_mut().zip(&measured).filter(|(_, m)| !**m).for_each(|(v, _)| *v = 0.0);
+    (values, measured)
+}
+
+struct Means<'a> {
+    response: &'a [f32],
+    out: &'a mut [f64],
+}
+
+impl NullaryFnOnce for Means<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        for (out, rgb) in self.out.iter_mut().zip(self.response.as_chunks::<3>().0) {
+            *out = (f64::from(rgb[0]) + f64::from(rgb[1]) + f64::from(rgb[2])) / 3.0;
+        }
+    }
 }
 
 /// Intensity of one row over `scale`; whatever it has where it was not measured.
 pub fn intensity_into(row: RowView<'_>, scale: f64, out: &mut [f32]) {
-    for (o, rgb) in out.iter_mut().zip(row.response.as_chunks::<3>().0) {
-        *o = ((f64::from(rgb[0]) + f64::from(rgb[1]) + f64::from(rgb[2])) / 3.0 / scale) as f32;
+    Arch::new().dispatch(ScaledMeans { response: row.response, over: 1.0 / scale, out });
+}
+
+struct ScaledMeans<'a> {
+    response: &'a [f32],
+    over: f64,
+    out: &'a mut [f32],
+}
+
+impl NullaryFnOnce for ScaledMeans<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        for (out, rgb) in self.out.iter_mut().zip(self.response.as_chunks::<3>().0) {
+            *out = ((f64::from(rgb[0]) + f64::from(rgb[1]) + f64::from(rgb[2])) / 3.0 * self.over) as f32;
+        }
     }
 }
 

@@ -466,8 +466,11 @@ fn chunks(header: &MatrixHeader) -> impl Iterator<Item = std::ops::Range<usize>>
 
 fn chunk_rows(header: &MatrixHeader) -> usize {
     let most = (CHUNK_BYTES / (4 * header.row_len())).clamp(1, header.points[0]);
-    // Equal chunks along a line: the last one is padded to the size of the others.
-    header.points[0].div_ceil(header.points[0].div_ceil(most))
+    let nx = header.points[0];
+    // Equal chunks along a line, of at least half as many rows as may be; else the last one is padded to the size of
+    // the others.
+    let equal = (most.div_ceil(2)..=most).rev().find(|&n| nx.is_multiple_of(n));
+    equal.unwrap_or(nx.div_ceil(nx.div_ceil(most)))
 }
 
 /// The part of a row array that holds `rows`, all of one y_i.

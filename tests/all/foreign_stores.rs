@@ -88,7 +88,7 @@ fn all(reader: &MatrixReader) -> RowBlock {
     }
     let mut blocks = Vec::new();
     let keep = |block: &acquire::transport::RowBlock| {
-        blocks.extend(block.response);
+        blocks.extend_from_slice(&block.response);
         Ok(())
     };
     reader.for_each_block(keep).unwrap();
