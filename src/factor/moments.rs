@@ -6,8 +6,8 @@
 //! there is no fit, and the row goes the other way.
 
 use super::color::{Fit, MOST, PolynomialBasis};
-use super::vector::{dot_in, sum_in};
 use crate::cholesky::Cholesky;
+use crate::material::legendre::argument;
 use pulp::{Arch, NullaryFnOnce};
 
 /// A pivot is at least this share of its diagonal: 1e-16 over it is a hundredth of what rounding to f32 changes.
@@ -15,19 +15,23 @@ const PIVOT: f64 = 1e-7;
 /// The error left is at least this share of the energy: the difference of sums that are right to 1e-15 tells it to a
 /// thousandth.
 const ERROR: f64 = 1e-12;
-/// Samples that are worked on at a time: three polynomials and the channels at those stay in the nearest cache.
+/// Samples that are worked on at a time: three polynomials and the channels there stay in the nearest cache.
 const TILE: usize = 256;
 /// 2P + 1 at the most.
 const SUMS: usize = 2 * MOST - 1;
 
+/// Parts of a sum, one for each of so many neighbours; a single one would wait for each addition.
+const LANES: usize = 16;
+type Lanes = [f64; LANES];
+
 /// Sums of one row.
 struct Moments {
     /// Σ L_k(u).
-    of_basis: [f64; SUMS],
+    of_basis: [Lanes; SUMS],
     /// Σ L_p(u) y of every channel.
-    along: [[f64; MOST]; 3],
+    along: [[Lanes; MOST]; 3],
     /// Σ y².
-    energy: [f64; 3],
+    energy: [Lanes; 3],
     samples: usize,
 }
 
@@ -45,16 +49,18 @@ impl MomentFits {
         Self { degree, products: lower.map(|(a, b)| product(a, b)).collect() }
     }
 
-    /// The same as [`PolynomialBasis::fit`] of every channel, at arguments that they share; `None` where these sums do
-    /// not tell it well enough.
-    pub(super) fn fit(&self, arguments: &[f64], channels: [&[f64]; 3]) -> Option<[Fit; 3]> {
-        let moments = Arch::new().dispatch(Sum { arguments, channels, degree: self.degree });
+    /// The same as [`PolynomialBasis::fit`] of every channel of a row that was measured everywhere; `None` where these
+    /// sums do not tell it well enough.
+    pub(super) fn fit(&self, row: &CompleteRow<'_>) -> Option<[Fit; 3]> {
+        let moments = Arch::new().dispatch(Sum { row, degree: self.degree });
         let n = self.degree + 1;
+        let total = |lanes: &Lanes| lanes.iter().sum::<f64>();
+        let of_basis: Vec<f64> = moments.of_basis.iter().map(total).collect();
         let mut gram = vec![0.0; n * n];
         let mut products = self.products.iter();
         for a in 0..n {
             for (b, product) in (0..=a).zip(&mut products) {
-                let sums = (0..=b).map(|r| product[r] * moments.of_basis[a + b - 2 * r]);
+                let sums = (0..=b).map(|r| product[r] * of_basis[a + b - 2 * r]);
                 gram[a * n + b] = sums.sum::<f64>();
             }
         }
@@ -62,7 +68,8 @@ impl MomentFits {
         (0..n).for_each(|a| normal[a * n + a] += PolynomialBasis::ridge_of(moments.samples));
         let cholesky = Cholesky::strict(normal, n, PIVOT)?;
         let fit = |c: usize| {
-            let mut exact = moments.along[c][..n].to_vec();
+            let along: Vec<f64> = moments.along[c][..n].iter().map(total).collect();
+            let mut exact = along.clone();
             if !cholesky.solve(&mut exact) {
                 return None;
             }
@@ -75,8 +82,9 @@ impl MomentFits {
                     rounded[a] * (below + gram[a * n + a] * rounded[a])
                 })
                 .sum();
-            let linear: f64 = rounded.iter().zip(&moments.along[c]).map(|(r, b)| r * b).sum();
-            let (energy, error) = (moments.energy[c], moments.energy[c] - 2.0 * linear + quadratic);
+            let linear: f64 = rounded.iter().zip(&along).map(|(r, b)| r * b).sum();
+            let energy = total(&moments.energy[c]);
+            let error = energy - 2.0 * linear + quadratic;
             (error > ERROR * energy.max(quadratic)).then_some(Fit { coefficients, error, energy })
         };
         Some([fit(0)?, fit(1)?, fit(2)?])
@@ -91,9 +99,26 @@ fn product(a: usize, b: usize) -> Vec<f64> {
     (0..=b).map(|r| odd(r) * odd(a - r) * odd(b - r) / odd(a + b - r) * share(r)).collect()
 }
 
+/// A row, and the intensity of its terms, of which it is a polynomial.
+pub(super) struct CompleteRow<'a> {
+    /// Lines of the window: where each begins in the row, and in the intensity, and its length.
+    pub lines: &'a [(usize, usize, usize)],
+    /// R_d, mm⁻².
+    pub response: &'a [[f32; 3]],
+    pub intensity: &'a [f64],
+    /// What becomes −1 and 1.
+    pub interval: [f64; 2],
+}
+
+/// Some samples.
+struct Tile {
+    arguments: [f64; TILE],
+    channels: [[f64; TILE]; 3],
+    samples: usize,
+}
+
 struct Sum<'a> {
-    arguments: &'a [f64],
-    channels: [&'a [f64]; 3],
+    row: &'a CompleteRow<'a>,
     degree: usize,
 }
 
@@ -102,66 +127,107 @@ impl NullaryFnOnce for Sum<'_> {
 
     #[inline(always)]
     fn call(self) -> Moments {
-        let Self { arguments, channels, degree } = self;
-        let mut out =
-            Moments { of_basis: [0.0; SUMS], along: [[0.0; MOST]; 3], energy: [0.0; 3], samples: arguments.len() };
-        // L_k and the two before it, over a tile.
-        let mut legendre = [[0.0; TILE]; 3];
-        for first in (0..arguments.len()).step_by(TILE) {
-            let n = TILE.min(arguments.len() - first);
-            let u = &arguments[first..first + n];
-            let y = channels.map(|c| &c[first..first + n]);
-            for c in 0..3 {
-                out.energy[c] += dot_in(y[c], y[c]);
-            }
-            for k in 0..=2 * degree {
-                let [now, last, before] = &mut legendre;
-                match k {
-                    0 => now.fill(1.0),
-                    1 => now[..n].copy_from_slice(u),
-                    _ => {
-                        let (a, b) = ((2 * k - 1) as f64 / k as f64, (k - 1) as f64 / k as f64);
-                        for (((now, u), last), before) in now[..n].iter_mut().zip(u).zip(&*last).zip(&*before) {
-                            *now = a * u * last - b * before;
-                        }
-                    }
+        let Self { row, degree } = self;
+        let none = [0.0; LANES];
+        let mut out = Moments { of_basis: [none; SUMS], along: [[none; MOST]; 3], energy: [none; 3], samples: 0 };
+        let mut tile = Tile { arguments: [0.0; TILE], channels: [[0.0; TILE]; 3], samples: 0 };
+        for &(at, of_intensity, length) in row.lines {
+            let mut done = 0;
+            while done < length {
+                let n = (length - done).min(TILE - tile.samples);
+                let (intensity, response) = (&row.intensity[of_intensity + done..][..n], &row.response[at + done..][..n]);
+                tile.take(intensity, response, row.interval);
+                done += n;
+                if tile.samples == TILE {
+                    out.add(&tile, degree);
+                    tile.samples = 0;
                 }
-                if k <= degree {
-                    let sums = four_sums(&now[..n], y);
-                    out.of_basis[k] += sums[3];
-                    (0..3).for_each(|c| out.along[c][k] += sums[c]);
-                } else {
-                    out.of_basis[k] += sum_in(&now[..n]);
-                }
-                legendre.rotate_right(1);
             }
         }
+        out.add(&tile, degree);
         out
     }
 }
 
-/// Lanes of the sums.
-const LANES: usize = 8;
+impl Tile {
+    #[inline(always)]
+    fn take(&mut self, intensity: &[f64], response: &[[f32; 3]], [low, high]: [f64; 2]) {
+        let (first, n) = (self.samples, intensity.len());
+        for (to, &v) in self.arguments[first..first + n].iter_mut().zip(intensity) {
+            *to = argument(v, low, high);
+        }
+        let [r, g, b] = self.channels.each_mut().map(|c| &mut c[first..first + n]);
+        for ((rgb, r), (g, b)) in response.iter().zip(r).zip(g.iter_mut().zip(b)) {
+            (*r, *g, *b) = (f64::from(rgb[0]), f64::from(rgb[1]), f64::from(rgb[2]));
+        }
+        self.samples += n;
+    }
+}
 
-/// Σ l y of each channel, and Σ l.
-#[inline(always)]
-fn four_sums(l: &[f64], [r, g, b]: [&[f64]; 3]) -> [f64; 4] {
-    let (parts, rest) = l.as_chunks::<LANES>();
-    let [r, g, b] = [r, g, b].map(|y| y.as_chunks::<LANES>());
-    let mut lanes = [[0.0; LANES]; 4];
-    for (((l, r), g), b) in parts.iter().zip(r.0).zip(g.0).zip(b.0) {
-        for k in 0..LANES {
-            lanes[0][k] += l[k] * r[k];
-            lanes[1][k] += l[k] * g[k];
-            lanes[2][k] += l[k] * b[k];
-            lanes[3][k] += l[k];
+impl Moments {
+    #[inline(always)]
+    fn add(&mut self, tile: &Tile, degree: usize) {
+        let n = tile.samples;
+        self.samples += n;
+        let (u, y) = (&tile.arguments[..n], tile.channels.each_ref().map(|c| &c[..n]));
+        for c in 0..3 {
+            add_products(&mut self.energy[c], y[c], y[c]);
+        }
+        // L_k and the two before it.
+        let mut legendre = [[0.0; TILE]; 3];
+        for k in 0..=2 * degree {
+            // Each takes the place of the one that is no longer needed.
+            let [a, b, c] = &mut legendre;
+            let (now, last, before) = match k % 3 {
+                0 => (a, &*c, &*b),
+                1 => (b, &*a, &*c),
+                _ => (c, &*b, &*a),
+            };
+            match k {
+                0 => now.fill(1.0),
+                1 => now[..n].copy_from_slice(u),
+                _ => {
+                    let (a, b) = ((2 * k - 1) as f64 / k as f64, (k - 1) as f64 / k as f64);
+                    for (((now, u), last), before) in now[..n].iter_mut().zip(u).zip(last).zip(before) {
+                        *now = a * u * last - b * before;
+                    }
+                }
+            }
+            add_all(&mut self.of_basis[k], &now[..n]);
+            if k <= degree {
+                // A closure would be compiled without the vector instructions.
+                for c in 0..3 {
+                    add_products(&mut self.along[c][k], &now[..n], y[c]);
+                }
+            }
         }
     }
-    let mut sums = lanes.map(|lanes| lanes.iter().sum::<f64>());
-    for (((l, r), g), b) in rest.iter().zip(r.1).zip(g.1).zip(b.1) {
-        sums = [sums[0] + l * r, sums[1] + l * g, sums[2] + l * b, sums[3] + l];
+}
+
+#[inline(always)]
+fn add_products(sum: &mut Lanes, a: &[f64], b: &[f64]) {
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    let mut lanes = *sum;
+    for (a, b) in a.iter().zip(b) {
+        for k in 0..LANES {
+            lanes[k] += a[k] * b[k];
+        }
     }
-    sums
+    lanes.iter_mut().zip(a_rest).zip(b_rest).for_each(|((lane, a), b)| *lane += a * b);
+    *sum = lanes;
+}
+
+#[inline(always)]
+fn add_all(sum: &mut Lanes, values: &[f64]) {
+    let (parts, rest) = values.as_chunks::<LANES>();
+    let mut lanes = *sum;
+    for part in parts {
+        for k in 0..LANES {
+            lanes[k] += part[k];
+        }
+    }
+    lanes.iter_mut().zip(rest).for_each(|(lane, v)| *lane += v);
+    *sum = lanes;
 }
 
 #[cfg(test)]
@@ -182,51 +248,71 @@ mod tests {
         }
     }
 
-    fn row(samples: usize, steep: f64) -> (Vec<f64>, [Vec<f64>; 3]) {
-        let u: Vec<f64> = (0..samples).map(|i| 2.0 * (-steep * i as f64 / samples as f64).exp() - 1.0).collect();
-        let value = |c: usize, i: usize| (1.0 + 0.5 * c as f64) * (1.5 + u[i]).powf(1.3) + 1e-3 * ((i * i) as f64).sin();
-        let channels = [0, 1, 2].map(|c| (0..samples).map(|i| value(c, i)).collect());
-        (u, channels)
+    /// A row of three lines, its intensities, and its samples as the orthonormal basis takes them.
+    struct Made {
+        lines: Vec<(usize, usize, usize)>,
+        response: Vec<[f32; 3]>,
+        intensity: Vec<f64>,
+        arguments: Vec<f64>,
+        channels: [Vec<f64>; 3],
+    }
+
+    const INTERVAL: [f64; 2] = [0.0, 2.0];
+
+    /// `left` samples at the end of each line lie outside of the common window; intensities lie two further there.
+    fn row(width: usize, left: usize, of: impl Fn(f64) -> f64) -> Made {
+        let lines: Vec<_> = (0..3).map(|y| (y * width, y * (width + 2) + 1, width - left)).collect();
+        let at = |k: usize| of((k % width) as f64 / width as f64 + (k / width) as f64 / (3 * width) as f64);
+        let value = |k: usize, c: usize| {
+            ((1.0 + 0.5 * c as f64) * (0.5 + at(k)).powf(1.3) + 1e-3 * ((k * k) as f64).sin()) as f32
+        };
+        let response: Vec<[f32; 3]> = (0..3 * width).map(|k| [0, 1, 2].map(|c| value(k, c))).collect();
+        let mut intensity = vec![f64::NAN; 3 * (width + 2)];
+        let inside = || lines.iter().flat_map(|&(k, e, n)| (0..n).map(move |x| (k + x, e + x)));
+        inside().for_each(|(k, e)| intensity[e] = at(k));
+        let arguments = inside().map(|(k, _)| at(k) - 1.0).collect();
+        let channels = [0, 1, 2].map(|c| inside().map(|(k, _)| f64::from(response[k][c])).collect());
+        Made { lines, response, intensity, arguments, channels }
+    }
+
+    impl Made {
+        fn fit(&self, degree: usize) -> Option<[Fit; 3]> {
+            let Self { lines, response, intensity, .. } = self;
+            MomentFits::new(degree).fit(&CompleteRow { lines, response, intensity, interval: INTERVAL })
+        }
     }
 
     #[test]
     fn fits_are_those_of_the_orthonormal_basis_where_there_is_one() {
-        let mut made = 0;
-        for (samples, steep, degree) in [(741, 2.0, 7), (257, 0.5, 3), (13, 1.0, 2), (1000, 4.0, 5), (40, 1.0, 0)] {
-            let (u, channels) = row(samples, steep);
-            let basis = PolynomialBasis::new(&u, degree);
-            let Some(fits) = MomentFits::new(degree).fit(&u, [&channels[0], &channels[1], &channels[2]]) else {
-                continue;
-            };
-            made += 1;
-            for (fit, values) in fits.iter().zip(&channels) {
+        for (width, left, steep, degree) in [(247, 0, 2.0, 7), (85, 3, 0.5, 3), (9, 1, 1.0, 2), (300, 0, 4.0, 5), (13, 2, 1.0, 0)] {
+            let row = row(width, left, |x| 2.0 * (-steep * x).exp());
+            let basis = PolynomialBasis::new(&row.arguments, degree);
+            for (fit, values) in row.fit(degree).unwrap().iter().zip(&row.channels) {
                 let other = basis.fit(values, degree);
                 let largest = other.coefficients.iter().fold(0.0_f32, |a, c| a.max(c.abs()));
                 for (a, b) in fit.coefficients.iter().zip(&other.coefficients) {
                     // A unit of f32 in the largest.
-                    assert!((a - b).abs() <= 1.2e-7 * largest, "{samples} {steep} {degree}: {a} {b}");
+                    assert!((a - b).abs() <= 1.2e-7 * largest, "{width} {steep} {degree}: {a} {b}");
                 }
                 assert!((fit.energy / other.energy - 1.0).abs() < 1e-13);
                 // Rounded coefficients may be neighbours.
                 assert!((fit.error / other.error - 1.0).abs() < 1e-3, "{} {}", fit.error, other.error);
             }
         }
-        assert_eq!(made, 5);
     }
 
     #[test]
     fn rows_that_sums_do_not_tell_are_left_to_the_other_way() {
-        let fits = |u: &[f64], y: &[f64], degree| MomentFits::new(degree).fit(u, [y, y, y]).is_some();
-        let (u, [y, ..]) = row(500, 1.0);
-        let close: Vec<f64> = u.iter().map(|u| 0.5 + 0.1 * u).collect();
-        assert!(!fits(&close, &y, 7), "arguments close together");
-        assert!(!fits(&[0.5; 9], &[2.0; 9], 1), "one argument");
-        let (u, _) = row(500, 1.0);
-        assert!(!fits(&u, &u, 2), "an error of rounding alone");
-        assert!(!fits(&u, &vec![0.0; 500], 2), "nothing");
-        assert!(!fits(&[], &[], 2), "no sample");
-        let mut bad = u.clone();
-        bad[3] = f64::NAN;
-        assert!(!fits(&u, &bad, 2), "no number");
+        assert!(row(170, 0, |x| 1.0 + 0.1 * x).fit(7).is_none(), "arguments close together");
+        assert!(row(3, 0, |_| 0.5).fit(1).is_none(), "one argument");
+        let good = || row(170, 0, |x| 2.0 * (-x).exp());
+        assert!(good().fit(2).is_some());
+        let linear = good().intensity.iter().filter(|v| v.is_finite()).map(|&v| [v as f32; 3]).collect();
+        assert!(Made { response: linear, ..good() }.fit(2).is_none(), "an error of rounding alone");
+        assert!(Made { response: vec![[0.0; 3]; 510], ..good() }.fit(2).is_none(), "nothing");
+        assert!(Made { lines: Vec::new(), ..good() }.fit(2).is_none(), "no sample");
+        let mut bad = good();
+        bad.response[3][1] = f32::NAN;
+        assert!(bad.fit(2).is_none(), "no number");
     }
 }

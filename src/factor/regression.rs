@@ -1,7 +1,7 @@
 //! Colour polynomials of a whole matrix: the paper's second half (`Kurt2013`, eqs. (2)–(4)).
 
 use super::color::{Fit, PolynomialBasis};
-use super::moments::MomentFits;
+use super::moments::{CompleteRow, MomentFits};
 use super::vector;
 use crate::Result;
 use crate::material::{Material, Responses, legendre};
@@ -38,26 +38,16 @@ fn channels(material: &Material, index: usize, intensity: &[f64], row: RowView<'
     });
     let argument = |v: f64| legendre::argument(v, low, high);
     if complete {
-        let [first, second, third] = &mut out;
-        let mut lines = Vec::with_capacity(layout.window[1]);
-        layout.for_each_line(shift, |k, e, len| lines.push((k, e, len)));
-        let inside = lines.iter().map(|(.., len)| len).sum();
-        first.arguments.resize(inside, 0.0);
-        let values = [&mut first.values, &mut second.values, &mut third.values];
-        let [mut r, mut g, mut b] = values.map(|v| {
-            v.resize(inside, 0.0);
-            v.as_mut_slice()
-        });
-        let (response, mut arguments) = (row.response.as_chunks::<3>().0, first.arguments.as_mut_slice());
-        for (k, e, len) in lines {
+        let [first, ..] = &mut out;
+        layout.for_each_line(shift, |k, e, len| {
             first.at.extend(k..k + len);
-            let [to, r, g, b] = [&mut arguments, &mut r, &mut g, &mut b].map(|rest| {
-                let (to, others) = std::mem::take(rest).split_at_mut(len);
-                *rest = others;
-                to
+            first.arguments.extend(intensity[e..e + len].iter().map(|&v| argument(v)));
+        });
+        for (c, channel) in out.iter_mut().enumerate() {
+            layout.for_each_line(shift, |k, _, len| {
+                let values = row.response[3 * k..3 * (k + len)].as_chunks::<3>().0;
+                channel.values.extend(values.iter().map(|rgb| f64::from(rgb[c])));
             });
-            vector::arguments(&intensity[e..e + len], [low, high], to);
-            vector::split_channels(&response[k..k + len], [r, g, b]);
         }
         return out;
     }
@@ -91,11 +81,22 @@ pub(super) fn with_bases(
     }
 }
 
-/// Fits of a row whose channels share their samples, from sums over them, where that is as good.
-fn of_sums(quick: &MomentFits, channels: &[Channel; 3]) -> Option<[Fit; 3]> {
-    let [first, others @ ..] = channels;
-    let shared = others.iter().all(|c| c.at.is_empty() && c.values.len() == first.values.len());
-    shared.then(|| quick.fit(&first.arguments, channels.each_ref().map(|c| c.values.as_slice())))?
+/// Fits of a row that was measured everywhere, from sums over it, where that is as good.
+fn of_sums(
+    quick: &MomentFits,
+    material: &Material,
+    index: usize,
+    intensity: &[f64],
+    row: RowView<'_>,
+) -> Option<[Fit; 3]> {
+    if !is_complete(row.valid) {
+        return None;
+    }
+    let (layout, shift) = (material.header.layout(), material.shift.get(index).copied().unwrap_or_default());
+    let mut lines = Vec::with_capacity(layout.window[1]);
+    layout.for_each_line(shift, |k, e, len| lines.push((k, e, len)));
+    let interval = material.header.intensity_range.map(f64::from);
+    quick.fit(&CompleteRow { lines: &lines, response: row.response.as_chunks().0, intensity, interval })
 }
 
 /// Fits β of all rows, one pass, and returns Σ (R̂−R)² over valid entries.
@@ -107,12 +108,14 @@ pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usiz
     let mut coefficients = Vec::with_capacity(reader.header().rows() * 3 * (degree + 1));
     let (responses, quick) = (Responses::new(material), MomentFits::new(degree));
     reader.for_each_block_of_responses(|block| {
-        let fits = rows(&responses, block, |_, channels| {
-            if let Some(fits) = of_sums(&quick, channels) {
+        let fits = intensities(&responses, block, |k, intensity| {
+            let (index, row) = (block.first + k, block.view(k));
+            if let Some(fits) = of_sums(&quick, responses.material(), index, intensity, row) {
                 return fits.into();
             }
             let mut fits = Vec::with_capacity(3);
-            with_bases(channels, degree, |_, _, values, basis| fits.push(basis.fit(values, degree)));
+            let channels = channels(responses.material(), index, intensity, row);
+            with_bases(&channels, degree, |_, _, values, basis| fits.push(basis.fit(values, degree)));
             fits
         });
         for fit in fits.iter().flatten() {
@@ -132,14 +135,23 @@ pub(super) fn rows<T: Send>(
     block: &RowBlock,
     each: impl Fn(usize, &[Channel; 3]) -> T + Sync,
 ) -> Vec<T> {
-    let material = responses.material();
-    let samples = material.header.layout().len().max(1);
+    intensities(responses, block, |k, intensity| {
+        each(k, &channels(responses.material(), block.first + k, intensity, block.view(k)))
+    })
+}
+
+/// What `each(k, intensity)` makes of the reconstructed intensity of every row of a block, on the common window.
+fn intensities<T: Send>(
+    responses: &Responses<'_>,
+    block: &RowBlock,
+    each: impl Fn(usize, &[f64]) -> T + Sync,
+) -> Vec<T> {
+    let samples = responses.material().header.layout().len().max(1);
     let groups = (0..block.rows.div_ceil(TOGETHER)).into_par_iter().map(|group| {
         let range = group * TOGETHER..((group + 1) * TOGETHER).min(block.rows);
         let indices: Vec<usize> = range.clone().map(|k| block.first + k).collect();
         let intensity = responses.plane(0, &indices);
-        let of_row = |(k, row): (usize, &[f64])| each(k, &channels(material, block.first + k, row, block.view(k)));
-        range.zip(intensity.chunks_exact(samples)).map(of_row).collect::<Vec<T>>()
+        range.zip(intensity.chunks_exact(samples)).map(|(k, row)| each(k, row)).collect::<Vec<T>>()
     });
     groups.collect::<Vec<_>>().into_iter().flatten().collect()
 }

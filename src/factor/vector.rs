@@ -2,7 +2,6 @@
 //!
 //! No fused multiply-add: results are the same on every processor.
 
-use crate::material::legendre::argument;
 use pulp::{Arch, NullaryFnOnce};
 
 /// Lanes of a sum: a single one would wait for each addition.
@@ -56,21 +55,15 @@ impl NullaryFnOnce for Sum<'_> {
 
     #[inline(always)]
     fn call(self) -> f64 {
-        sum_in(self.0)
-    }
-}
-
-/// Σ v inside a dispatched function.
-#[inline(always)]
-pub(super) fn sum_in(values: &[f64]) -> f64 {
-    let (parts, rest) = values.as_chunks::<LANES>();
-    let mut lanes = [0.0; LANES];
-    for part in parts {
-        for k in 0..LANES {
-            lanes[k] += part[k];
+        let (parts, rest) = self.0.as_chunks::<LANES>();
+        let mut lanes = [0.0; LANES];
+        for part in parts {
+            for k in 0..LANES {
+                lanes[k] += part[k];
+            }
         }
+        lanes.iter().chain(rest).sum()
     }
-    lanes.iter().chain(rest).sum()
 }
 
 /// y ← y + x.
@@ -161,44 +154,6 @@ pub(super) fn range(values: &[f64]) -> [f64; 2] {
     Arch::new().dispatch(Range(values))
 }
 
-struct Split<'a>(&'a [[f32; 3]], [&'a mut [f64]; 3]);
-
-impl NullaryFnOnce for Split<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn call(self) {
-        let Self(from, [r, g, b]) = self;
-        for ((rgb, r), (g, b)) in from.iter().zip(r.iter_mut()).zip(g.iter_mut().zip(b.iter_mut())) {
-            (*r, *g, *b) = (f64::from(rgb[0]), f64::from(rgb[1]), f64::from(rgb[2]));
-        }
-    }
-}
-
-/// Channels side by side to one after the other.
-pub(super) fn split_channels(from: &[[f32; 3]], to: [&mut [f64]; 3]) {
-    Arch::new().dispatch(Split(from, to));
-}
-
-struct Arguments<'a>(&'a [f64], [f64; 2], &'a mut [f64]);
-
-impl NullaryFnOnce for Arguments<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn call(self) {
-        let Self(from, [low, high], to) = self;
-        for (to, &v) in to.iter_mut().zip(from) {
-            *to = argument(v, low, high);
-        }
-    }
-}
-
-/// Arguments of polynomials on an interval of intensities.
-pub(super) fn arguments(intensities: &[f64], interval: [f64; 2], to: &mut [f64]) {
-    Arch::new().dispatch(Arguments(intensities, interval, to));
-}
-
 /// y ← y + s x inside a dispatched function.
 #[inline(always)]
 pub(super) fn axpy_in(s: f64, x: &[f64], y: &mut [f64]) {
@@ -271,19 +226,6 @@ mod tests {
             }
         }
         assert_eq!(range(&[]), [f64::INFINITY, f64::NEG_INFINITY]);
-    }
-
-    #[test]
-    fn channels_are_split_and_arguments_are_those_of_the_polynomials() {
-        let rgb: Vec<[f32; 3]> = (0..21).map(|k| [k as f32, -0.5 * k as f32, 100.0 + k as f32]).collect();
-        let mut to = [[0.0; 21]; 3];
-        split_channels(&rgb, to.each_mut().map(|c| c.as_mut_slice()));
-        assert!((0..63).all(|s| to[s % 3][s / 3] == f64::from(rgb[s / 3][s % 3])));
-        let mut u = [9.0; 21];
-        arguments(&to[0], [2.0, 12.0], &mut u);
-        assert_eq!((u[0], u[7], u[20]), (-1.0, 0.0, 1.0), "clamped to the interval");
-        arguments(&to[0], [2.0, 2.0], &mut u);
-        assert_eq!(u, [0.0; 21]);
     }
 
     #[test]

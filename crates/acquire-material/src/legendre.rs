@@ -4,6 +4,7 @@
 pub const MOST_DEGREE: usize = 15;
 
 /// Maps an intensity to the basis's argument in [−1, 1], clamped; 0 when the interval is empty.
+#[inline]
 pub fn argument(intensity: f64, low: f64, high: f64) -> f64 {
     let width = high - low;
     if width > 0.0 { ((2.0 * intensity - low - high) / width).clamp(-1.0, 1.0) } else { 0.0 }
