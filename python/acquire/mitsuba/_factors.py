@@ -1,0 +1,207 @@
+"""A material's factors as arrays of the current Mitsuba variant: rows, offsets to draw, lit points in tiles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import Material
+
+#: Share of the offsets that are drawn evenly from the window: a row may leave light where the mean of the rows has none.
+EVEN_SHARE = 0.02
+#: Rows whose mean is what offsets are drawn for.
+MOST_ROWS = 4096
+#: What lies beyond the lit area: tiles side by side, tiles mirrored at their sides, the outermost rows on and on, nothing.
+WRAPS = ("repeat", "mirror", "clamp", "none")
+_LANES = 4
+
+
+def lattice(material: Material) -> tuple[np.ndarray, np.ndarray]:
+    """Origin (2,) and steps (2, 2) with place_mm = origin + steps @ (column, line) of the lit points, by least squares.
+
+    The lattice that ``Material.response`` interpolates in; an axis of one point takes the lit pitch.
+    """
+    lines, columns, _ = material.lit_mm.shape
+    place = material.lit_mm.reshape(-1, 2)
+    middle = np.array([columns - 1, lines - 1]) / 2
+    at = np.stack(np.meshgrid(np.arange(columns), np.arange(lines)), -1).reshape(-1, 2) - middle
+    pitch = np.diag(material.info["lit_pitch_mm"])
+    square = (at**2).sum(0)
+    steps = np.where(square > 0, (place - place.mean(0)).T @ at / np.maximum(square, 1e-9), pitch)
+    if abs(np.linalg.det(steps)) < 1e-6 * np.linalg.det(pitch):
+        steps = pitch
+    return place.mean(0) - steps @ middle, steps
+
+
+def offset_weights(material: Material) -> np.ndarray:
+    """With which probability each sample of the window is drawn, (dy, dx): the mean row, and a share that is even."""
+    count = int(np.prod(material.info["points"]))
+    chosen = np.unique(np.linspace(0, count - 1, min(count, MOST_ROWS)).astype(int))
+    blocks = np.array_split(chosen, -(-len(chosen) // 256))
+    mean = sum(np.maximum(material.rows(block).mean(-1, dtype=float), 0).sum(0) for block in blocks)
+    if not mean.sum() > 0:
+        return np.full_like(mean, 1 / mean.size)
+    return (1 - EVEN_SHARE) * mean / mean.sum() + EVEN_SHARE / mean.size
+
+
+class Factors:
+    """R̂_d of a material, one lit point and one sample of its window at a time.
+
+    A picture needs no interpolation: lit points and samples are drawn with the weights that a bilinear mean gives them, so that the mean over draws is the
+    integral of ``Material.relight``.
+    """
+
+    def __init__(self, material: Material, wrap: str) -> None:
+        header, tensors = material.info, material.factors
+        self.jit, self.wrap = dr.is_jit_v(mi.Float), wrap
+        self.points, self.window, self.extended = header["points"], header["window"], header["extended"]
+        self.pitch_mm: float = header["pitch_mm"]
+        self.planes = [header["incident_planes"], header["offset_planes"]]
+        self.terms = -(-header["terms"] // _LANES) * _LANES
+        profile = tensors["profile"][:, None] if "profile" in tensors else 1.0
+        samples = np.moveaxis(tensors["offset_factors"] * profile, 1, -1)  # (B, y, x, T)
+        self.incident = self._upload(self._padded(tensors["incident_factors"] * tensors["weights"]))
+        self.offset = self._upload(self._padded(samples))
+        self.shift = self._upload(tensors["shift"].astype(np.int32))
+        self.degree, self.intensity_range = header["degree"], header["intensity_range"]
+        if self.degree is not None:
+            self.color = self._upload(tensors["color_coefficients"])
+        self.exit_grid = header.get("exit_grid")
+        if self.exit_grid:
+            self.entry_map, self.exit_map = (self._upload(tensors[name]) for name in ("entry_map", "exit_map"))
+        origin, steps = lattice(material)
+        self.origin_mm, self.steps_mm, self.from_mm = origin.tolist(), steps.tolist(), np.linalg.inv(steps).tolist()
+        #: Material coordinates of uv = (0, 0): the corner of the lit area, half a step before the first lit point.
+        self.corner_mm = (origin - steps @ [0.5, 0.5]).tolist()
+        weights = offset_weights(material).ravel()
+        self.probability = self._upload(weights)
+        self.draws = mi.DiscreteDistribution([float(p) for p in weights])
+
+    def _padded(self, values: np.ndarray) -> np.ndarray:
+        return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, self.terms - values.shape[-1])])
+
+    def _upload(self, values: np.ndarray) -> Any:
+        flat = np.ascontiguousarray(values).ravel()
+        if not self.jit:
+            return flat
+        return mi.Int32(flat) if flat.dtype.kind == "i" else mi.Float(flat.astype(np.float32))
+
+    def _at(self, array: Any, index: Any, active: Any) -> Any:
+        if self.jit:
+            kind = mi.Int32 if dr.is_integral_v(array) else mi.Float
+            return dr.gather(kind, array, mi.UInt32(index), active)
+        return array[index].item() if active else array.dtype.type(0).item()
+
+    def _product(self, row: Any, sample: Any, active: Any) -> Any:
+        """Σ_j of a line of the incident factors times one of the offset factors."""
+        if not self.jit:
+            if not active:
+                return 0.0
+            return float(self.incident[row * self.terms :][: self.terms] @ self.offset[sample * self.terms :][: self.terms])
+        packets = self.terms // _LANES
+        packet = lambda array, line, k: dr.gather(mi.Vector4f, array, line * packets + k, active)  # noqa: E731
+        body = lambda k, total: (k + 1, dr.fma(packet(self.incident, row, k), packet(self.offset, sample, k), total))  # noqa: E731
+        return dr.sum(dr.while_loop((mi.UInt32(0), mi.Vector4f(0)), lambda k, total: k < packets, body)[1])
+
+    def response(self, index: Any, x: Any, y: Any, exit_mm: Any, active: Any = True) -> Any:
+        """R̂_d of lit point ``index`` at samples (x, y) of its window, mm⁻², with the exit map of ``exit_mm``."""
+        e = []
+        for axis, sample in enumerate((x, y)):
+            shift = self._at(self.shift, 2 * index + axis, active)
+            e.append(sample + (self.extended[axis] // 2 - self.window[axis] // 2) - shift)
+            active = active & (e[axis] >= 0) & (e[axis] < self.extended[axis])
+        place = e[0] + e[1] * self.extended[0]
+        place, index = (dr.select(active, v, 0) for v in (place, index))
+        if self.jit:
+            place, index = mi.UInt32(place), mi.UInt32(index)
+        samples, lit = self.extended[0] * self.extended[1], self.points[0] * self.points[1]
+        of_plane = lambda k: self._product(  # noqa: E731
+            index + min(k, self.planes[0] - 1) * lit, place + min(k, self.planes[1] - 1) * samples, active
+        )
+        planes = [of_plane(k) for k in range(max(self.planes))]
+        value = self._colored(index, planes[0], active) if self.degree is not None else planes * (3 // len(planes))
+        if self.exit_grid:
+            value = [v * self._maps(c, index, exit_mm, active) for c, v in enumerate(value)]
+        return dr.select(active, mi.Color3f(*value), 0)
+
+    def _colored(self, index: Any, intensity: Any, active: Any) -> list[Any]:
+        low, high = self.intensity_range
+        u = dr.clip((2 * intensity - low - high) / (high - low), -1, 1)
+        legendre = [mi.Float(1), u]
+        for p in range(2, self.degree + 1):
+            legendre.append(((2 * p - 1) * u * legendre[-1] - (p - 1) * legendre[-2]) / p)
+        of_channel = lambda c: sum(  # noqa: E731
+            self._at(self.color, (index * 3 + c) * (self.degree + 1) + p, active) * legendre[p] for p in range(self.degree + 1)
+        )
+        return [of_channel(c) for c in range(3)]
+
+    def _maps(self, channel: int, index: Any, exit_mm: Any, active: Any) -> Any:
+        """a_c of a lit point times e_c of a place, bilinear, the rim's beyond the map."""
+        (columns, lines), planes = self.exit_grid["size"], self.exit_grid["planes"]
+        plane = min(channel, planes - 1)
+        at = [
+            dr.clip((exit_mm[a] - self.exit_grid["origin_mm"][a]) / self.pitch_mm, 0, n - 1) for a, n in enumerate((columns, lines))
+        ]
+        first = [mi.Int32(dr.clip(dr.floor(v), 0, n - 1)) for v, n in zip(at, (columns, lines))]
+        beyond = [v - f for v, f in zip(at, first)]
+        cell = lambda dx, dy: self._at(  # noqa: E731
+            self.exit_map,
+            (plane * lines + dr.minimum(first[1] + dy, lines - 1)) * columns + dr.minimum(first[0] + dx, columns - 1),
+            active,
+        )
+        above, below = (dr.lerp(cell(0, dy), cell(1, dy), beyond[0]) for dy in (0, 1))
+        return self._at(self.entry_map, plane * self.points[0] * self.points[1] + index, active) * dr.lerp(above, below, beyond[1])
+
+    def draw_offset(self, choice: Any, jitter: Any) -> tuple[Any, Any, Any, Any]:
+        """A sample of the window and a point that stands for it: (x, y, d in mm, area / probability in mm²).
+
+        The point is distributed as the tent that a bilinear mean gives the sample; the half of a rim's sample that has no neighbour is even over half a pitch.
+        """
+        cell = self.draws.sample(choice)
+        probability = self._at(self.probability, cell, True)
+        width, height = self.window
+        x, y = mi.Int32(cell % width), mi.Int32(cell // width)
+        offset = []
+        for k, n, u in ((x, width, jitter.x), (y, height, jitter.y)):
+            tent = dr.select(u < 0.5, dr.sqrt(2 * u) - 1, 1 - dr.sqrt(2 * dr.maximum(1 - u, 0)))
+            rim = ((k == 0) & (u < 0.5)) | ((k == n - 1) & (u >= 0.5))
+            offset.append((k - n // 2 + dr.select(rim, u - 0.5, tent)) * self.pitch_mm)
+        return x, y, mi.Point2f(*offset), self.pitch_mm**2 / probability
+
+    def draw_lit_point(self, place_mm: Any, choice: Any) -> tuple[Any, Any, list[Any], Any]:
+        """One of the four lit points around a place, drawn by its weight.
+
+        :returns: its index, the place in its own tile (mm), for each axis whether that is mirrored, and whether there is any.
+        """
+        u = [
+            self.from_mm[a][0] * (place_mm.x - self.origin_mm[0]) + self.from_mm[a][1] * (place_mm.y - self.origin_mm[1])
+            for a in (0, 1)
+        ]
+        index, own, mirrored, inside = [], [], [], True
+        for v, n, random in zip(u, self.points, choice):
+            v, flip, within = self._wrapped(v, n)
+            first = mi.Int32(dr.floor(v))
+            lit = first + dr.select(random < v - first, 1, 0)
+            if self.wrap == "repeat":  # the first point of the next tile, or the last of the one before
+                over = dr.select(lit >= n, n, dr.select(lit < 0, -n, 0))
+                lit, v = lit - over, v - over
+            index.append(dr.clip(lit, 0, n - 1))
+            own.append(v)
+            mirrored.append(flip)
+            inside = inside & within
+        place = [self.origin_mm[r] + self.steps_mm[r][0] * own[0] + self.steps_mm[r][1] * own[1] for r in (0, 1)]
+        index = index[0] + index[1] * self.points[0]
+        return (mi.UInt32(index) if self.jit else int(index)), mi.Point2f(*place), mirrored, inside
+
+    def _wrapped(self, v: Any, n: int) -> tuple[Any, Any, Any]:
+        """A lattice coordinate in the tile, whether it is mirrored, and whether anything is there."""
+        t = v + 0.5
+        if self.wrap == "repeat":
+            return t - n * dr.floor(t / n) - 0.5, False, True
+        if self.wrap == "mirror":
+            t = t - 2 * n * dr.floor(t / (2 * n))
+            return dr.select(t > n, 2 * n - t, t) - 0.5, t > n, True
+        return dr.clip(v, -0.5, n - 0.5), False, True if self.wrap == "clamp" else (t >= 0) & (t <= n)
