@@ -109,12 +109,10 @@ def test_a_flat_slab_looks_as_the_material_says(material, slab, tmp_path, light)
         lights = [{"type": "spot", "to_world": to_world, "intensity": {"type": "rgb", "value": 1000.0}, "cutoff_angle": angle, "beam_width": 0.6 * angle}]
 
         def irradiance(x):
-            r2 = ((x - lamp) ** 2).sum(-1)
-            cosine = height / np.sqrt(height**2 + r2)
-            off = np.degrees(np.arccos(cosine))
-            t = (1 - (1 - np.interp(off, [0.6 * angle, angle], [0, 1]))).clip(0, 1)
-            n = 1.5  # the spot reaches the slab at up to 2°, where Fresnel differs from that along the normal by less than 1e-6
-            return 1000 * (1 - t) * cosine**3 / height**2 * (off < angle) * (n > 0)
+            # At most 2° off the normal, where Fresnel differs from that along it by less than 1e-6.
+            cosine = height / np.sqrt(height**2 + ((x - lamp) ** 2).sum(-1))
+            fall = np.interp(np.degrees(np.arccos(cosine)), [0.6 * angle, angle], [1, 0])
+            return 1000 * fall * cosine**3 / height**2
 
     shape = plate(tmp_path / "plate.ply", material)
     for at in ([0.3, 0.35], [0.52, 0.5], [0.9, 0.1]):
@@ -124,3 +122,242 @@ def test_a_flat_slab_looks_as_the_material_says(material, slab, tmp_path, light)
         # 5e-3: squares of 0.05 mm cut the rim of window and lit area; the camera sees 0.02 mm.
         agrees(found, error, exitance(material, x_o, irradiance) / np.pi, 5e-3)
         assert (error < 0.02 * found).all()
+
+
+@pytest.fixture(scope="module")
+def even_slab(tmp_path_factory):
+    """A homogeneous material with uneven sides, one term: its albedo is known by hand."""
+    folder = tmp_path_factory.mktemp("even")
+    fall = 0.02 * np.exp(-np.hypot(*np.mgrid[-3:4, -4:5])[..., None] * [0.6, 0.8, 1.1])
+    acquire.write_matrix(folder / "even.rd.zarr", np.broadcast_to(fall, (9, 12, 7, 9, 3)), pitch_mm=0.5)
+    material = acquire.factor(folder / "even.rd.zarr", terms=1)
+    material.save(folder / "even.safetensors")
+    return folder / "even.safetensors", material, fall.sum((0, 1)) * 0.5**2
+
+
+def fresnel(cosine, eta=1.5):
+    """Unpolarized reflectance, textbook form."""
+    inside = np.sqrt(1 - (1 - cosine**2) / eta**2)
+    across = (cosine - eta * inside) / (cosine + eta * inside)
+    along = (eta * cosine - inside) / (eta * cosine + inside)
+    return (across**2 + along**2) / 2
+
+
+def relative(cosine):
+    return (1 - fresnel(cosine)) / (1 - fresnel(1.0))
+
+
+def test_light_enters_and_leaves_by_fresnel(even_slab, tmp_path):
+    file, material, albedo = even_slab
+    shape = plate(tmp_path / "plate.ply", material)
+    middle = material.lit_mm.reshape(-1, 2).mean(0)
+    for entry, leaving in ((0, 0), (60, 0), (0, 70), (45, 30)):
+        down = [np.sin(np.radians(entry)), 0, -np.cos(np.radians(entry))]
+        sensor = looking_at(middle, 0.02)
+        away = np.array([0, np.sin(np.radians(leaving)), np.cos(np.radians(leaving))])
+        sensor["to_world"] = mi.ScalarTransform4f().look_at([*middle, 0] + 5 * away, [*middle, 0], [1, 0, 0]) @ mi.ScalarTransform4f().scale([0.01, 0.01, 1])
+        loaded = mi.load_dict(scene(shape, file, sensor, [EVEN | {"direction": down}], wrap="clamp"))
+        found, error = mean_radiance(loaded, spp=1024)
+        cosines = np.cos(np.radians([entry, leaving]))
+        agrees(found, error, albedo / np.pi * cosines[0] * relative(cosines[0]) * relative(cosines[1]), 1e-4)  # f32
+        loaded = mi.load_dict(scene(shape, file, sensor, [EVEN | {"direction": down}], wrap="clamp", exit_fresnel=False))
+        agrees(*mean_radiance(loaded, spp=1024), albedo / np.pi * cosines[0] * relative(cosines[0]), 1e-4)
+
+
+def test_under_an_even_sky_the_slab_gives_back_what_its_albedo_says(even_slab, tmp_path):
+    file, material, albedo = even_slab
+    shape = plate(tmp_path / "plate.ply", material)
+    sensor = looking_at(material.lit_mm.reshape(-1, 2).mean(0), 0.02)
+    mu = (np.arange(20_000) + 0.5) / 20_000
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}}
+    expected = albedo * (2 * mu * relative(mu)).mean()
+    agrees(*mean_radiance(mi.load_dict(scene(shape, file, sensor, [sky], wrap="clamp"))), expected, 1e-4)
+    # The coat adds the sky's reflection, F at normal incidence: a smooth one exactly. The whole stays below the sky.
+    smooth = mean_radiance(mi.load_dict(scene(shape, file, sensor, [sky], wrap="clamp", coat=True, alpha=0)))
+    agrees(*smooth, expected + fresnel(1.0), 1e-3)
+    rough = mean_radiance(mi.load_dict(scene(shape, file, sensor, [sky], wrap="clamp", coat=True, alpha=0.2)))
+    assert (expected < rough[0]).all() and (rough[0] < 1).all()
+
+
+def test_drawing_among_candidates_changes_the_noise_and_not_the_mean(material, slab, tmp_path):
+    shape = plate(tmp_path / "plate.ply", material)
+    x0, x1, y0, y1 = material.lit_extent_mm
+    sensor = looking_at([x0 + 0.4 * (x1 - x0), (y0 + y1) / 2], 0.02)
+    found = []
+    for candidates in (1, 4):
+        given = scene(shape, slab, sensor, [EVEN])
+        given["integrator"]["candidates"] = candidates
+        found.append(mean_radiance(mi.load_dict(given)))
+    agrees(found[0][0], np.hypot(found[0][1], found[1][1]), found[1][0])
+    assert (found[1][1] < 0.9 * found[0][1]).any()
+
+
+def test_tiles_repeat_and_mirror_without_a_step_between_them(tmp_path):
+    folder, (ny, nx) = tmp_path, (8, 10)
+    fall = 0.02 * np.exp(-np.hypot(*np.mgrid[-3:4, -4:5])[..., None] * [0.6, 0.8, 1.1])
+    bright = np.linspace(0.4, 1, nx)[None, :] * np.linspace(1, 0.6, ny)[:, None]
+    acquire.write_matrix(folder / "ramp.rd.zarr", bright[..., None, None, None] * fall, pitch_mm=0.5)
+    material = acquire.factor(folder / "ramp.rd.zarr", terms=1)
+    material.save(folder / "ramp.safetensors")
+    shape = plate(folder / "plate.ply", material, margin=30)
+    x0, x1, y0, y1 = material.lit_extent_mm
+    width, height = x1 - x0, y1 - y0
+
+    def at(u, v, wrap):
+        sensor = looking_at([x0 + u * width, y0 + v * height], 0.02)
+        return mean_radiance(mi.load_dict(scene(shape, folder / "ramp.safetensors", sensor, [EVEN], wrap=wrap)), spp=1024)
+
+    def same(a, b):
+        agrees(a[0], np.hypot(a[1], b[1]), b[0], 1e-4)
+
+    for wrap, other in (("repeat", (1.3, -1.6)), ("mirror", (1.7, -0.4))):
+        same(at(0.3, 0.4, wrap), at(*other, wrap))
+        # Over the tiles' side, 1e-3 of a tile apart: the light moves by 5e-3 mm of a window of 4 mm.
+        for u, v in ((1.0, 0.3), (0.6, 0.0)):
+            before, after = (at(u + s * 5e-4 * (u == 1), v + s * 5e-4 * (u != 1), wrap) for s in (-1, 1))
+            agrees(before[0], np.hypot(before[1], after[1]), after[0], 5e-3)
+    # Even light, mean over a tile: the tile's mean albedo, whatever is next to it.
+    albedo = (bright[..., None, None, None] * fall).sum((2, 3)).mean((0, 1)) * 0.5**2
+    loaded = mi.load_dict(scene(shape, folder / "ramp.safetensors", looking_at([(x0 + x1) / 2, (y0 + y1) / 2], width, 64), [EVEN], wrap="mirror"))
+    picture = np.array(mi.render(loaded, spp=64))
+    rows = np.abs((np.arange(64) + 0.5) / 64 - 0.5) * width < height / 2
+    np.testing.assert_allclose(picture[rows].mean((0, 1)) * np.pi, albedo, rtol=5e-3)  # noise of 2e5 paths, rows cut at the tile's side
+    # 2.5 mm beyond the lit area, further than half a window.
+    assert (at(1.5, 0.5, "none")[0] == 0).all() and (at(1.5, 0.5, "clamp")[0] > 0).all()
+
+
+@pytest.mark.parametrize("how", [dict(model="joint", terms=6, maps=True), dict(model="tucker", terms=4, degree=3), dict(model="peers2006", terms=3)], ids=lambda h: h["model"])
+def test_factors_on_the_device_are_the_material_s_rows(truth, tmp_path, how):
+    from acquire.mitsuba._factors import Factors
+
+    material = acquire.factor(truth, **how)
+    w, h = material.info["window"]
+    y, x = np.mgrid[0:h, 0:w]
+    for index in (0, 37, 79):
+        place = material.lit_mm.reshape(-1, 2)[index]
+        exit_mm = place + material.info["pitch_mm"] * np.stack([x - w // 2, y - h // 2], -1).reshape(-1, 2)
+        factors = Factors(material, "none")
+        found = factors.response(mi.UInt32(np.full(w * h, index)), mi.Int32(x.ravel()), mi.Int32(y.ravel()), mi.Point2f(*exit_mm.T.astype(np.float32)))
+        expected = material.row(index)
+        # f32 sums of f32 factors, places within 1e-6 of 10 mm.
+        np.testing.assert_allclose(np.array(found).T.reshape(h, w, 3), expected, rtol=1e-4, atol=2e-6 * expected.max())
+
+
+def test_scalar_and_llvm_agree(material, slab, tmp_path):
+    shape = plate(tmp_path / "plate.ply", material)
+    x0, x1, y0, y1 = material.lit_extent_mm
+    found = []
+    for variant, spp, candidates in (("llvm_ad_rgb", 4096, 1), ("scalar_rgb", 64, 2)):
+        acquire.mitsuba.use(variant)
+        given = scene(shape, slab, looking_at([(x0 + x1) / 2, y0 + 0.4 * (y1 - y0)], 0.02), [EVEN, {"type": "constant"}], wrap="mirror", coat=True)
+        given["integrator"]["candidates"] = candidates
+        found.append(mean_radiance(mi.load_dict(given), spp=spp))
+    agrees(found[1][0], np.hypot(found[0][1], found[1][1]), found[0][0])
+    assert (found[1][1] < 0.1 * found[1][0]).all()
+
+
+BOX = {"type": "scene", "integrator": {"type": "acquire_path"}}
+
+
+def test_a_step_over_an_edge_or_into_a_corner_keeps_its_length(slab):
+    from acquire.mitsuba._integrator import entry_point
+
+    of_slab = {"type": "acquire_slab", "filename": str(slab), "mm_per_uv": MM_PER_UV}
+    for shape, z, height in (("cube", 1.0, -1), ("corner", 0.0, 1)):
+        if shape == "cube":  # from −1 to 1
+            parts = {"a": {"type": "cube", "bsdf": of_slab}}
+        else:  # floor z = 0, wall x = 1 that faces −x
+            wall = mi.ScalarTransform4f().translate([1, 0, 1]) @ mi.ScalarTransform4f().rotate([0, 1, 0], -90)
+            parts = {"a": {"type": "rectangle", "bsdf": of_slab | {"id": "one"}}, "b": {"type": "rectangle", "to_world": wall, "bsdf": {"type": "ref", "id": "one"}}}
+        loaded = mi.load_dict(BOX | parts)
+        si = loaded.ray_intersect(mi.Ray3f([0.8, 0.1, z + 0.5], [0, 0, -1]))
+        one = loaded.shapes()[0].bsdf()
+        for step, expected in (([-0.3, 0.2, 0], [0.5, 0.3, z]), ([0.5, 0, 0], [1, 0.1, z + height * 0.3])):
+            entry, found = entry_point(loaded, one, si, mi.Vector3f(step), mi.Bool(True))
+            # Probes start 1e-3 of the step's length off the plane.
+            assert found[0] and np.abs(np.array(entry.p).ravel() - expected).max() < 2e-3
+    # Beyond a sheet's rim there is nothing.
+    loaded = mi.load_dict(BOX | {"a": {"type": "rectangle", "bsdf": of_slab}})
+    si = loaded.ray_intersect(mi.Ray3f([0.8, 0.1, 0.5], [0, 0, -1]))
+    assert not entry_point(loaded, loaded.shapes()[0].bsdf(), si, mi.Vector3f(0.5, 0, 0), mi.Bool(True))[1][0]
+
+
+def test_what_a_scene_lacks_is_told_in_a_sentence(material, slab, tmp_path):
+    quad, faces = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]]
+    upright = [[0, 0], [1, 0], [1, 1], [0, 1]]
+
+    def render(uv, **slab_has):
+        path = tmp_path / "made.ply"
+        mesh("made", quad, uv, faces).write_ply(str(path))
+        return acquire.mitsuba.render(mi.load_dict(scene(str(path), slab, looking_at([0.5, 0.5], 1), [EVEN], **slab_has)), spp=1)
+
+    with pytest.raises(acquire.InputError, match="expected UVs, found none"):
+        render(None)
+    with pytest.raises(acquire.InputError, match="UVs without area"):
+        render([[0, 0]] * 4)
+    with pytest.raises(acquire.InputError, match="material is larger than the mesh; raise mm_per_uv"):
+        render(upright, mm_per_uv=1.0)
+    with pytest.warns(UserWarning, match="% of its area has inverted UVs"):
+        render([[0, 0], [1, 0], [1, 1], [1, 0.1]], mm_per_uv=50.0)
+    with pytest.warns(UserWarning, match="shows .* mm of"):
+        render(upright, mm_per_uv=3.5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        render(upright, mm_per_uv=50.0)
+    with pytest.raises(acquire.InputError, match="expected a shape, found none"):
+        acquire.mitsuba.render(mi.load_dict(BOX | {"sensor": looking_at([0, 0], 1)}), spp=1)
+    with pytest.raises(acquire.InputError, match="expected a shape with the bsdf acquire_slab"):
+        acquire.mitsuba.render(mi.load_dict(BOX | {"sensor": looking_at([0, 0], 1), "a": {"type": "sphere"}}), spp=1)
+    # What Mitsuba's parser passes on is a RuntimeError with our words.
+    for wrong, words in (
+        (dict(mm_per_uv=-1.0), "mm_per_uv: expected a number above|mm_per_uv: expected a number from above 0"),
+        (dict(wrap="tiled"), "expected one of repeat, mirror, clamp, none"),
+        (dict(alpha=2.0), "alpha: expected"),
+        (dict(filename="nowhere.safetensors"), "nowhere.safetensors"),
+        (dict(mm_per_uvs=1.0), "mm_per_uvs"),
+    ):
+        with pytest.raises(RuntimeError, match=words):
+            render(upright, **wrong)
+
+
+def test_an_llvm_that_would_abort_is_refused_before_it_does(tmp_path, monkeypatch):
+    from acquire.mitsuba import _variants
+
+    old = tmp_path / "libLLVM-14.so.1"
+    old.touch()
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(old))
+    with pytest.raises(acquire.InputError, match="LLVM 16 or later, found .*libLLVM-14.*libllvm19"):
+        acquire.mitsuba.use("llvm_ad_rgb")
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH")
+    monkeypatch.setattr(_variants, "_PLACES", (str(tmp_path / "*"),))
+    with pytest.raises(acquire.InputError, match="libllvm19"):
+        acquire.mitsuba.find_llvm()
+    (tmp_path / "libLLVM.so.19.1").touch()
+    assert acquire.mitsuba.find_llvm().endswith("libLLVM.so.19.1")
+    with pytest.raises(acquire.InputError, match="llvm_ad_rgb"):
+        acquire.mitsuba.use("llvm_ad_spectral")
+    with pytest.raises(acquire.InputError, match="variant: expected one of"):
+        acquire.mitsuba.use("gpu")
+
+
+def test_a_scene_in_xml_with_two_materials_renders(material, slab, even_slab, tmp_path):
+    shape = plate(tmp_path / "plate.ply", material, margin=1)
+    (tmp_path / "scene.xml").write_text(f"""
+        <scene version="3.0.0">
+            <integrator type="acquire_path"><integer name="max_depth" value="3"/></integrator>
+            <sensor type="perspective">
+                <transform name="to_world"><lookat origin="3, 3, 40" target="3, 3, 0" up="0, 1, 0"/></transform>
+                <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/></film>
+            </sensor>
+            <emitter type="constant"/>
+            <shape type="ply"><string name="filename" value="{shape}"/>
+                <bsdf type="acquire_slab"><string name="filename" value="{slab}"/><float name="mm_per_uv" value="{MM_PER_UV}"/>
+                    <string name="wrap" value="mirror"/><float name="int_ior" value="1.3"/></bsdf></shape>
+            <shape type="sphere"><point name="center" x="3" y="3" z="3"/><float name="radius" value="2"/>
+                <bsdf type="acquire_slab"><string name="filename" value="{even_slab[0]}"/><float name="mm_per_uv" value="12"/></bsdf></shape>
+            <shape type="rectangle"><transform name="to_world"><scale value="30"/><translate z="-2"/></transform><bsdf type="diffuse"/></shape>
+        </scene>""")
+    picture = np.array(mi.render(mi.load_file(str(tmp_path / "scene.xml")), spp=64))
+    assert np.isfinite(picture).all() and (picture > 0).all()
+    sphere, floor = picture[8, 12], picture[1, 1]
+    assert (sphere < 0.9).all() and floor == pytest.approx(0.5, abs=0.1)

@@ -11,6 +11,8 @@ the present one. ``docs/rendering.md`` of the repository has their parameters an
 
 from __future__ import annotations
 
+from typing import Any
+
 from .. import InputError
 from ._variants import find_llvm, use
 
@@ -31,7 +33,21 @@ def _register(old: str | None, new: str | None) -> None:
     mi.register_integrator("acquire_path", integrator)
 
 
+def render(scene: mi.Scene, **options: Any) -> mi.TensorXf:
+    """``mi.render`` after a look at the scene: what is wrong with it is an ``InputError``.
+
+    ``mi.render`` alone raises the same in a JIT variant as the cause of a ``RuntimeError``.
+
+    :param options: those of ``mi.render``: ``spp``, ``seed``, ``sensor``, ``integrator``.
+    :raises InputError: no shapes, none of this material, no UVs, a material larger than its mesh.
+    """
+    from ._checks import slabs_of
+
+    slabs_of(scene)
+    return mi.render(scene, **options)
+
+
 mi.detail.add_variant_callback(_register)
 _register(None, mi.variant())
 
-__all__ = ["find_llvm", "use"]
+__all__ = ["find_llvm", "render", "use"]

@@ -35,7 +35,7 @@ def make_slab(base: type) -> type:
         def __init__(self, props: mi.Properties) -> None:
             base.__init__(self, props)
             for name in ("filename", "mm_per_uv"):
-                if not props.has_property(name):
+                if name not in props:
                     raise InputError(f"bsdf acquire_slab: {name} is missing: the material's file, and how many mm of it one unit of UV has", "Setting")
             #: Shown in errors.
             self.filename = str(props["filename"])
