@@ -32,11 +32,15 @@ def slab(material, tmp_path_factory):
 
 
 def corner(material):
-    """Material coordinates of uv = (0, 0): half a lit step before the first lit point, steps from the lattice's ends."""
+    """Material coordinates of uv = (0, 0): of the largest box along the axes, of the shape of its bounds, that no lit point's cell leaves."""
     lit = material.lit_mm
-    x = (lit[:, -1] - lit[:, 0]).mean(0) / (lit.shape[1] - 1)
-    y = (lit[-1] - lit[0]).mean(0) / (lit.shape[0] - 1)
-    return lit.reshape(-1, 2).mean(0) - x * lit.shape[1] / 2 - y * lit.shape[0] / 2
+    x = (lit[:, -1] - lit[:, 0]).mean(0) / (lit.shape[1] - 1) * lit.shape[1]
+    y = (lit[-1] - lit[0]).mean(0) / (lit.shape[0] - 1) * lit.shape[0]
+    half = (abs(x) + abs(y)) / 2
+    shares = np.linspace(0.5, 1, 50_001)[:, None, None]
+    corners = shares * half * [[1, 1], [1, -1]]
+    inside = (abs(corners @ np.linalg.inv(np.stack([x, y]))) <= 0.5 + 1e-9).all((1, 2))
+    return lit.reshape(-1, 2).mean(0) - shares[inside].max() * half
 
 
 def mesh(name, places, uv, faces):
@@ -91,11 +95,13 @@ EVEN = {"type": "directional", "direction": [0, 0, -1], "irradiance": {"type": "
 
 
 def exitance(material, x_o, irradiance, step=0.05):
-    """∫ R(x_i, x_o) E(x_i) dA by the middles of small squares of the window around x_o."""
+    """∫ R(x_i, x_o) E(x_i) dA over the tile, by the middles of small squares of the window around x_o."""
     w, h = (n * material.info["pitch_mm"] for n in material.info["window"])
     x, y = (np.arange(-round(n / 2 / step), round(n / 2 / step)) * step + step / 2 for n in (w, h))
     x_i = x_o + np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    return (material.response(x_i, x_o) * irradiance(x_i)[:, None]).sum(0) * step**2
+    low = corner(material)
+    inside = ((x_i > low) & (x_i < 2 * material.lit_mm.reshape(-1, 2).mean(0) - low)).all(-1)
+    return (material.response(x_i, x_o) * (irradiance(x_i) * inside)[:, None]).sum(0) * step**2
 
 
 @pytest.mark.parametrize("light", ["even", "spot"])

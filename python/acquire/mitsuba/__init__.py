@@ -33,6 +33,12 @@ def _register(old: str | None, new: str | None) -> None:
     mi.register_integrator("acquire_path", integrator)
 
 
+def bake(*arguments: Any, **options: Any) -> Any:
+    from ._bake import bake as made
+
+    return made(*arguments, **options)
+
+
 def render(scene: mi.Scene, **options: Any) -> mi.TensorXf:
     """``mi.render`` after a look at the scene: what is wrong with it is an ``InputError``.
 

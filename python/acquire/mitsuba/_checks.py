@@ -57,7 +57,7 @@ def _check_size(name: str, uv: np.ndarray, slab) -> None:
     factors = slab.factors
     spans = np.ptp(uv.reshape(-1, 2), axis=0) * slab.mm_per_uv
     reach = np.array(factors.window) * factors.pitch_mm
-    sides = np.abs(factors.steps_mm) @ np.array(factors.points)
+    sides = np.ptp(factors.tile_mm, axis=1)
     words = lambda v: f"{v[0]:.3g} × {v[1]:.3g} mm"  # noqa: E731
     if (spans < reach / 2).any():
         raise InputError(

@@ -36,6 +36,16 @@ def lattice(material: Material) -> tuple[np.ndarray, np.ndarray]:
     return place.mean(0) - steps @ middle, steps
 
 
+def tile(origin: np.ndarray, steps: np.ndarray, points: list[int]) -> np.ndarray:
+    """The largest part of the lit area that lies along the slab's axes and has the sides of its bounds: [[x from, x to], [y from, y to]], mm.
+
+    The lit area itself, half a step around the lattice, where the lattice is not turned.
+    """
+    middle, half = origin + steps @ (np.array(points) - 1) / 2, np.abs(steps) @ np.array(points) / 2
+    share = (np.array(points) / 2 / (np.abs(np.linalg.inv(steps)) @ half)).min()
+    return np.stack([middle - share * half, middle + share * half], axis=1)
+
+
 def offset_weights(material: Material) -> np.ndarray:
     """With which probability each sample of the window is drawn, (dy, dx): the mean row, and a share that is even."""
     count = int(np.prod(material.info["points"]))
@@ -74,8 +84,8 @@ class Factors:
             self.entry_map, self.exit_map = (self._upload(tensors[name]) for name in ("entry_map", "exit_map"))
         origin, steps = lattice(material)
         self.origin_mm, self.steps_mm, self.from_mm = origin.tolist(), steps.tolist(), np.linalg.inv(steps).tolist()
-        #: Material coordinates of uv = (0, 0): the corner of the lit area, half a step before the first lit point.
-        self.corner_mm = (origin - steps @ [0.5, 0.5]).tolist()
+        #: From and to along x and y; uv = (0, 0) is its first corner.
+        self.tile_mm = tile(origin, steps, self.points).tolist()
         weights = offset_weights(material).ravel()
         self.probability = self._upload(weights)
         self.draws = mi.DiscreteDistribution([float(p) for p in weights])
@@ -174,34 +184,29 @@ class Factors:
     def draw_lit_point(self, place_mm: Any, choice: Any) -> tuple[Any, Any, list[Any], Any]:
         """One of the four lit points around a place, drawn by its weight.
 
-        :returns: its index, the place in its own tile (mm), for each axis whether that is mirrored, and whether there is any.
+        :returns: its index, the place in the tile (mm), for each axis whether that is mirrored, and whether there is any.
         """
-        u = [
-            self.from_mm[a][0] * (place_mm.x - self.origin_mm[0]) + self.from_mm[a][1] * (place_mm.y - self.origin_mm[1])
-            for a in (0, 1)
-        ]
-        index, own, mirrored, inside = [], [], [], True
-        for v, n, random in zip(u, self.points, choice):
-            v, flip, within = self._wrapped(v, n)
-            first = mi.Int32(dr.floor(v))
-            lit = first + dr.select(random < v - first, 1, 0)
-            if self.wrap == "repeat":  # the first point of the next tile, or the last of the one before
-                over = dr.select(lit >= n, n, dr.select(lit < 0, -n, 0))
-                lit, v = lit - over, v - over
-            index.append(dr.clip(lit, 0, n - 1))
-            own.append(v)
+        place, mirrored, inside = [], [], True
+        for v, (low, high) in zip(place_mm, self.tile_mm):
+            v, flip, within = self._wrapped(v, low, high)
+            place.append(v)
             mirrored.append(flip)
             inside = inside & within
-        place = [self.origin_mm[r] + self.steps_mm[r][0] * own[0] + self.steps_mm[r][1] * own[1] for r in (0, 1)]
+        index = []
+        for axis, (n, random) in enumerate(zip(self.points, choice)):
+            along = self.from_mm[axis]
+            u = dr.clip(along[0] * (place[0] - self.origin_mm[0]) + along[1] * (place[1] - self.origin_mm[1]), 0, n - 1)
+            first = mi.Int32(dr.floor(u))
+            index.append(dr.minimum(first + dr.select(random < u - first, 1, 0), n - 1))
         index = index[0] + index[1] * self.points[0]
         return (mi.UInt32(index) if self.jit else int(index)), mi.Point2f(*place), mirrored, inside
 
-    def _wrapped(self, v: Any, n: int) -> tuple[Any, Any, Any]:
-        """A lattice coordinate in the tile, whether it is mirrored, and whether anything is there."""
-        t = v + 0.5
+    def _wrapped(self, v: Any, low: float, high: float) -> tuple[Any, Any, Any]:
+        """A coordinate in the tile, whether it is mirrored, and whether anything is there."""
+        side, t = high - low, v - low
         if self.wrap == "repeat":
-            return t - n * dr.floor(t / n) - 0.5, False, True
+            return v - side * dr.floor(t / side), False, True
         if self.wrap == "mirror":
-            t = t - 2 * n * dr.floor(t / (2 * n))
-            return dr.select(t > n, 2 * n - t, t) - 0.5, t > n, True
-        return dr.clip(v, -0.5, n - 0.5), False, True if self.wrap == "clamp" else (t >= 0) & (t <= n)
+            t = t - 2 * side * dr.floor(t / (2 * side))
+            return low + dr.select(t > side, 2 * side - t, t), t > side, True
+        return dr.clip(v, low, high), False, (True if self.wrap == "clamp" else (t >= 0) & (t <= side))

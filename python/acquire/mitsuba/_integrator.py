@@ -72,20 +72,25 @@ def make_integrator(base: type) -> type:
         def sample(self, scene, sampler, ray, medium=None, active=True):
             if self.slabs is None:
                 self.slabs = slabs_of(scene)
-            state = (
-                sampler,
-                mi.Ray3f(ray),
-                mi.Spectrum(0),
-                mi.Spectrum(1),
-                mi.UInt32(0),
-                dr.zeros(mi.Interaction3f),
-                mi.Float(1),  # density of the last direction
-                mi.Bool(True),  # whether light could not be drawn there
-                mi.Bool(False),  # whether anything was hit
-                mi.Bool(active),
-            )
+            return *self.trace(scene, sampler, mi.Ray3f(ray), mi.Spectrum(1), dr.zeros(mi.Interaction3f), mi.Float(1), mi.Bool(True), 0, active), []
+
+        def irradiance_at(self, scene, sampler, slab, si, active=True):
+            """An estimate of all light that enters a slab at a place: irradiance over π, each direction by its Fresnel."""
+            if self.slabs is None:
+                self.slabs = slabs_of(scene)
+            wo = mi.warp.square_to_cosine_hemisphere(sampler.next_2d(active))
+            ray, weight = si.spawn_ray(si.to_world(wo)), mi.Spectrum(slab.enters(wo.z))
+            rest, _ = self.trace(scene, sampler, ray, weight, mi.Interaction3f(si), wo.z * dr.inv_pi, mi.Bool(False), 1, active)
+            return self.irradiance(scene, sampler, slab, si, active) + rest
+
+        def trace(self, scene, sampler, ray, weight, last, last_pdf, unlit, depth, active):
+            """Radiance along a ray, and whether it hits anything at depth 0.
+
+            :param last_pdf: density with which the ray's direction was drawn at ``last``, for light that is drawn there too unless ``unlit``.
+            """
+            state = (sampler, ray, mi.Spectrum(0), weight, mi.UInt32(depth), last, last_pdf, unlit, mi.Bool(False), mi.Bool(active))
             end = dr.while_loop(state, lambda *s: s[-1], lambda *s: self.bounce(scene, *s), label="acquire")
-            return end[2], end[8], []
+            return end[2], end[8]
 
         def bounce(self, scene, sampler, ray, light, weight, depth, last, last_pdf, unlit, hit, active):
             """One surface of a path: what it emits, what lights it, and where the path goes on."""

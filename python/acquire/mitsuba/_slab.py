@@ -79,8 +79,8 @@ def make_slab(base: type) -> type:
 
         def place_mm(self, uv):
             """Material coordinates of a place on the shape: row 0 of a map is at v = 0, as in Mitsuba's bitmaps."""
-            corner = self.factors.corner_mm
-            return mi.Point2f(corner[0] + self.mm_per_uv * uv.x, corner[1] + self.mm_per_uv * uv.y)
+            (x, _), (y, _) = self.factors.tile_mm
+            return mi.Point2f(x + self.mm_per_uv * uv.x, y + self.mm_per_uv * uv.y)
 
         def draw(self, exit_mm, choice, jitter, lit, active):
             """A place where light enters, for one where it leaves.
