@@ -367,3 +367,87 @@ def test_a_scene_in_xml_with_two_materials_renders(material, slab, even_slab, tm
     assert np.isfinite(picture).all() and (picture > 0).all()
     sphere, floor = picture[8, 12], picture[1, 1]
     assert (sphere < 0.9).all() and floor == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.fixture(scope="module")
+def baked_plate(material, slab, tmp_path_factory):
+    """A plate of 12 mm over uv 0…1 under a spot and a sky, its tiles mirrored: the loaded scene, its light, its bake and where that is."""
+    folder = tmp_path_factory.mktemp("bake")
+    acquire.mitsuba.use("llvm_ad_rgb")
+    places = np.array([[0, 0, 0], [12, 0, 0], [12, 12, 0], [0, 12, 0]])
+    mesh("plate", places, places[:, :2] / 12, [[0, 1, 2], [0, 2, 3]]).write_ply(str(folder / "plate.ply"))
+    spot = {"type": "spot", "to_world": mi.ScalarTransform4f().look_at([5, 7, 30], [5, 7, 0], [0, 1, 0]), "intensity": 1000.0, "cutoff_angle": 9}
+    lights = [spot, {"type": "constant", "radiance": {"type": "rgb", "value": [0.1, 0.2, 0.3]}}]
+
+    def seen(place):
+        of_slab = dict(wrap="mirror", mm_per_uv=12.0, exit_fresnel=False)
+        return mi.load_dict(scene(str(folder / "plate.ply"), slab, looking_at(place, 0.02), lights, **of_slab))
+
+    return seen, acquire.mitsuba.bake(seen([6, 6]), folder / "out", spp=256), folder / "out"
+
+
+def test_a_bake_is_what_is_seen_hit_by_hit(baked_plate):
+    seen, baked, _ = baked_plate
+    size = len(baked.exitance)
+    assert size == 48 and baked.covered.all()
+    for column, line in ((20, 28), (30, 27), (15, 34), (36, 13)):
+        place = (np.array([column, line]) + 0.5) * 12 / size
+        found, error = mean_radiance(seen(place))
+        # All further from the rim than light spreads. Irradiance is a mean over texels of 0.25 mm, interpolated, with noise of its own.
+        agrees(found, error, baked.exitance[line, column] / np.pi, 0.02)
+
+
+def test_a_bake_s_files_open_and_shine(baked_plate, slab):
+    import json
+    import struct
+
+    seen, baked, folder = baked_plate
+    names = "albedo.exr albedo.png bake.json blender.py exitance.exr irradiance.exr mesh.ply radiance.exr radiance.png scene.xml slab.glb"
+    assert sorted(p.name for p in folder.iterdir()) == names.split()
+    np.testing.assert_array_equal(np.array(mi.Bitmap(str(folder / "exitance.exr")).convert(component_format=mi.Struct.Type.Float32)), baked.exitance)
+    glb = (folder / "slab.glb").read_bytes()
+    magic, version, length, of_json, kind = struct.unpack_from("<4sIIII", glb)
+    assert (magic, version, length, kind) == (b"glTF", 2, len(glb), 0x4E4F534A)
+    tree, body = json.loads(glb[20 : 20 + of_json]), glb[28 + of_json :]
+    assert len(body) == tree["buffers"][0]["byteLength"]
+    view = tree["bufferViews"][3]
+    assert body[view["byteOffset"] :][: view["byteLength"]] == (folder / "radiance.png").read_bytes()
+    uv = np.frombuffer(body, "<f4", 8, tree["bufferViews"][1]["byteOffset"])
+    assert uv.tolist() == [0, 0, 1, 0, 1, 1, 0, 1]
+    compile((folder / "blender.py").read_text(), "blender.py", "exec")
+    picture = np.array(mi.render(mi.load_file(str(folder / "scene.xml")), spp=16))
+    # The brightest pixel sees the brightest texels.
+    assert picture[..., 1].max() == pytest.approx(baked.exitance[..., 1].max() / np.pi, rel=0.05)
+
+
+def test_a_bake_that_cannot_be_is_refused(baked_plate, even_slab, tmp_path):
+    seen, _, folder = baked_plate
+    with pytest.raises(acquire.InputError, match="force=True"):
+        acquire.mitsuba.bake(seen([6, 6]), folder, spp=1, size=8)
+    acquire.mitsuba.bake(seen([6, 6]), folder.parent / "again", spp=1, size=8)
+    acquire.mitsuba.bake(seen([6, 6]), folder.parent / "again", spp=1, size=8, force=True)
+    (tmp_path / "theirs.txt").write_text("keep")
+    with pytest.raises(acquire.InputError, match="other files"):
+        acquire.mitsuba.bake(seen([6, 6]), tmp_path, spp=1, size=8, force=True)
+    with pytest.raises(acquire.InputError, match="expected one mesh .* and the id other, found none"):
+        acquire.mitsuba.bake(seen([6, 6]), shape="other")
+    file, material, _ = even_slab
+    shape = plate(tmp_path / "plate.ply", material)
+    with pytest.raises(acquire.InputError, match="expected UVs from 0 to 1"):
+        acquire.mitsuba.bake(mi.load_dict(scene(shape, file, looking_at([0, 0], 1), [EVEN])))
+    with pytest.raises(acquire.InputError, match="found clamp"):
+        quad = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+        mesh("quad", quad, np.array(quad)[:, :2], [[0, 1, 2], [0, 2, 3]]).write_ply(str(tmp_path / "quad.ply"))
+        acquire.mitsuba.bake(mi.load_dict(scene(str(tmp_path / "quad.ply"), file, looking_at([0, 0], 1), [EVEN], wrap="clamp", mm_per_uv=30.0)))
+
+
+def test_light_beside_the_charts_is_that_of_the_nearest_texels():
+    from acquire.mitsuba._bake import _spread
+
+    image = np.zeros((7, 9, 3), np.float32)
+    covered = np.zeros((7, 9), bool)
+    covered[2:5, 3:5] = True
+    image[covered] = 2.0
+    found = _spread(image, covered, 3)
+    assert (found[:, 0:8][np.add.outer([2, 1, 0, 0, 0, 1, 2], [3, 2, 1, 0, 0, 1, 2, 3]) <= 3] == 2).all()
+    assert (found[0, 0] == 0).all() and (found[6, 8] == 0).all()

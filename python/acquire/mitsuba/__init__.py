@@ -14,7 +14,6 @@ from __future__ import annotations
 from typing import Any
 
 from .. import InputError
-from ._variants import find_llvm, use
 
 try:
     import mitsuba as mi
@@ -33,10 +32,8 @@ def _register(old: str | None, new: str | None) -> None:
     mi.register_integrator("acquire_path", integrator)
 
 
-def bake(*arguments: Any, **options: Any) -> Any:
-    from ._bake import bake as made
-
-    return made(*arguments, **options)
+from ._bake import Baked, bake  # noqa: E402
+from ._variants import find_llvm, use  # noqa: E402
 
 
 def render(scene: mi.Scene, **options: Any) -> mi.TensorXf:
@@ -56,4 +53,4 @@ def render(scene: mi.Scene, **options: Any) -> mi.TensorXf:
 mi.detail.add_variant_callback(_register)
 _register(None, mi.variant())
 
-__all__ = ["find_llvm", "render", "use"]
+__all__ = ["Baked", "bake", "find_llvm", "render", "use"]
