@@ -249,6 +249,29 @@ def test_factors_on_the_device_are_the_material_s_rows(truth, tmp_path, how):
         np.testing.assert_allclose(np.array(found).T.reshape(h, w, 3), expected, rtol=1e-4, atol=2e-6 * expected.max())
 
 
+def test_a_matrix_is_the_reference_that_its_material_comes_near(truth, material, slab, tmp_path):
+    shape = plate(tmp_path / "plate.ply", material)
+    x0, x1, y0, y1 = material.lit_extent_mm
+    for file in (truth, slab):
+        loaded = mi.load_dict(scene(shape, file, looking_at([(x0 + x1) / 2, (y0 + y1) / 2], 0.02), [EVEN], wrap="clamp"))
+        found, error = mean_radiance(loaded)
+        if file == truth:
+            of_matrix = found
+            from acquire.mitsuba._factors import Table
+
+            rows = acquire.Matrix.open(truth).read(37, 38).response[0]
+            h, w, _ = rows.shape
+            y, x = (v.ravel() for v in np.mgrid[0:h, 0:w])
+            table = Table(acquire.Matrix.open(truth), "none").response(mi.UInt32(np.full(w * h, 37)), mi.Int32(x), mi.Int32(y), None)
+            np.testing.assert_array_equal(np.array(table).T.reshape(h, w, 3), rows)
+    # The material's maps make it exact under even light, to its rel_rmse at the edges of the squares.
+    agrees(found, error, of_matrix, 0.02)
+    with pytest.raises(acquire.InputError, match="expected a material, found the matrix"):
+        quad = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+        mesh("quad", quad, np.array(quad)[:, :2], [[0, 1, 2], [0, 2, 3]]).write_ply(str(tmp_path / "quad.ply"))
+        acquire.mitsuba.bake(mi.load_dict(scene(str(tmp_path / "quad.ply"), truth, looking_at([0, 0], 1), [EVEN], mm_per_uv=20.0)))
+
+
 def test_scalar_and_llvm_agree(material, slab, tmp_path):
     shape = plate(tmp_path / "plate.ply", material)
     x0, x1, y0, y1 = material.lit_extent_mm

@@ -62,6 +62,8 @@ def bake(
     slab = mesh.bsdf()
     if slab.factors.wrap == "clamp":
         raise InputError("bake: expected the wrap repeat, mirror or none, found clamp: its outermost rows have no end", "Setting")
+    if not isinstance(slab.source, Material):
+        raise InputError(f"bake: expected a material, found the matrix {slab.filename}: factor it first", "Setting")
     size = size or min(MOST_TEXELS, int(np.ceil(TEXELS_A_PITCH * slab.mm_per_uv / slab.factors.pitch_mm)))
     found, covered = _irradiance(scene, mesh, size, spp, seed)
     reach = int(np.ceil(np.hypot(*slab.factors.window) / 2 * slab.factors.pitch_mm / slab.mm_per_uv * size)) + 1
@@ -136,7 +138,6 @@ def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def _relit(slab, irradiance: Image) -> Image:
     """Exitance of every texel: each tile of the material under its part of the light, added up."""
-    material: Material = slab.material
     factors, size = slab.factors, irradiance.shape[0]
     mm = slab.mm_per_uv / size
     tile = np.array(factors.tile_mm)
@@ -146,7 +147,7 @@ def _relit(slab, irradiance: Image) -> Image:
     for number in _tiles(factors, slab.mm_per_uv, reach):
         start = number * np.ptp(tile, axis=1)
         mirrored = (number % 2 == 1) & (factors.wrap == "mirror")
-        relit = material.relight(_tile_light(irradiance, factors, start, mirrored, mm))
+        relit = slab.source.relight(_tile_light(irradiance, factors, start, mirrored, mm))
         # Texels that this tile's light reaches, in the tile's own coordinates.
         along = [tile[a, 1] - (texels - start[a]) if mirrored[a] else tile[a, 0] + texels - start[a] for a in (0, 1)]
         near = [np.nonzero((v > at[0]) & (v < at[-1]))[0] for v, at in zip(along, (relit.x_mm, relit.y_mm))]

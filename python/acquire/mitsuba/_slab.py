@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
 import drjit as dr
 import mitsuba as mi
 
-from .. import InputError, Material
-from ._factors import WRAPS, Factors
+from .. import InputError, Material, Matrix
+from ._factors import WRAPS, Factors, Table
 
 
 def transmittance(cosine: mi.Float, eta: float) -> mi.Float:
@@ -45,8 +47,9 @@ def make_slab(base: type) -> type:
             self.exit_fresnel, coat = bool(props.get("exit_fresnel", True)), bool(props.get("coat", True))
             if wrap not in WRAPS:
                 raise InputError(f"bsdf acquire_slab: wrap: expected one of {', '.join(WRAPS)}, found {wrap}", "Setting")
-            self.material = Material.load(str(mi.file_resolver().resolve(self.filename)))
-            self.factors = Factors(self.material, wrap)
+            path = str(mi.file_resolver().resolve(self.filename))
+            self.source = Matrix.open(path) if os.path.isdir(path) else Material.load(path)
+            self.factors = (Table if os.path.isdir(path) else Factors)(self.source, wrap)
             self.coat = mi.load_dict(self._coat(coat and self.eta > 1, alpha))
             self.m_components = [self.coat.flags(i) for i in range(self.coat.component_count())]
             self.m_flags = self.coat.flags()
