@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 #: The part that is shown larger: from and to, as shares of the width and the height.
-ZOOM = ((0.38, 0.62), (0.36, 0.52))
+ZOOM = ((0.38, 0.63), (0.36, 0.56))
 
 
 def srgb(picture: np.ndarray) -> np.ndarray:
@@ -18,7 +18,7 @@ def srgb(picture: np.ndarray) -> np.ndarray:
 def zoom(picture: np.ndarray) -> np.ndarray:
     """The part ``ZOOM`` at the picture's own width, pixels repeated."""
     height, width, _ = picture.shape
-    (left, right), (top, bottom) = ((int(share * side) for share in shares) for shares, side in zip(ZOOM, (width, height)))
+    (left, right), (top, bottom) = ([int(share * side) for share in shares] for shares, side in zip(ZOOM, (width, height)))
     times = -(-width // (right - left))
     return picture[top:bottom, left:right].repeat(times, 0).repeat(times, 1)[:, :width]
 

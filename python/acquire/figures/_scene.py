@@ -41,7 +41,7 @@ class Stage:
         return np.array(acquire.mitsuba.render(loaded, spp=self.spp, seed=seed))
 
     def _sensor(self, near: bool) -> dict:
-        eye, aim, fov = ([90, -22, 78], [0, 0, 62], 26) if near else ([170, -40, 70], [0, 0, 38], 28)
+        eye, aim, fov = ([90, -22, 78], [0, 0, 62], 26) if near else ([170, -40, 70], [0, 0, 38], 22)
         film = {"type": "hdrfilm", "width": self.width, "height": self.width * 3 // 2, "rfilter": {"type": "gaussian"}}
         return {"type": "perspective", "fov": fov, "to_world": _T().look_at(eye, aim, [0, 0, 1]), "film": film}
 
