@@ -1,5 +1,6 @@
 """The code of docs/rendering.md."""
 
+import json
 import re
 
 import numpy as np
@@ -131,3 +132,25 @@ def test_the_mitsuba_page_s_code_runs(truth, tmp_path, monkeypatch):
     code = "".join((ROOT / f"python/acquire/mitsuba/{name}.py").read_text() for name in ("_slab", "_integrator"))
     asked = re.findall(r'(?:props\.get\(|_number\(props, |props\[)"(\w+)"', code)
     assert told == set(asked) | {"mm_per_uv"}
+
+
+def test_the_figures_are_made_by_one_command(truth, tmp_path, monkeypatch):
+    for needed in ("mitsuba", "skimage", "xatlas", "flip_evaluator"):
+        pytest.importorskip(needed)
+    import acquire.mitsuba
+    from acquire.figures.__main__ import main
+
+    try:
+        acquire.mitsuba.find_llvm()
+    except acquire.InputError as missing:
+        pytest.skip(str(missing))
+    words = f"figures --out {tmp_path / 'figures'} --chessboard {truth} --marble {truth} --width 48 --spp 8"
+    monkeypatch.setattr("sys.argv", words.split())
+    main()
+    measured = json.loads((tmp_path / "figures/figure-2.json").read_text())["figure_2"]
+    names = ["matrix, other seed", "Peers et al. 2006", "Kurt et al. 2013", "joint, with maps"]
+    assert [m["name"] for m in measured] == names
+    # With the matrix's own random numbers a model is nearer to its picture than the matrix with others.
+    assert all(m["psnr_db"] > measured[0]["psnr_db"] and m["flip"] < measured[0]["flip"] for m in measured[1:])
+    for name in ("figure-1.png", "figure-2.png"):
+        assert (tmp_path / "figures" / name).stat().st_size > 10_000

@@ -133,7 +133,7 @@ def make_integrator(base: type) -> type:
 
         def go_on(self, sampler, ray, light, weight, depth, last, pdf, unlit, hit, active):
             """Russian roulette, and the state of the next round."""
-            most = dr.max(weight)
+            most = dr.max(abs(weight))  # a truncated series has negative responses too
             stays = dr.select(depth + 1 >= self.rr_depth, dr.minimum(most, 0.95), 1)
             survives = sampler.next_1d(active) < stays
             weight = dr.select(survives & (stays > 0), weight / dr.maximum(stays, 1e-9), 0)
