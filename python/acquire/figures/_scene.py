@@ -60,5 +60,5 @@ _SPOT = {"type": "spot", "to_world": _T().look_at([120, 60, 180], [0, 0, 45], [0
 _LIGHTS = {
     "spot": {"sky": _SKY, "spot": _SPOT},
     "window": {"sky": _SKY, "panel": _panel([150, 150, 130], 50, 9.0)},
-    "behind": {"sky": _SKY, "panel": _panel([-120, 110, 100], 45, 22.0)},
+    "behind": {"sky": _SKY, "panel": _panel([-60, 160, 130], 50, 22.0)},
 }
