@@ -38,6 +38,34 @@ impl Between {
     }
 }
 
+/// Samples of an exit map above and below some places, one more than there are, and how far all of them are beyond.
+struct ExitLine<'a> {
+    above: &'a [f32],
+    below: &'a [f32],
+    beyond: [f64; 2],
+}
+
+struct MultiplyLine<'a> {
+    line: &'a mut [f64],
+    exit: ExitLine<'a>,
+}
+
+impl pulp::NullaryFnOnce for MultiplyLine<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { line, exit: ExitLine { above, below, beyond: [x, y] } } = self;
+        let n = line.len();
+        let (above_next, below_next) = (&above[1..=n], &below[1..=n]);
+        for k in 0..n {
+            let left = f64::from(above[k]) + y * (f64::from(below[k]) - f64::from(above[k]));
+            let right = f64::from(above_next[k]) + y * (f64::from(below_next[k]) - f64::from(above_next[k]));
+            line[k] *= left + x * (right - left);
+        }
+    }
+}
+
 impl Material {
     /// a_c(x_i) of a row, channel by channel; 1 without maps or for a row that is not there.
     #[inline]
@@ -68,9 +96,26 @@ impl Material {
             for (dy, line) in channel.chunks_exact_mut(window[0]).enumerate().filter(|_| exit) {
                 let steps = [-((window[0] / 2) as f64), dy as f64 - (window[1] / 2) as f64];
                 let first = [0, 1].map(|a| lit[a] + steps[a] * pitch_mm);
-                self.exit_line(c, first, line.len(), |x, e| line[x] *= e);
+                match self.inside(c, first, line.len()) {
+                    Some(exit) => pulp::Arch::new().dispatch(MultiplyLine { line, exit }),
+                    None => self.exit_line(c, first, line.len(), |x, e| line[x] *= e),
+                }
             }
         }
+    }
+
+    /// What e_c is between at `count` places a pitch apart along x from `first_mm` on; `None` where one of them lies
+    /// beyond the map's samples.
+    fn inside(&self, channel: usize, first_mm: Point, count: usize) -> Option<ExitLine<'_>> {
+        let ExitGrid { origin_mm, size, planes } = self.header.exit_grid?;
+        let place = [0, 1].map(|a| (first_mm[a] - origin_mm[a]) / self.header.pitch_mm);
+        if !(place[0] > -1e-6 && place[0] + (count as f64) < size[0] as f64 - 1.0) {
+            return None;
+        }
+        let [x, y] = [0, 1].map(|a| Between::at(place[a], size[a]));
+        let plane = &self.exit_map[channel.min(planes - 1) * size[0] * size[1]..];
+        let [above, below] = [y.first, y.next].map(|line| plane[line * size[0]..][..size[0]].get(x.first..=x.first + count));
+        Some(ExitLine { above: above?, below: below?, beyond: [x.beyond, y.beyond] })
     }
 
     /// e_c at a point of the slab, mm; 1 without maps.
