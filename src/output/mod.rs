@@ -22,10 +22,10 @@ mod work_log;
 
 pub(crate) use apart::check_apart;
 pub(crate) use file::{check_file, write_whole};
-pub(crate) use folder::NewFolder;
+pub(crate) use folder::{NewFolder, PROGRAM};
 pub(crate) use leftovers::{remove_leftovers, take_kept, take_removed};
 pub(crate) use place::put;
 pub(crate) use scratch::ScratchFolder;
 pub(crate) use seal::{SEAL, seal};
-pub(crate) use signals::remove_on_signals;
-pub(crate) use work_log::{Earlier, WorkLog, key_of};
+pub(crate) use signals::{Unfinished, remove_on_signals};
+pub(crate) use work_log::{Earlier, WorkLog, checked_lines, key_of, write_line};
