@@ -78,7 +78,7 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     if args.json {
         super::print(&serde_json::to_string(&report).map_err(Error::internal)?)?;
     }
-    let ExtractReport { shots: Range { start: first, end }, of, photographs, was_there, .. } = report;
+    let ExtractReport { shots: [first, end], of, photographs, was_there, .. } = report;
     let what = format!("shots {first}..{end} of {of} from {}", count(photographs, "photograph"));
     let secs = start.elapsed().as_secs_f64();
     context.done(match was_there {

@@ -66,8 +66,8 @@ impl Shots {
 /// What [`extract`] has done.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ExtractReport {
-    /// The lattice shots of the part, by their numbers in the sweep.
-    pub shots: Range<usize>,
+    /// The lattice shots of the part, by their numbers in the sweep: the first, and the one after the last.
+    pub shots: [usize; 2],
     /// Lattice shots of the sweep.
     pub of: usize,
     /// Their photographs.
@@ -145,7 +145,7 @@ fn extract_part(
     let rows: Vec<usize> = shots.iter().flat_map(|&s| scene.dots(s)).map(|&d| manifest.grid.row_index(d)).collect();
     let row_len = unmeasured(manifest).row_len();
     let report = ExtractReport {
-        shots: range,
+        shots: [range.start, range.end],
         of: sweep.len(),
         photographs,
         rows: rows.len(),
