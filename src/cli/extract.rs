@@ -8,18 +8,19 @@ use std::path::PathBuf;
 /// Measure some of a capture's lattice shots: one task of many that share the work of build-matrix.
 ///
 /// Tasks run at once, in any order, on one machine or many that see the same files, and again where they failed; each
-/// writes a part of its own. `acquire assemble` makes the matrix of all parts. What the shots have in common
-/// (radiometry, registration, references) every task finds for itself first.
+/// writes a part of its own. `acquire assemble` makes the matrix of all parts. What the shots have in common every task
+/// finds for itself first, unless `acquire prepare` has written it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   acquire extract captures/ --part 3/64 --out parts/3.part
+  acquire extract parts/slab.prepared --part 3/64 --out parts/3.part
   acquire extract captures/ --shots 120..180 --out parts/again.part
   acquire assemble captures/ parts/ --out slab.rd.zarr
 
 docs/scale.md has recipes for Slurm, Snakemake, GNU parallel and Dask.")]
 pub(super) struct Args {
-    /// Folder of capture.toml.
+    /// Folder of capture.toml, or what `acquire prepare` has made of it.
     #[arg(value_parser = super::things::folder_of("capture.toml"))]
     capture: PathBuf,
     #[command(flatten)]

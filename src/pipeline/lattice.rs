@@ -50,6 +50,7 @@ pub(super) struct LitPoint {
 }
 
 /// What the light of the lattice shots is corrected by.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct LightCorrections {
     /// The camera's halo.
     pub(super) stray: StrayLight,

@@ -26,12 +26,13 @@ mod references;
 mod register;
 mod resolution;
 mod resume;
+mod saved;
 mod scene;
 mod sink;
 mod strangers;
 mod stray;
 
-use crate::capture::{Capture, ExposureFrom, Noise, Reduction, read_checksums};
+use crate::capture::{Capture, ExposureFrom, Noise, read_checksums};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Radiance, Sensor};
@@ -43,10 +44,12 @@ use drift::Movements;
 use findings::{Stages, unmeasured};
 use flicker::Flicker;
 use lattice::LightCorrections;
-pub use parts::{ExtractReport, Shots, assemble, extract};
+pub use parts::{ExtractReport, Shots, assemble, extract, lattice_shots};
 use photographs::Photographs;
 pub use resolution::{Resolution, Working};
 pub use resume::TakenOver;
+pub(crate) use saved::check_prepared;
+pub use saved::prepare as prepare_shots;
 use scene::Scene;
 use sink::{HeldRows, RowSink};
 use std::path::{Path, PathBuf};
@@ -266,13 +269,22 @@ fn with_prepared<T: Send>(
     };
     let done = found().and_then(|found| {
         let working = found.1;
-        let all = || at_resolution(capture, options, found, judged, then, progress);
-        let Some(memory_bytes) = options.memory_bytes else { return all() };
-        let threads = memory::threads(capture, working, memory_bytes, rayon::current_num_threads())?;
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(Error::internal)?;
-        pool.install(all)
+        in_memory(capture, options, working, || at_resolution(capture, options, found, judged, then, progress))
     });
     done.map_err(|error| likeliest::in_files(capture, error))
+}
+
+/// Does `work` with as many threads as the memory permits.
+fn in_memory<T: Send>(
+    capture: &Capture,
+    options: &BuildOptions,
+    working: Working,
+    work: impl FnOnce() -> Result<T> + Send,
+) -> Result<T> {
+    let Some(memory_bytes) = options.memory_bytes else { return work() };
+    let threads = memory::threads(capture, working, memory_bytes, rayon::current_num_threads())?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(Error::internal)?;
+    pool.install(work)
 }
 
 /// [`with_prepared`] at the working resolution.
@@ -287,27 +299,36 @@ fn at_resolution<T>(
     let full = capture;
     // From here on the camera is one of that resolution.
     let defects = defects::find(capture, &noise.noise, working)?;
-    let left_out = defects.iter().map(|h| [h.at[1], h.at[0], h.at[2]].map(|v| v as u32)).collect();
-    let by = Reduction { factor: working.factor, saturation_dn: noise.noise.saturation_dn, left_out };
-    let capture = &capture.reduced(&by);
+    let capture = &capture.reduced(&defects::reduction(working.factor, &noise.noise, &defects));
     let radiometry = radiometry::calibrate(capture, &noise.noise, options, progress)
         .map_err(|error| likeliest::in_noise(&noise.warnings, error))?;
     let photographs = Photographs::new(full, capture, &radiometry, working.factor);
     // What the photographs say of the noise was said of the stated times.
     let noise = if radiometry.corrected { noise.again(&full.timed(&radiometry.brackets))? } else { noise };
-    let checksums = read_checksums(&full.dir)?;
     let before = Before { noise: &noise, working, defects: &defects, radiometry: &radiometry, start };
-    let built = prepare(&photographs, &before, options, |prepared| then(&before, prepared), progress);
-    let built = built.map_err(|error| likeliest::in_gray_code(&photographs, error));
-    let (built, changed) = recorded::with_changed(&photographs, &checksums, options, built)
+    let done = prepare(&photographs, &before, options, |prepared| then(&before, prepared), progress);
+    finish(&photographs, &before, options, judged, done)
+}
+
+/// What was done with the photographs, and what is to be told of them; where it failed, what they say of it.
+fn finish<T>(
+    photographs: &Photographs<'_>,
+    before: &Before<'_>,
+    options: &BuildOptions,
+    judged: Judged,
+    done: Result<T>,
+) -> Result<(T, Vec<Warning>)> {
+    let checksums = read_checksums(&photographs.capture.dir)?;
+    let done = done.map_err(|error| likeliest::in_gray_code(photographs, error));
+    let (done, changed) = recorded::with_changed(photographs, &checksums, options, done)
         .map_or_else(|e| (Err(e), None), |(b, c)| (Ok(b), c));
-    let (built, mut findings) = match (built, judged) {
-        (Ok(built), Judged::Part) => (built, vec![]),
-        (built, _) => strangers::with_findings(&photographs, options, built)
-            .map_err(|error| likeliest::in_noise(&noise.warnings, error))?,
+    let (done, mut findings) = match (done, judged) {
+        (Ok(done), Judged::Part) => (done, vec![]),
+        (done, _) => strangers::with_findings(photographs, options, done)
+            .map_err(|error| likeliest::in_noise(&before.noise.warnings, error))?,
     };
     findings.extend(changed);
-    Ok((built, findings))
+    Ok((done, findings))
 }
 
 /// Adds findings to what was told before.

@@ -8,10 +8,11 @@
 use super::findings::unmeasured;
 use super::lattice;
 use super::resume::{MeasuredShot, key};
+use super::saved::SavedCapture;
 use super::scene::Scene;
 use super::sink::RowSink;
 use super::{Before, BuildOptions, BuildReport, Judged, Prepared, measure, open, with_prepared, write};
-use crate::capture::{Grid, Pattern};
+use crate::capture::{Grid, Manifest, Pattern};
 use crate::output::{Earlier, PROGRAM, WorkLog};
 use crate::progress::Progress;
 use crate::transport::{MatrixWriter, Part, PartWriter, Row, RowsAt, check_part, find_parts};
@@ -76,7 +77,7 @@ pub struct ExtractReport {
     pub rows: usize,
     /// Whether the part was there, whole and of the same photographs: nothing was measured.
     pub was_there: bool,
-    /// Seconds of what every task does: radiometry, registration, references.
+    /// Seconds until what all shots have in common was known.
     pub once_secs: f64,
     /// Seconds of the shots.
     pub shots_secs: f64,
@@ -98,31 +99,45 @@ struct Line {
     measured: MeasuredShot,
 }
 
-/// Measures some lattice shots of the capture in `dir` and writes them to the part `out`.
+/// Measures some lattice shots of a capture and writes them to the part `out`.
 ///
-/// What all shots have in common is found first, as in [`super::build_matrix`]. An earlier part at `out` stays where it
-/// is whole and of the same photographs, and is replaced otherwise. Nothing appears at `out` before all is measured.
+/// `from` is the capture's folder, of which is found first what all shots have in common, as in
+/// [`super::build_matrix`], or a file that [`super::prepare_shots`] has written of that. An earlier part at `out` stays
+/// where it is whole and of the same photographs, and is replaced otherwise. Nothing appears at `out` before all is
+/// measured.
 ///
 /// # Errors
 /// Those of [`super::build_matrix`], but for contradictions that only the whole sweep can show: [`assemble`] looks for
-/// those. [`Error::Setting`] for `shots`, [`Error::NotOurs`] when something else is at `out`.
+/// those. [`Error::Setting`] for `shots`, [`Error::NotOurs`] when something else is at `out`; [`Error::Field`] when
+/// `from` is a file that is damaged or out of date.
 pub fn extract(
-    dir: &Path,
+    from: &Path,
     options: &BuildOptions,
     shots: &Shots,
     out: &Path,
     progress: &Progress,
 ) -> Result<ExtractReport> {
     check_part(out)?;
-    let capture = open(dir, options, progress)?;
-    let range = shots.range(capture.shots(|p| matches!(p, Pattern::Lattice { .. })).len())?;
     let start = Instant::now();
-    let part = |_: &Before<'_>, prepared: &Prepared<'_>| {
+    let part = |range: Range<usize>, prepared: &Prepared<'_>| {
         let once_secs = start.elapsed().as_secs_f64();
         let report = extract_part(prepared, range, out, progress)?;
         Ok(ExtractReport { once_secs, shots_secs: start.elapsed().as_secs_f64() - once_secs, ..report })
     };
+    if from.is_file() {
+        let saved = SavedCapture::open(from, options, progress)?;
+        let range = shots.range(lattice_shots(&saved.capture.manifest))?;
+        return saved.with_prepared(options, |_, prepared| part(range, prepared));
+    }
+    let capture = open(from, options, progress)?;
+    let range = shots.range(lattice_shots(&capture.manifest))?;
+    let part = |_: &Before<'_>, prepared: &Prepared<'_>| part(range, prepared);
     with_prepared(&capture, options, Judged::Part, part, progress).map(|(report, _)| report)
+}
+
+/// Lattice shots of a sweep.
+pub fn lattice_shots(manifest: &Manifest) -> usize {
+    manifest.shots.iter().filter(|shot| matches!(shot.pattern, Pattern::Lattice { .. })).count()
 }
 
 fn extract_part(

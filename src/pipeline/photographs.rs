@@ -38,6 +38,14 @@ pub(super) struct Said {
     piles: Vec<(usize, f64)>,
 }
 
+/// What all photographs that were read have said: see the fields of [`Photographs`].
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+pub(super) struct Heard {
+    hashes: Vec<(PathBuf, String)>,
+    strangers: Vec<([usize; 2], Disagreement)>,
+    piles: Vec<([usize; 2], f64)>,
+}
+
 /// By what a file is known that was read before, where reading it again would cost too much.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct FileState {
@@ -216,6 +224,27 @@ impl<'a> Photographs<'a> {
                 self.hashes.lock().map_err(Error::internal)?.insert(photograph.path.clone(), hash);
             }
         }
+        Ok(())
+    }
+
+    /// All that was heard so far.
+    pub(super) fn heard(&self) -> Result<Heard> {
+        Ok(Heard {
+            hashes: self.hashes()?.into_iter().map(|(path, hash)| (path, hash.to_hex().to_string())).collect(),
+            strangers: self.strangers()?.into_iter().collect(),
+            piles: self.piles()?.into_iter().collect(),
+        })
+    }
+
+    /// Takes what was heard before for its own.
+    pub(super) fn hear(&self, heard: &Heard) -> Result<()> {
+        let hash = |(path, hash): &(PathBuf, String)| {
+            blake3::Hash::from_hex(hash).map(|hash| (path.clone(), hash)).map_err(Error::internal)
+        };
+        let hashes: Vec<_> = heard.hashes.iter().map(hash).collect::<Result<_>>()?;
+        self.hashes.lock().map_err(Error::internal)?.extend(hashes);
+        self.strangers.lock().map_err(Error::internal)?.extend(heard.strangers.iter().cloned());
+        self.piles.lock().map_err(Error::internal)?.extend(heard.piles.iter().copied());
         Ok(())
     }
 

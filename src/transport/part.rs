@@ -8,18 +8,16 @@
 //! | 8 | length of the text, little-endian |
 //! | 8 | [`TAIL`] |
 //!
-//! A part is written under a name of its own and takes its place in one step: tasks need no lock, which shared file
-//! systems often have not, and of two that write the same part the last one stays. Nothing removes what a killed task
-//! has left but who removes the folder.
+//! Of two tasks that write the same part the last one stays ([`Unlocked`]).
 
 use super::positioned::{read_exact_at, write_all_at};
 use super::store::Row;
-use crate::output::{Unfinished, checked_lines, write_line};
+use crate::output::{Unlocked, begins_with, check_by_head, checked_lines, is_unfinished, write_line};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom, Write};
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -27,45 +25,23 @@ use std::sync::Arc;
 const HEAD: &[u8; 16] = b"acquire part 1\n\0";
 /// What a whole one ends with.
 const TAIL: &[u8; 8] = b"\npart 1\n";
-/// The name of one that is not whole: the part's name and six letters or digits between these.
-const UNFINISHED: [&str; 2] = [".", ".unfinished"];
 
 /// Refuses a place where a part cannot go: a folder that is not there, a file that is no part.
 ///
 /// # Errors
 /// [`Error::NotOurs`], [`Error::Io`].
 pub(crate) fn check_part(path: &Path) -> Result<()> {
-    let folder = folder_of(path);
-    if !folder.is_dir() {
-        return Err(Error::io("create", path)(std::io::ErrorKind::NotFound.into()));
-    }
-    match path.symlink_metadata() {
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        Err(e) => Err(Error::io("create", path)(e)),
-        Ok(kind) if kind.is_file() && is_part(path) => Ok(()),
-        Ok(_) => Err(Error::NotOurs { path: path.to_path_buf() }),
-    }
-}
-
-fn folder_of(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
-}
-
-/// Whether a file begins as parts do.
-fn is_part(path: &Path) -> bool {
-    let mut head = [0; HEAD.len()];
-    File::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok() && head == *HEAD
+    check_by_head(path, HEAD)
 }
 
 /// Writes a part; rows come in any order from any thread.
 #[derive(Debug)]
 pub(crate) struct PartWriter {
     path: PathBuf,
-    file: tempfile::NamedTempFile,
+    file: Unlocked,
     row_bytes: usize,
     /// The place of each row in the file.
     places: BTreeMap<usize, usize>,
-    _unfinished: Unfinished,
 }
 
 impl PartWriter {
@@ -75,19 +51,10 @@ impl PartWriter {
     /// Those of [`check_part`].
     pub(crate) fn create(path: &Path, rows: impl IntoIterator<Item = usize>, row_len: usize) -> Result<Self> {
         check_part(path)?;
-        let failed = |e| Error::io("create", path)(e);
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let prefix = format!("{}{name}.", UNFINISHED[0]);
-        let mut named = tempfile::Builder::new();
-        named.prefix(&prefix).suffix(UNFINISHED[1]);
-        // As any file that is made here: temporary ones are their owner's alone.
-        #[cfg(unix)]
-        named.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let file = named.tempfile_in(folder_of(path)).map_err(failed)?;
-        let _unfinished = Unfinished::new(file.path());
-        write_all_at(file.as_file(), HEAD, 0).map_err(failed)?;
+        let file = Unlocked::create(path)?;
+        write_all_at(file.file(), HEAD, 0).map_err(Error::io("create", path))?;
         let places = rows.into_iter().enumerate().map(|(place, row)| (row, place)).collect();
-        Ok(Self { path: path.to_path_buf(), file, row_bytes: 9 * row_len, places, _unfinished })
+        Ok(Self { path: path.to_path_buf(), file, row_bytes: 9 * row_len, places })
     }
 
     /// Keeps row `index`.
@@ -99,7 +66,7 @@ impl PartWriter {
         match self.places.get(&index) {
             Some(place) if bytes.len() == self.row_bytes => {
                 let at = (HEAD.len() + place * self.row_bytes) as u64;
-                write_all_at(self.file.as_file(), &bytes, at).map_err(Error::io("write", &self.path))
+                write_all_at(self.file.file(), &bytes, at).map_err(Error::io("write", &self.path))
             }
             _ => Err(Error::internal(format_args!("row {index} does not fit the part"))),
         }
@@ -110,7 +77,7 @@ impl PartWriter {
     /// # Errors
     /// [`Error::Io`].
     pub(crate) fn finish<'a, T: Serialize + 'a>(
-        mut self,
+        self,
         first: &impl Serialize,
         lines: impl IntoIterator<Item = &'a T>,
     ) -> Result<()> {
@@ -122,13 +89,9 @@ impl PartWriter {
         let length = text.len() as u64;
         text.extend(length.to_le_bytes());
         text.extend(TAIL);
-        let failed = |e| Error::io("write", &self.path)(e);
         let end = (HEAD.len() + self.places.len() * self.row_bytes) as u64;
-        self.file.as_file_mut().seek(SeekFrom::Start(end)).map_err(failed)?;
-        self.file.as_file_mut().write_all(&text).map_err(failed)?;
-        self.file.as_file().sync_all().map_err(failed)?;
-        self.file.persist(&self.path).map_err(|e| failed(e.error))?;
-        Ok(())
+        write_all_at(self.file.file(), &text, end).map_err(Error::io("write", &self.path))?;
+        self.file.finish()
     }
 }
 
@@ -161,7 +124,7 @@ impl RowsAt {
 impl Part {
     /// Opens a part, and reads its lines that are not damaged; says why it is none.
     pub(crate) fn open(path: &Path) -> Result<(Self, Vec<Vec<u8>>), String> {
-        if !is_part(path) {
+        if !begins_with(path, HEAD) {
             return Err("it is no part".into());
         }
         let mut file = File::open(path).map_err(|e| e.to_string())?;
@@ -204,7 +167,7 @@ pub(crate) fn find_parts(paths: &[PathBuf]) -> Result<(Vec<PathBuf>, usize)> {
         for entry in std::fs::read_dir(path).map_err(Error::io("read", path))? {
             let entry = entry.map_err(Error::io("read", path))?.path();
             let name = entry.file_name().unwrap_or_default().to_string_lossy();
-            match name.starts_with(UNFINISHED[0]) && name.ends_with(UNFINISHED[1]) {
+            match is_unfinished(&name) {
                 true => unfinished += 1,
                 false if entry.extension().is_some_and(|e| e == "part") => parts.push(entry),
                 false => {}

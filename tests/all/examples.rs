@@ -101,6 +101,7 @@ impl Bench {
         for command in [
             "build-matrix captures --out slab.rd.zarr",
             "extract captures --part 1/1 --out parts/all.part",
+            "prepare captures --out parts/slab.prepared",
             "factor slab.rd.zarr --out slab.safetensors",
             "relight slab.safetensors --light spot --out window.exr",
             "simulate few --grid 4 --window 7",

@@ -190,6 +190,44 @@ fn a_photograph_that_changed_after_its_part_was_measured_is_measured_again_and_o
     assert!(!said.contains("was there already"), "{said}");
 }
 
+#[test]
+fn a_part_is_the_same_whether_its_task_has_found_or_read_what_shots_have_in_common() {
+    let bench = Bench::new();
+    bench.done("prepare capture --out parts/slab.prepared");
+    for (from, part) in [("capture", "found"), ("parts/slab.prepared", "read")] {
+        bench.done(&format!("extract {from} --part 2/3 --out {part}.part"));
+    }
+    assert!(std::fs::read(bench.path("found.part")).unwrap() == std::fs::read(bench.path("read.part")).unwrap());
+    // A task in another folder.
+    let mut command = bench.command("extract slab.prepared --shots 0..4 --out 1.part");
+    assert!(command.current_dir(bench.path("parts")).output().unwrap().status.success());
+    bench.done("extract parts/slab.prepared --memory 4GiB --part 2/2 --out parts/2.part");
+    bench.done("extract parts/slab.prepared --shots 4..6 --out parts/3.part");
+    bench.assembled("");
+
+    let refused = |line: &str, words: &str| {
+        let (status, _, said) = bench.run(line);
+        assert!(status == 1 && said.contains(words) && said.contains("hint: "), "{line}: {said}");
+    };
+    let again = "extract parts/slab.prepared --part 1/1 --out again.part";
+    refused(&format!("{again} --resolution full"), "--resolution: expected none, as `acquire prepare` was told it");
+    let (file, manifest) = (bench.path("parts/slab.prepared"), bench.path("capture/capture.toml"));
+    for (path, at) in [(&file, 5000), (&file, 3)] {
+        let whole = std::fs::read(path).unwrap();
+        let mut bytes = whole.clone();
+        bytes[at] ^= 1;
+        std::fs::write(path, bytes).unwrap();
+        refused(again, if at == 3 { "found something else" } else { "found a damaged one" });
+        std::fs::write(path, whole).unwrap();
+    }
+    let text = std::fs::read_to_string(&manifest).unwrap() + "\n# a remark\n";
+    std::fs::remove_file(&manifest).unwrap();
+    std::fs::write(&manifest, text).unwrap();
+    refused(again, "others: run `acquire prepare` again");
+    bench.done("prepare capture --out parts/slab.prepared");
+    bench.done(again);
+}
+
 #[cfg(unix)]
 #[test]
 fn a_killed_task_leaves_no_part_and_one_that_is_told_to_end_leaves_nothing() {
@@ -229,6 +267,7 @@ fn ranges_that_the_sweep_has_not_are_refused_before_any_work() {
         ("--part 1/2 --shots 0..3 --out parts/1.part", "cannot be used with"),
         ("--part 1/2 --out parts/1.txt", "a name that ends in .part"),
         ("--part 1/2 --out nowhere/1.part", "nowhere/1.part"),
+        ("--part 1/2 --out capture/1.prepared", "a name that ends in .part"),
         ("--part 1/2 --out capture/photos/lattice-0001_0.png", "apart from the inputs"),
     ] {
         let (status, _, stderr) = bench.run(&format!("extract capture {line}"));
