@@ -12,7 +12,7 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Examples:
   acquire assemble captures/ parts/ --out slab.rd.zarr
-  acquire assemble captures/ parts/*.part --measure-missing --out slab.rd.zarr
+  acquire assemble captures/ parts/all.part --measure-missing --out slab.rd.zarr
   acquire assemble captures/ parts/ --json | jq -r '.missing[] | join(\"..\")'
 
 Exit status 1 when shots are missing; the message and --json say which.")]
