@@ -178,8 +178,7 @@ pub(crate) fn extract(
         _ => return Err(refused("part, shots: expected one of the two")),
     };
     run(py, report, |progress| {
-        let report =
-            on_threads(threads, || acquire::pipeline::extract(&source, &options, &shots, &out, progress))?;
+        let report = on_threads(threads, || acquire::pipeline::extract(&source, &options, &shots, &out, progress))?;
         Ok(to_json(&report)?.to_string())
     })
 }
@@ -215,10 +214,7 @@ pub(crate) fn assemble(
 }
 
 /// Does `work` on so many threads; on all where none are given.
-fn on_threads<T: Send>(
-    threads: Option<usize>,
-    work: impl FnOnce() -> acquire::Result<T> + Send,
-) -> acquire::Result<T> {
+fn on_threads<T: Send>(threads: Option<usize>, work: impl FnOnce() -> acquire::Result<T> + Send) -> acquire::Result<T> {
     let Some(threads) = threads else { return work() };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(Error::internal)?;
     pool.install(work)
