@@ -95,3 +95,41 @@ pub(crate) fn begins_with(path: &Path, head: &[u8]) -> bool {
     let mut found = vec![0; head.len()];
     File::open(path).and_then(|mut file| file.read_exact(&mut found)).is_ok() && found == head
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_there_when_it_is_whole_and_takes_the_place_of_one_that_begins_alike_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.part");
+        let names = || {
+            let names = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name());
+            names.map(|n| n.to_string_lossy().into_owned()).collect::<Vec<_>>()
+        };
+        let new = Unlocked::create(&path).unwrap();
+        assert!(names().len() == 1 && is_unfinished(&names()[0]));
+        drop(new);
+        assert!(names().is_empty());
+        // Two at once: the last one stays.
+        let (first, second) = (Unlocked::create(&path).unwrap(), Unlocked::create(&path).unwrap());
+        first.file().write_all(b"head 1").unwrap();
+        second.file().write_all(b"head 2").unwrap();
+        first.finish().unwrap();
+        second.finish().unwrap();
+        assert_eq!((names(), std::fs::read(&path).unwrap()), (vec!["a.part".into()], b"head 2".to_vec()));
+        check_by_head(&path, b"head").unwrap();
+        assert!(matches!(check_by_head(&path, b"other"), Err(Error::NotOurs { .. })));
+        assert!(matches!(check_by_head(folder.path(), b"head"), Err(Error::NotOurs { .. })));
+        check_by_head(&folder.path().join("new"), b"head").unwrap();
+        assert!(matches!(check_by_head(&folder.path().join("no/new"), b"head"), Err(Error::Io { .. })));
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            std::fs::write(folder.path().join("plain"), "").unwrap();
+            let mode = |name: &str| std::fs::metadata(folder.path().join(name)).unwrap().permissions().mode();
+            assert_eq!(mode("a.part"), mode("plain"), "others may read it as they may any file");
+        }
+    }
+}

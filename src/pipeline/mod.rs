@@ -52,6 +52,7 @@ pub(crate) use saved::check_prepared;
 pub use saved::prepare as prepare_shots;
 use scene::Scene;
 use sink::{HeldRows, RowSink};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -305,7 +306,8 @@ fn at_resolution<T>(
     let photographs = Photographs::new(full, capture, &radiometry, working.factor);
     // What the photographs say of the noise was said of the stated times.
     let noise = if radiometry.corrected { noise.again(&full.timed(&radiometry.brackets))? } else { noise };
-    let before = Before { noise: &noise, working, defects: &defects, radiometry: &radiometry, start };
+    let recorded = &read_checksums(&full.dir)?;
+    let before = Before { noise: &noise, working, defects: &defects, radiometry: &radiometry, recorded, start };
     let done = prepare(&photographs, &before, options, |prepared| then(&before, prepared), progress);
     finish(&photographs, &before, options, judged, done)
 }
@@ -318,9 +320,8 @@ fn finish<T>(
     judged: Judged,
     done: Result<T>,
 ) -> Result<(T, Vec<Warning>)> {
-    let checksums = read_checksums(&photographs.capture.dir)?;
     let done = done.map_err(|error| likeliest::in_gray_code(photographs, error));
-    let (done, changed) = recorded::with_changed(photographs, &checksums, options, done)
+    let (done, changed) = recorded::with_changed(photographs, before.recorded, options, done)
         .map_or_else(|e| (Err(e), None), |(b, c)| (Ok(b), c));
     let (done, mut findings) = match (done, judged) {
         (Ok(done), Judged::Part) => (done, vec![]),
@@ -343,6 +344,8 @@ struct Before<'a> {
     working: Working,
     defects: &'a [crate::radiance::HotPixel],
     radiometry: &'a radiometry::Radiometry,
+    /// Checksums of photographs as they were when the capture was made, by name.
+    recorded: &'a BTreeMap<String, blake3::Hash>,
     start: Instant,
 }
 

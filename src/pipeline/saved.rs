@@ -21,7 +21,7 @@ use super::references::References;
 use super::register::Registered;
 use super::scene::Scene;
 use super::{Before, BuildOptions, Judged, Prepared, Resolution, Working, finish, in_memory, open, with_prepared};
-use crate::capture::{Capture, ExposureFrom, Manifest, Photograph, Rig, hash};
+use crate::capture::{Capture, ExposureFrom, Manifest, Photograph, Rig, hash, read_checksums};
 use crate::output::{PROGRAM, write_in_place};
 use crate::progress::Progress;
 use crate::radiance::HotPixel;
@@ -170,7 +170,8 @@ impl SavedCapture {
         let (full, saved, start) = (&self.capture, &self.saved, Instant::now());
         let (noise, working) = (&saved.noise, saved.working);
         let capture = &full.reduced(&defects::reduction(working.factor, &noise.noise, &saved.defects));
-        let before = Before { noise, working, defects: &saved.defects, radiometry: &saved.radiometry, start };
+        let recorded = &read_checksums(&full.dir)?;
+        let before = Before { noise, working, defects: &saved.defects, radiometry: &saved.radiometry, recorded, start };
         in_memory(full, options, working, || {
             let photographs = Photographs::new(full, capture, &saved.radiometry, working.factor);
             photographs.hear(&saved.heard)?;
