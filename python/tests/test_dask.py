@@ -11,7 +11,7 @@ import pytest
 import acquire
 
 distributed = pytest.importorskip("distributed")
-import acquire.dask  # noqa: E402
+import acquire.dask
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_the_matrix_of_a_cluster_is_that_of_one_process_though_a_worker_is_kille
 @pytest.mark.filterwarnings("ignore::acquire.FindingWarning")
 def test_an_error_of_a_task_is_the_caller_s_and_what_was_measured_is_used_again(cluster, capture, tmp_path):
     manifest = (capture / "c/capture.toml").read_text()
-    name = sorted(p.name for p in (capture / "c").rglob("lattice-*"))[-1]
+    name = max(p.name for p in (capture / "c").rglob("lattice-*"))
     photograph = next((capture / "c").rglob(name))
     kept = photograph.read_bytes()
     photograph.unlink()

@@ -130,6 +130,9 @@ fn of_the_input(error: &Error) -> Option<String> {
             _ => known(path),
         },
         Error::NoManifest { path } => known(path),
+        Error::Field { path, .. } if super::ending(path) == "prepared" => {
+            Some("write it again with `acquire prepare CAPTURE --out X.prepared`".into())
+        }
         Error::BrokenMatrix { path, .. } | Error::MatrixFormat { path, .. } => {
             known(path).filter(|_| !path.join("zarr.json").is_file())
         }

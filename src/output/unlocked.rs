@@ -79,9 +79,7 @@ fn folder_of(path: &Path) -> &Path {
 /// # Errors
 /// [`Error::NotOurs`], [`Error::Io`].
 pub(crate) fn check_by_head(path: &Path, head: &[u8]) -> Result<()> {
-    if !folder_of(path).is_dir() {
-        return Err(Error::io("create", path)(std::io::ErrorKind::NotFound.into()));
-    }
+    std::fs::read_dir(folder_of(path)).map_err(Error::io("create", path))?;
     match path.symlink_metadata() {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),
         Err(e) => Err(Error::io("create", path)(e)),

@@ -144,7 +144,7 @@ impl SavedCapture {
         }
         if hashes(&saved.dir, &saved.rig_path)? != saved.manifest_and_rig {
             let expected = "capture.toml and rig.toml as they were when it was written";
-            return Err(Error::field(path, "file", expected, "others: run `acquire prepare` again"));
+            return Err(Error::field(path, "file", expected, "others"));
         }
         let capture = Capture {
             manifest: Manifest::read(&saved.dir)?,

@@ -13,7 +13,9 @@ fn made() -> &'static Path {
     static MADE: OnceLock<tempfile::TempDir> = OnceLock::new();
     let make = || {
         // Four dots a shot: their light overlaps and is taken out, which replaces rows.
-        let options = SimulateOptions { grid: [8, 6], window: [9, 7], exposures: 2, seed: 4, ..common::bench() };
+        let spacing = Some([4, 3]);
+        let options =
+            SimulateOptions { grid: [8, 6], window: [9, 7], exposures: 2, seed: 4, spacing, ..common::bench() };
         let (folder, capture) = common::capture(&options);
         let whole = folder.path().join("whole.rd.zarr");
         let words = ["build-matrix", capture.to_str().unwrap(), "--out", whole.to_str().unwrap()];
@@ -163,7 +165,7 @@ fn parts_of_others_and_damaged_ones_are_named_and_do_no_harm() {
     std::fs::write(bench.path("parts/.3.part.AbCdEf.unfinished"), "acquire part 1\n\0").unwrap();
     let said = bench.assembled("");
     for words in [
-        "other.part (it is of the capture \"marble\")",
+        "other.part (it is of the capture \"simulated marble\")",
         "options.part (its photographs, rig or options are others)",
         "notes.part (it is no part)",
         "1 unfinished (of tasks that still run, or were killed)",
@@ -184,7 +186,9 @@ fn a_photograph_that_changed_after_its_part_was_measured_is_measured_again_and_o
     bench.assembled("");
     std::fs::remove_file(&photograph).unwrap();
     std::fs::copy(bench.path("capture/photos/lattice-0006_1.png"), &photograph).unwrap();
-    assert_eq!(bench.missing().0, serde_json::json!([[5, 6]]));
+    // It may be one of those that all shots are measured against: then nothing that was measured counts.
+    let missing: Vec<[usize; 2]> = serde_json::from_value(bench.missing().0).unwrap();
+    assert!(missing.iter().any(|[start, end]| (*start..*end).contains(&5)), "{missing:?}");
     // A part that is there is not taken for one of these photographs.
     let (_, _, said) = bench.run("extract capture --part 1/1 --out parts/1.part");
     assert!(!said.contains("was there already"), "{said}");
@@ -223,7 +227,7 @@ fn a_part_is_the_same_whether_its_task_has_found_or_read_what_shots_have_in_comm
     let text = std::fs::read_to_string(&manifest).unwrap() + "\n# a remark\n";
     std::fs::remove_file(&manifest).unwrap();
     std::fs::write(&manifest, text).unwrap();
-    refused(again, "others: run `acquire prepare` again");
+    refused(again, "as they were when it was written, found others");
     bench.done("prepare capture --out parts/slab.prepared");
     bench.done(again);
 }
