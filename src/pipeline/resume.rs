@@ -96,8 +96,8 @@ impl Resumed {
     }
 }
 
-/// A key of all that lattice shots are measured against. Pictures of references are in it by the files that they were made
-/// of.
+/// The key of all that lattice shots are measured against. Pictures of references are in it by the files that they were
+/// made of.
 pub(super) fn key(scene: &Scene<'_>, light: &LightCorrections) -> Result<String> {
     let (capture, references) = (scene.capture, scene.references);
     let times: Vec<Vec<f64>> =
