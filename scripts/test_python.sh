@@ -13,7 +13,8 @@ environment() { # name, packages
     "$work/$1/bin/python" -m pip install --quiet --disable-pip-version-check "${@:2}"
 }
 
-environment new "maturin>=1.9,<2" "numpy>=2" pytest safetensors "mitsuba>=3.9" moderngl "xarray>=2024.10" "zarr>=3" dask jsonschema
+environment new "maturin>=1.9,<2" "numpy>=2" pytest safetensors "mitsuba>=3.9" moderngl "xarray>=2024.10" "zarr>=3" dask \
+    "distributed>=2024.10" jsonschema
 rm -rf "$work/wheels"
 CARGO_TARGET_DIR=$target "$work/new/bin/maturin" build --quiet --release --locked --auditwheel skip --features "${FEATURES:-}" \
     --manifest-path python/Cargo.toml --out "$work/wheels"

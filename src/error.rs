@@ -1,5 +1,6 @@
 //! What can go wrong, typed: every error names the file and field, what was expected and what was found.
 
+use crate::words;
 use std::path::{Path, PathBuf};
 
 /// `Result` with this crate's [`Error`].
@@ -228,6 +229,18 @@ pub enum Error {
         a_value: String,
         /// Its value in `b`.
         b_value: String,
+    },
+    /// Lattice shots that no part has, and nobody was told to measure.
+    #[error("{}: expected all {of} lattice shots, found none of the shots {}{}", path.display(), words::spelled(missing), words::not_used(unused))]
+    MissingShots {
+        /// Where parts were looked for.
+        path: PathBuf,
+        /// Their numbers in the sweep.
+        missing: Vec<std::ops::Range<usize>>,
+        /// Lattice shots in all.
+        of: usize,
+        /// Parts that were of no use, and why.
+        unused: Vec<String>,
     },
     /// An option has a value that cannot be used.
     #[error("{setting}: expected {expected}, found {found}")]

@@ -11,7 +11,7 @@ linear R, G, B.
 ``docs/python.md`` of the repository has the rest.
 """
 
-from ._commands import build_matrix, evaluate, factor, import_matrix, simulate, write_matrix
+from ._commands import assemble, build_matrix, evaluate, extract, factor, import_matrix, prepare, simulate, write_matrix
 from ._errors import Error, FindingWarning, InputError, InternalError
 from ._material import Exitance, Material
 from ._matrix import Matrix
@@ -26,11 +26,14 @@ __all__ = [
     "Material",
     "Matrix",
     "__version__",
+    "assemble",
     "build_matrix",
     "evaluate",
+    "extract",
     "factor",
     "has_opencv",
     "import_matrix",
+    "prepare",
     "simulate",
     "write_matrix",
 ]

@@ -223,3 +223,58 @@ def build_matrix(capture: Path, out: Path, *, force: bool = False, progress: Pro
     result: dict[str, Any] = json.loads(native.build_matrix(os.fspath(capture), os.fspath(out), _words(options), force, report(progress)))
     tell(result["findings"])
     return result
+
+
+def prepare(capture: Path, out: Path, *, threads: int | None = None, progress: Progress = True, **options: Any) -> int:
+    """Writes what all lattice shots of a capture have in common to the file ``out`` (``*.prepared``), which :func:`extract` takes in the place of the capture.
+
+    :param threads: threads to work on; default: all.
+    :param options: those of ``acquire prepare``, as of :func:`build_matrix`.
+    :returns: bytes of the file.
+    """
+    return native.prepare(os.fspath(capture), os.fspath(out), _words(options), threads, report(progress))
+
+
+def extract(
+    source: Path,
+    out: Path,
+    *,
+    part: tuple[int, int] | None = None,
+    shots: tuple[int, int] | None = None,
+    threads: int | None = None,
+    progress: Progress = True,
+    **options: Any,
+) -> dict[str, Any]:
+    """Measures some lattice shots and writes them to the part ``out`` (``*.part``), as ``acquire extract`` does: one task of many.
+
+    :param source: the capture folder, or what :func:`prepare` has made of it.
+    :param part: ``(3, 64)``: the third of 64 parts of nearly equal size; or
+    :param shots: ``(120, 180)``: shots by their numbers in the sweep, from 0, the end not among them.
+    :param threads: threads to work on; default: all.
+    :returns: ``shots``, ``of``, ``photographs``, ``rows``, ``was_there``, ``once_secs``, ``shots_secs``.
+    """
+    return json.loads(native.extract(os.fspath(source), os.fspath(out), _words(options), part, shots, threads, report(progress)))
+
+
+def assemble(
+    capture: Path,
+    parts: Path | list[Path],
+    out: Path,
+    *,
+    measure_missing: bool = False,
+    force: bool = False,
+    threads: int | None = None,
+    progress: Progress = True,
+    **options: Any,
+) -> dict[str, Any]:
+    """Puts parts together to the matrix that :func:`build_matrix` makes, bit by bit.
+
+    :param parts: parts, or folders of them.
+    :param measure_missing: measure the shots that no part has; default: :class:`InputError`, ``kind`` ``MissingShots``, that names them.
+    :returns: what :func:`build_matrix` returns, and ``unused_parts``: parts that were of no use, and why.
+    """
+    paths = [os.fspath(p) for p in (parts if isinstance(parts, list) else [parts])]
+    told = native.assemble(os.fspath(capture), paths, os.fspath(out), _words(options), measure_missing, force, threads, report(progress))
+    result: dict[str, Any] = json.loads(told)
+    tell(result["findings"])
+    return result

@@ -1,10 +1,11 @@
 //! What the program does as commands. Options are words as they are typed, so that both have one list; what is reported
 //! is JSON.
 
-use crate::errors::{internal, raised};
+use crate::errors::{internal, raised, refused};
 use crate::material::NativeMaterial;
 use crate::work::{Report, run};
 use acquire::material::{Precision, Source};
+use acquire::pipeline::Shots;
 use acquire::simulate::SlabMaterial;
 use acquire::transport::MatrixReader;
 use acquire::transport::arrays::{
@@ -124,6 +125,99 @@ pub(crate) fn build_matrix(
         object["findings"] = Value::Array(findings(built.warnings)?);
         Ok(object.to_string())
     })
+}
+
+/// Checks, before any work, that a capture can become a matrix at `out`; how many lattice shots it has.
+#[pyfunction]
+pub(crate) fn plan(capture: PathBuf, out: PathBuf, words: Vec<String>, force: bool) -> PyResult<usize> {
+    let options = acquire::cli::build_options(&words).map_err(raised)?;
+    let inputs = acquire::cli::inputs_of(&capture, options.calibration.as_deref());
+    acquire::cli::check_matrix_output("out", &out, &inputs, force).map_err(raised)?;
+    let manifest = acquire::capture::Manifest::read(&capture).map_err(raised)?;
+    Ok(acquire::pipeline::lattice_shots(&manifest))
+}
+
+/// What all lattice shots have in common, to a file; its bytes.
+#[pyfunction]
+pub(crate) fn prepare(
+    py: Python<'_>,
+    capture: PathBuf,
+    out: PathBuf,
+    words: Vec<String>,
+    threads: Option<usize>,
+    report: Report<'_>,
+) -> PyResult<u64> {
+    let options = acquire::cli::build_options(&words).map_err(raised)?;
+    let inputs = acquire::cli::inputs_of(&capture, options.calibration.as_deref());
+    acquire::cli::check_prepared_output(&out, &inputs).map_err(raised)?;
+    run(py, report, |progress| {
+        on_threads(threads, || acquire::pipeline::prepare_shots(&capture, &options, &out, progress))
+    })
+}
+
+/// Some lattice shots, to a part: either part `part` (number from 1, of how many) or those of a range.
+#[pyfunction]
+#[pyo3(signature = (source, out, words, part, shots, threads, report))]
+#[allow(clippy::too_many_arguments, reason = "keywords of the Python function")]
+pub(crate) fn extract(
+    py: Python<'_>,
+    source: PathBuf,
+    out: PathBuf,
+    words: Vec<String>,
+    part: Option<[usize; 2]>,
+    shots: Option<[usize; 2]>,
+    threads: Option<usize>,
+    report: Report<'_>,
+) -> PyResult<String> {
+    let options = acquire::cli::build_options(&words).map_err(raised)?;
+    let inputs = acquire::cli::inputs_of(&source, options.calibration.as_deref());
+    acquire::cli::check_part_output(&out, &inputs).map_err(raised)?;
+    let shots = match (part, shots) {
+        (Some([number, of]), None) => Shots::Part { number, of },
+        (None, Some([start, end])) => Shots::Range(start..end),
+        _ => return Err(refused("part, shots: expected one of the two")),
+    };
+    run(py, report, |progress| {
+        let report = on_threads(threads, || acquire::pipeline::extract(&source, &options, &shots, &out, progress))?;
+        Ok(to_json(&report)?.to_string())
+    })
+}
+
+/// Parts to a matrix.
+#[pyfunction]
+#[pyo3(signature = (capture, parts, out, words, measure_missing, force, threads, report))]
+#[allow(clippy::too_many_arguments, reason = "keywords of the Python function")]
+pub(crate) fn assemble(
+    py: Python<'_>,
+    capture: PathBuf,
+    parts: Vec<PathBuf>,
+    out: PathBuf,
+    words: Vec<String>,
+    measure_missing: bool,
+    force: bool,
+    threads: Option<usize>,
+    report: Report<'_>,
+) -> PyResult<String> {
+    let options = acquire::cli::build_options(&words).map_err(raised)?;
+    let mut inputs = acquire::cli::inputs_of(&capture, options.calibration.as_deref());
+    inputs.extend(parts.iter().cloned());
+    acquire::cli::check_matrix_output("out", &out, &inputs, force).map_err(raised)?;
+    run(py, report, |progress| {
+        let built = on_threads(threads, || {
+            acquire::pipeline::assemble(&capture, &options, &parts, measure_missing, &out, progress)
+        })?;
+        let mut object = built.figures()?;
+        object["unused_parts"] = json!(built.unused_parts);
+        object["findings"] = Value::Array(findings(built.warnings)?);
+        Ok(object.to_string())
+    })
+}
+
+/// Does `work` on so many threads; on all where none are given.
+fn on_threads<T: Send>(threads: Option<usize>, work: impl FnOnce() -> acquire::Result<T> + Send) -> acquire::Result<T> {
+    let Some(threads) = threads else { return work() };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(Error::internal)?;
+    pool.install(work)
 }
 
 /// A matrix from a file of arrays.

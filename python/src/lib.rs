@@ -21,6 +21,10 @@ fn _acquire(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(commands::evaluate, m)?)?;
     m.add_function(wrap_pyfunction!(commands::simulate, m)?)?;
     m.add_function(wrap_pyfunction!(commands::build_matrix, m)?)?;
+    m.add_function(wrap_pyfunction!(commands::plan, m)?)?;
+    m.add_function(wrap_pyfunction!(commands::prepare, m)?)?;
+    m.add_function(wrap_pyfunction!(commands::extract, m)?)?;
+    m.add_function(wrap_pyfunction!(commands::assemble, m)?)?;
     m.add_function(wrap_pyfunction!(commands::import_matrix, m)?)?;
     Ok(())
 }

@@ -54,8 +54,8 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     Ok(())
 }
 
-/// `built`, `reason`, `figures` and `findings`, as `check --json` has them.
-fn json(built: &Result<BuildReport>, capture: &Path, out: &Path) -> Result<String> {
+/// `built`, `reason`, `figures` and `findings`, as `check --json` has them; the ranges of shots that no part has.
+pub(super) fn json(built: &Result<BuildReport>, capture: &Path, out: &Path) -> Result<String> {
     let object = match built {
         Ok(report) => {
             let findings: Result<Vec<_>> = report.warnings.iter().map(Warning::json).collect();
@@ -65,7 +65,12 @@ fn json(built: &Result<BuildReport>, capture: &Path, out: &Path) -> Result<Strin
         Err(error) => {
             let refusal = Warning::refusal(error, capture);
             let finding = refusal.record().refused().with_figures(&refusal)?;
-            serde_json::json!({ "built": false, "reason": error.to_string(), "findings": [finding] })
+            let missing: Vec<_> = match error {
+                Error::MissingShots { missing, .. } => missing.iter().map(|r| [r.start, r.end]).collect(),
+                _ => vec![],
+            };
+            let reason = error.to_string();
+            serde_json::json!({ "built": false, "reason": reason, "findings": [finding], "missing": missing })
         }
     };
     serde_json::to_string_pretty(&object).map_err(Error::internal)

@@ -88,6 +88,13 @@ pub(super) fn hint(error: &Error) -> Option<String> {
             }
             _ => "copy the photograph again from the camera, or write exposure_secs = … for it in capture.toml",
         },
+        Error::MissingShots { missing, .. } => {
+            let first = missing.first().map_or(0..0, Clone::clone);
+            return Some(format!(
+                "measure them with `acquire extract CAPTURE --shots {}..{} --out X.part`, or here with --measure-missing",
+                first.start, first.end
+            ));
+        }
         Error::BrokenMatrix { .. } => {
             "the store may be an incomplete copy; copy it again, or build it again with `acquire build-matrix`"
         }
@@ -123,6 +130,9 @@ fn of_the_input(error: &Error) -> Option<String> {
             _ => known(path),
         },
         Error::NoManifest { path } => known(path),
+        Error::Field { path, .. } if super::ending(path) == "prepared" => {
+            Some("write it again with `acquire prepare CAPTURE --out X.prepared`".into())
+        }
         Error::BrokenMatrix { path, .. } | Error::MatrixFormat { path, .. } => {
             known(path).filter(|_| !path.join("zarr.json").is_file())
         }

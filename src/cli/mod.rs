@@ -1,10 +1,12 @@
 //! The command line: one file per subcommand, raw arguments turned into checked settings before any work.
 
+mod assemble;
 mod build_matrix;
 mod check;
 mod clean;
 mod evaluate;
 mod export;
+mod extract;
 mod factor;
 mod import;
 mod import_matrix;
@@ -12,6 +14,7 @@ mod keywords;
 mod messages;
 mod options;
 mod patterns;
+mod prepare;
 mod relight;
 mod run;
 mod simulate;
@@ -24,8 +27,9 @@ use messages::one_line;
 
 use crate::capture::Manifest;
 use crate::output::{check_apart, check_file};
+use crate::pipeline::check_prepared;
 use crate::simulate::TRUTH_MATRIX;
-use crate::transport::check_matrix;
+use crate::transport::{check_matrix, check_part};
 use crate::{Error, Result, Severity, progress::Progress};
 use clap::{Parser, Subcommand};
 use std::io::Write;
@@ -68,6 +72,9 @@ enum Command {
     ImportMatrix(import_matrix::Args),
     Check(check::Args),
     BuildMatrix(build_matrix::Args),
+    Prepare(prepare::Args),
+    Extract(extract::Args),
+    Assemble(assemble::Args),
     Factor(factor::Args),
     Evaluate(evaluate::Args),
     Relight(relight::Args),
@@ -227,6 +234,34 @@ pub fn check_matrix_output<P: AsRef<Path>>(setting: &'static str, out: &Path, in
     check_matrix(out, force).map(|_| ())
 }
 
+/// Refuses a part to write that is not apart from `inputs`, whose name does not end as those of parts, by which
+/// `acquire assemble` finds them, and what is no part.
+///
+/// # Errors
+/// [`Error::Setting`], [`Error::NotOurs`], [`Error::Io`].
+pub fn check_part_output<P: AsRef<Path>>(out: &Path, inputs: &[P]) -> Result<()> {
+    check_of_task(out, inputs, "part")?;
+    check_part(out)
+}
+
+/// The same for what shots have in common.
+///
+/// # Errors
+/// Those of [`check_part_output`].
+pub fn check_prepared_output<P: AsRef<Path>>(out: &Path, inputs: &[P]) -> Result<()> {
+    check_of_task(out, inputs, "prepared")?;
+    check_prepared(out)
+}
+
+fn check_of_task<P: AsRef<Path>>(out: &Path, inputs: &[P], end: &str) -> Result<()> {
+    check_apart("out", out, inputs)?;
+    if ending(out) != end {
+        let expected = format!("a name that ends in .{end}");
+        return Err(Error::Setting { setting: "out", expected, found: out.display().to_string() });
+    }
+    Ok(())
+}
+
 /// Refuses an output folder that is not apart from `inputs`, or whose name ends like that of a file, or of a matrix
 /// (`.zarr`) that it is not.
 ///
@@ -276,6 +311,9 @@ fn run(cli: Cli) -> Result<()> {
         Command::ImportMatrix(args) => import_matrix::run(args, &context),
         Command::Check(args) => check::run(args, &context),
         Command::BuildMatrix(args) => build_matrix::run(args, &context),
+        Command::Prepare(args) => prepare::run(args, &context),
+        Command::Extract(args) => extract::run(args, &context),
+        Command::Assemble(args) => assemble::run(args, &context),
         Command::Factor(args) => factor::run(args, &context),
         Command::Evaluate(args) => evaluate::run(args, &context),
         Command::Relight(args) => relight::run(args, &context),

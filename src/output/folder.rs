@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 /// What a folder that this program has made holds: what of it may be replaced.
 const RECORD: &str = ".acquire-output.json";
-pub(super) const PROGRAM: &str = concat!("acquire ", env!("CARGO_PKG_VERSION"));
+pub(crate) const PROGRAM: &str = concat!("acquire ", env!("CARGO_PKG_VERSION"));
 /// Files up to this length are recorded with their checksum: those that people edit. Of photographs and chunks of
 /// matrices the length will do.
 const HASHED_BYTES: u64 = 1 << 20;

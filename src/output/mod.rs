@@ -9,6 +9,7 @@
 //! - What a stopped run has left is removed: at once on signals ([`remove_on_signals`]), else by the next run that
 //!   writes beside it, or by `acquire clean` ([`remove_leftovers`]); but for work that can be gone on with
 //!   ([`WorkLog`]), which waits for the next run for the same output.
+//! - Files of tasks that run beside each other on many machines need no lock ([`Unlocked`]).
 
 mod apart;
 mod file;
@@ -18,14 +19,16 @@ mod place;
 mod scratch;
 mod seal;
 mod signals;
+mod unlocked;
 mod work_log;
 
 pub(crate) use apart::check_apart;
 pub(crate) use file::{check_file, write_whole};
-pub(crate) use folder::NewFolder;
+pub(crate) use folder::{NewFolder, PROGRAM};
 pub(crate) use leftovers::{remove_leftovers, take_kept, take_removed};
 pub(crate) use place::put;
 pub(crate) use scratch::ScratchFolder;
 pub(crate) use seal::{SEAL, seal};
 pub(crate) use signals::remove_on_signals;
-pub(crate) use work_log::{Earlier, WorkLog, key_of};
+pub(crate) use unlocked::{Unlocked, begins_with, check_by_head, is_unfinished, write_in_place};
+pub(crate) use work_log::{Earlier, WorkLog, checked_lines, key_of, write_line};

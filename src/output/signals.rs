@@ -9,7 +9,7 @@ use std::sync::{Mutex, MutexGuard};
 /// What is to be removed when a signal ends the program.
 static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
-/// A scratch folder that a signal removes, until this is dropped.
+/// A scratch folder, or a file under a temporary name, that a signal removes, until this is dropped.
 #[derive(Debug)]
 pub(super) struct Unfinished(PathBuf);
 
@@ -86,8 +86,12 @@ fn ignored_signals() -> u64 {
     mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0)
 }
 
-/// Removes a scratch folder, its lock last: without it nobody could tell that the rest is ours.
+/// Removes a scratch folder, its lock last: without it nobody could tell that the rest is ours. Of a file, the file.
 pub(super) fn remove(folder: &Path) {
+    if folder.is_file() {
+        let _ = std::fs::remove_file(folder);
+        return;
+    }
     // Other threads may still add files while the folder is emptied.
     for _ in 0..20 {
         let Ok(entries) = std::fs::read_dir(folder) else { return };

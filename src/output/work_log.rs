@@ -42,7 +42,7 @@ impl WorkLog {
     pub(crate) fn open<T: DeserializeOwned>(scratch: &ScratchFolder, key: &str) -> Result<(Self, Earlier<T>)> {
         let path = scratch.path().join(LOG);
         let text = std::fs::read(&path).unwrap_or_default();
-        let mut lines = text.split(|b| *b == b'\n').filter_map(checked);
+        let mut lines = checked_lines(&text);
         let (first, rest): (Option<&[u8]>, Vec<T>) =
             (lines.next(), lines.filter_map(|line| serde_json::from_slice(line).ok()).collect());
         let same = first == Some(key.as_bytes());
@@ -70,7 +70,7 @@ impl WorkLog {
     pub(crate) fn add(&self, work: &impl Serialize) -> Result<()> {
         let text = serde_json::to_vec(work).map_err(Error::internal)?;
         let mut file = self.file.lock().map_err(Error::internal)?;
-        write_line(&mut file, &text).map_err(Error::io("write", &self.path))
+        write_line(&mut *file, &text).map_err(Error::io("write", &self.path))
     }
 }
 
@@ -87,7 +87,7 @@ pub(crate) fn key_of(inputs: &impl Serialize) -> Result<String> {
 /// part of its output.
 pub(super) fn has_work(folder: &Path) -> bool {
     let text = std::fs::read(folder.join(LOG)).unwrap_or_default();
-    let mut lines = text.split(|b| *b == b'\n').filter_map(checked);
+    let mut lines = checked_lines(&text);
     if lines.next().is_none() {
         return false;
     }
@@ -95,9 +95,15 @@ pub(super) fn has_work(folder: &Path) -> bool {
     lines.any(|line| line != b"null") || std::fs::read_dir(folder).is_ok_and(|all| all.flatten().any(part))
 }
 
-fn write_line(file: &mut File, text: &[u8]) -> std::io::Result<()> {
+/// Writes a line that says whether it is whole.
+pub(crate) fn write_line(file: &mut impl Write, text: &[u8]) -> std::io::Result<()> {
     let line = [blake3::hash(text).to_hex().as_bytes(), b" ", text, b"\n"].concat();
     file.write_all(&line)
+}
+
+/// The texts of those lines that are whole.
+pub(crate) fn checked_lines(text: &[u8]) -> impl Iterator<Item = &[u8]> {
+    text.split(|b| *b == b'\n').filter_map(checked)
 }
 
 /// The text of a line that is whole.

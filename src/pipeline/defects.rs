@@ -2,7 +2,7 @@
 
 use super::Working;
 use crate::Result;
-use crate::capture::{Capture, Noise, Pattern, Rect, Samples};
+use crate::capture::{Capture, Noise, Pattern, Rect, Reduction, Samples};
 use crate::radiance::{Exposure, FileNoise, HotPixel, Sensor, find_hot_pixels, merge};
 
 /// Rows that are looked at together, with one more above and below.
@@ -42,6 +42,12 @@ pub(super) fn find(capture: &Capture, noise: &Noise, working: Working) -> Result
         band.extend(&exposure.samples, 3 * width * (rect.height - (read - first))..exposure.samples.len());
     }
     Ok(found)
+}
+
+/// By blocks of `factor` pixels a side, of which saturated photosites and `defects` are left out.
+pub(super) fn reduction(factor: usize, noise: &Noise, defects: &[HotPixel]) -> Reduction {
+    let left_out = defects.iter().map(|h| [h.at[1], h.at[0], h.at[2]].map(|v| v as u32)).collect();
+    Reduction { factor, saturation_dn: noise.saturation_dn, left_out }
 }
 
 #[cfg(test)]

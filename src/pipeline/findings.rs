@@ -122,6 +122,7 @@ pub(super) fn summarize(
         overview: overview(scene, &header)?,
         secs,
         taken_over: TakenOver::default(),
+        unused_parts: vec![],
     };
     Ok((header, report))
 }

@@ -1,7 +1,7 @@
 //! The lattice shots: drift, windows, rows.
 
-use super::dots_seen::{DotSearch, DotSeen};
-use super::drift::Movements;
+use super::Prepared;
+use super::dots_seen::DotSeen;
 use super::flicker::{Flicker, Steadied};
 use super::reference_dots::DotsShow;
 use super::resume::{Resumed, TakenOver};
@@ -17,7 +17,6 @@ use crate::transport::Row;
 use crate::{Error, Result};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// One lattice shot, measured.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -51,6 +50,7 @@ pub(super) struct LitPoint {
 }
 
 /// What the light of the lattice shots is corrected by.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct LightCorrections {
     /// The camera's halo.
     pub(super) stray: StrayLight,
@@ -81,52 +81,68 @@ pub(super) fn check_dots(scene: &Scene<'_>) -> Result<()> {
     Ok(())
 }
 
-/// All lattice shots, in parallel, but for those that a stopped run has measured; their rows go to `rows`.
+/// All lattice shots, in parallel, but for those that a stopped run or a task has measured; their rows go to `rows`.
 ///
 /// # Errors
 /// Those of decoding and of `rows`; [`Error::Registration`], [`Error::DotSaturated`] by shot.
 pub(super) fn extract(
-    scene: &Scene<'_>,
-    light: &LightCorrections,
-    movements: &Movements,
-    search: &DotSearch,
+    prepared: &Prepared<'_>,
     rows: &impl RowSink,
     progress: &Progress,
 ) -> Result<(Vec<ShotResult>, TakenOver)> {
+    let scene = prepared.scene;
     let shots = scene.lattice();
-    let photographs = shots.iter().map(|&s| scene.photographs.brackets[s].len()).sum();
-    let stage = progress.stage("extract", photographs);
-    let resumed = Resumed::of(scene, light, rows)?;
-    let taken = AtomicUsize::new(0);
-    let measure = |shot: usize| -> Result<ShotResult> {
-        if let Some(measured) = resumed.take(scene, shot, rows)? {
-            taken.fetch_add(1, Ordering::Relaxed);
-            return Ok(measured);
+    let stage = progress.stage("extract", photographs(scene, &shots));
+    let resumed = Resumed::of(scene, &prepared.light, rows)?;
+    let found = |&shot: &usize| {
+        let found = resumed.take(scene, shot, rows)?;
+        found.iter().for_each(|_| stage.advance(scene.photographs.brackets[shot].len()));
+        Ok(found)
+    };
+    let found: Vec<Option<ShotResult>> = shots.par_iter().map(found).collect::<Result<_>>()?;
+    let taken = TakenOver { shots: found.iter().flatten().count(), of: shots.len(), anew: resumed.anew };
+    let lacking: Vec<usize> = (0..shots.len()).filter(|&k| found[k].is_none()).collect();
+    rows.may_lack(&lacking, shots.len())?;
+    let measure = |(&shot, found): (&usize, Option<ShotResult>)| -> Result<ShotResult> {
+        if let Some(found) = found {
+            return Ok(found);
         }
-        let mut hasher = blake3::Hasher::new();
-        let put = |index: usize, row: &Row| {
-            hasher.update(&row.bytes());
-            rows.put(index, row)
-        };
-        let result = extract_shot(scene, light, shot, movements, Camera::Measured, search, put)?;
-        resumed.add(scene, shot, hasher.finalize(), &result)?;
+        stage.begin();
+        let (result, hash) = measure(prepared, shot, |index, row| rows.put(index, row))?;
+        resumed.add(scene, shot, hash, &result)?;
+        stage.advance(scene.photographs.brackets[shot].len());
         Ok(result)
     };
-    let mut results: Vec<ShotResult> = shots
-        .par_iter()
-        .with_max_len(1)
-        .map(|&shot| {
-            stage.begin();
-            let result = measure(shot)?;
-            stage.advance(scene.photographs.brackets[shot].len());
-            Ok(result)
-        })
-        .collect::<Result<_>>()?;
+    let mut results: Vec<ShotResult> =
+        shots.par_iter().zip(found).with_max_len(1).map(measure).collect::<Result<_>>()?;
     let put = |index: usize, row: &Row| rows.replace(index, row);
     for k in unlikely_movements(&results) {
-        results[k] = extract_shot(scene, light, shots[k], movements, Camera::Still, search, put)?;
+        results[k] = extract_shot(prepared, shots[k], Camera::Still, put)?;
     }
-    Ok((results, TakenOver { shots: taken.into_inner(), of: shots.len(), anew: resumed.anew }))
+    Ok((results, taken))
+}
+
+/// Photographs of some shots.
+pub(super) fn photographs(scene: &Scene<'_>, shots: &[usize]) -> usize {
+    shots.iter().map(|&s| scene.photographs.brackets[s].len()).sum()
+}
+
+/// One lattice shot, and the BLAKE3 of its rows, which are put in the order of its dots.
+///
+/// # Errors
+/// Those of [`extract`].
+pub(super) fn measure(
+    prepared: &Prepared<'_>,
+    shot: usize,
+    mut put: impl FnMut(usize, &Row) -> Result<()>,
+) -> Result<(ShotResult, blake3::Hash)> {
+    let mut hasher = blake3::Hasher::new();
+    let hashed = |index: usize, row: &Row| {
+        hasher.update(&row.bytes());
+        put(index, row)
+    };
+    let result = extract_shot(prepared, shot, Camera::Measured, hashed)?;
+    Ok((result, hasher.finalize()))
 }
 
 /// What is believed of the camera.
@@ -172,14 +188,12 @@ fn unlikely_movements(results: &[ShotResult]) -> Vec<usize> {
 }
 
 fn extract_shot(
-    scene: &Scene<'_>,
-    light: &LightCorrections,
+    prepared: &Prepared<'_>,
     shot: usize,
-    movements: &Movements,
     believed: Camera,
-    search: &DotSearch,
     mut put: impl FnMut(usize, &Row) -> Result<()>,
 ) -> Result<ShotResult> {
+    let Prepared { scene, light, movements, search, .. } = prepared;
     let manifest = &scene.capture.manifest;
     let size_px = scene.capture.rig.camera.size_px;
     let dots = scene.dots(shot);

@@ -16,6 +16,7 @@ mod likeliest;
 mod looks;
 mod memory;
 mod noise;
+mod parts;
 mod photographs;
 mod radiometry;
 mod reciprocity;
@@ -25,12 +26,13 @@ mod references;
 mod register;
 mod resolution;
 mod resume;
+mod saved;
 mod scene;
 mod sink;
 mod strangers;
 mod stray;
 
-use crate::capture::{Capture, ExposureFrom, Noise, Reduction, read_checksums};
+use crate::capture::{Capture, ExposureFrom, Noise, read_checksums};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Radiance, Sensor};
@@ -42,11 +44,15 @@ use drift::Movements;
 use findings::{Stages, unmeasured};
 use flicker::Flicker;
 use lattice::LightCorrections;
+pub use parts::{ExtractReport, Shots, assemble, extract, lattice_shots};
 use photographs::Photographs;
 pub use resolution::{Resolution, Working};
 pub use resume::TakenOver;
+pub(crate) use saved::check_prepared;
+pub use saved::prepare as prepare_shots;
 use scene::Scene;
 use sink::{HeldRows, RowSink};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -112,8 +118,10 @@ pub struct BuildReport {
     pub overview: Overview,
     /// What it took.
     pub secs: BuildSecs,
-    /// What a stopped run had measured of it.
+    /// What a stopped run, or tasks, had measured of it.
     pub taken_over: TakenOver,
+    /// Of [`assemble`]: parts that were of no use, and why.
+    pub unused_parts: Vec<String>,
 }
 
 /// Seconds that a build took, reading the capture and writing the matrix left out.
@@ -180,21 +188,33 @@ fn build_matrix_to(
     writer: impl FnOnce(MatrixHeader) -> Result<MatrixWriter>,
     progress: &Progress,
 ) -> Result<BuildReport> {
-    let capture = {
-        let stage = progress.stage("read", 1);
-        let capture = Capture::open_with(dir, options.calibration.as_deref(), options.exposure_from)?;
-        stage.advance(1);
-        capture
-    };
-    let mut rows = writer(unmeasured(&capture.manifest))?;
+    let capture = open(dir, options, progress)?;
+    let rows = writer(unmeasured(&capture.manifest))?;
     let measured = measure(&capture, options, &rows, progress);
+    write(&capture, rows, measured, progress)
+}
+
+fn open(dir: &Path, options: &BuildOptions, progress: &Progress) -> Result<Capture> {
+    let stage = progress.stage("read", 1);
+    let capture = Capture::open_with(dir, options.calibration.as_deref(), options.exposure_from)?;
+    stage.advance(1);
+    Ok(capture)
+}
+
+/// Writes what was measured, whose rows are with the writer.
+fn write(
+    capture: &Capture,
+    mut rows: MatrixWriter,
+    measured: Result<(MatrixHeader, BuildReport)>,
+    progress: &Progress,
+) -> Result<BuildReport> {
     if measured.as_ref().is_err_and(Error::is_of_system) {
         rows.keep_work();
     }
     let (mut header, mut report) = measured?;
     let stage = progress.stage("write", 1);
     // Here, so that neither a check nor a capture that cannot be built replaces an earlier curve.
-    let not_saved = radiometry::save_curve(&capture, &report.sensor).map(Warning::from);
+    let not_saved = radiometry::save_curve(capture, &report.sensor).map(Warning::from);
     tell(&mut header, &mut report, not_saved.into_iter().collect());
     *rows.header_mut() = header;
     rows.finish()?;
@@ -217,56 +237,99 @@ fn measure(
     rows: &impl RowSink,
     progress: &Progress,
 ) -> Result<(MatrixHeader, BuildReport)> {
-    measure_all(capture, options, rows, progress).map_err(|error| likeliest::in_files(capture, error))
+    let of_all = |before: &Before<'_>, prepared: &Prepared<'_>| build_rows(before, prepared, options, rows, progress);
+    let ((mut header, mut report), findings) = with_prepared(capture, options, Judged::AllShots, of_all, progress)?;
+    tell(&mut header, &mut report, findings);
+    Ok((header, report))
 }
 
-fn measure_all(
+/// Which photographs `then` of [`with_prepared`] has looked at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Judged {
+    /// Those by which the capture is judged.
+    AllShots,
+    /// Too few for that: whoever puts parts together judges them.
+    Part,
+}
+
+/// What `then` makes of a capture of which all is known that its lattice shots have in common, and what is to be told
+/// of the photographs besides.
+fn with_prepared<T: Send>(
     capture: &Capture,
     options: &BuildOptions,
-    rows: &impl RowSink,
+    judged: Judged,
+    then: impl FnOnce(&Before<'_>, &Prepared<'_>) -> Result<T> + Send,
     progress: &Progress,
-) -> Result<(MatrixHeader, BuildReport)> {
-    let start = Instant::now();
-    let mut noise = noise::find(capture)?;
-    noise.warnings.extend(noise::black_moves(capture, &noise.noise)?);
-    let working = resolution::choose(capture, &noise.noise, options, progress)?;
-    let found = (noise, working, start);
-    let Some(memory_bytes) = options.memory_bytes else { return measure_at(capture, options, found, rows, progress) };
-    let threads = memory::threads(capture, working, memory_bytes, rayon::current_num_threads())?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(Error::internal)?;
-    pool.install(|| measure_at(capture, options, found, rows, progress))
+) -> Result<(T, Vec<Warning>)> {
+    let found = || -> Result<_> {
+        let start = Instant::now();
+        let mut noise = noise::find(capture)?;
+        noise.warnings.extend(noise::black_moves(capture, &noise.noise)?);
+        let working = resolution::choose(capture, &noise.noise, options, progress)?;
+        Ok((noise, working, start))
+    };
+    let done = found().and_then(|found| {
+        let working = found.1;
+        in_memory(capture, options, working, || at_resolution(capture, options, found, judged, then, progress))
+    });
+    done.map_err(|error| likeliest::in_files(capture, error))
 }
 
-/// [`measure`] at the working resolution.
-fn measure_at(
+/// Does `work` with as many threads as the memory permits.
+fn in_memory<T: Send>(
+    capture: &Capture,
+    options: &BuildOptions,
+    working: Working,
+    work: impl FnOnce() -> Result<T> + Send,
+) -> Result<T> {
+    let Some(memory_bytes) = options.memory_bytes else { return work() };
+    let threads = memory::threads(capture, working, memory_bytes, rayon::current_num_threads())?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(Error::internal)?;
+    pool.install(work)
+}
+
+/// [`with_prepared`] at the working resolution.
+fn at_resolution<T>(
     capture: &Capture,
     options: &BuildOptions,
     (noise, working, start): (noise::FoundNoise, Working, Instant),
-    rows: &impl RowSink,
+    judged: Judged,
+    then: impl FnOnce(&Before<'_>, &Prepared<'_>) -> Result<T>,
     progress: &Progress,
-) -> Result<(MatrixHeader, BuildReport)> {
+) -> Result<(T, Vec<Warning>)> {
     let full = capture;
     // From here on the camera is one of that resolution.
     let defects = defects::find(capture, &noise.noise, working)?;
-    let left_out = defects.iter().map(|h| [h.at[1], h.at[0], h.at[2]].map(|v| v as u32)).collect();
-    let by = Reduction { factor: working.factor, saturation_dn: noise.noise.saturation_dn, left_out };
-    let capture = &capture.reduced(&by);
+    let capture = &capture.reduced(&defects::reduction(working.factor, &noise.noise, &defects));
     let radiometry = radiometry::calibrate(capture, &noise.noise, options, progress)
         .map_err(|error| likeliest::in_noise(&noise.warnings, error))?;
     let photographs = Photographs::new(full, capture, &radiometry, working.factor);
     // What the photographs say of the noise was said of the stated times.
     let noise = if radiometry.corrected { noise.again(&full.timed(&radiometry.brackets))? } else { noise };
-    let checksums = read_checksums(&full.dir)?;
-    let stages = Before { noise: &noise, working, defects: &defects, radiometry: &radiometry, start };
-    let built = build_rows(&photographs, &stages, options, rows, progress);
-    let built = built.map_err(|error| likeliest::in_gray_code(&photographs, error));
-    let (built, changed) = recorded::with_changed(&photographs, &checksums, options, built)
+    let recorded = &read_checksums(&full.dir)?;
+    let before = Before { noise: &noise, working, defects: &defects, radiometry: &radiometry, recorded, start };
+    let done = prepare(&photographs, &before, options, |prepared| then(&before, prepared), progress);
+    finish(&photographs, &before, options, judged, done)
+}
+
+/// What was done with the photographs, and what is to be told of them; where it failed, what they say of it.
+fn finish<T>(
+    photographs: &Photographs<'_>,
+    before: &Before<'_>,
+    options: &BuildOptions,
+    judged: Judged,
+    done: Result<T>,
+) -> Result<(T, Vec<Warning>)> {
+    let done = done.map_err(|error| likeliest::in_gray_code(photographs, error));
+    let (done, changed) = recorded::with_changed(photographs, before.recorded, options, done)
         .map_or_else(|e| (Err(e), None), |(b, c)| (Ok(b), c));
-    let ((mut header, mut report), mut findings) = strangers::with_findings(&photographs, options, built)
-        .map_err(|error| likeliest::in_noise(&noise.warnings, error))?;
+    let (done, mut findings) = match (done, judged) {
+        (Ok(done), Judged::Part) => (done, vec![]),
+        (done, _) => strangers::with_findings(photographs, options, done)
+            .map_err(|error| likeliest::in_noise(&before.noise.warnings, error))?,
+    };
     findings.extend(changed);
-    tell(&mut header, &mut report, findings);
-    Ok((header, report))
+    Ok((done, findings))
 }
 
 /// Adds findings to what was told before.
@@ -281,53 +344,79 @@ struct Before<'a> {
     working: Working,
     defects: &'a [crate::radiance::HotPixel],
     radiometry: &'a radiometry::Radiometry,
+    /// Checksums of photographs as they were when the capture was made, by name.
+    recorded: &'a BTreeMap<String, blake3::Hash>,
     start: Instant,
 }
 
-/// Registration, references, and the lattice shots.
-fn build_rows(
+/// All that lattice shots are measured against.
+struct Prepared<'a> {
+    scene: &'a Scene<'a>,
+    registered: &'a register::Registered,
+    light: LightCorrections,
+    movements: Movements,
+    search: dots_seen::DotSearch,
+    findings: Vec<Warning>,
+    at: Instant,
+}
+
+/// Registration, references and the light, and what is made of them.
+fn prepare<T>(
     photographs: &Photographs<'_>,
     before: &Before<'_>,
     options: &BuildOptions,
-    rows: &impl RowSink,
+    then: impl FnOnce(&Prepared<'_>) -> Result<T>,
     progress: &Progress,
-) -> Result<(MatrixHeader, BuildReport)> {
+) -> Result<T> {
     let radiometry = before.radiometry;
-    let registered = register::register(photographs, options, progress)?;
-    let mut references = references::references(photographs, &registered, radiometry.flicker_sd, options, progress)?;
-    let first = Scene::new(photographs, &registered, &references);
+    let registered = &register::register(photographs, options, progress)?;
+    let mut references = references::references(photographs, registered, radiometry.flicker_sd, options, progress)?;
+    let first = Scene::new(photographs, registered, &references);
     lattice::check_dots(&first)?;
     let (stray, stray_warnings) = stray::measure(&first, options, progress)?;
     let cell_px = first.cell_px;
     references.doubt_ambient(stray.even.unwrap_or(0.0), cell_px);
-    let scene = Scene::new(photographs, &registered, &references);
-    let light = LightCorrections { stray, flicker: Flicker::measure(&scene, radiometry.flicker_sd)? };
+    let scene = &Scene::new(photographs, registered, &references);
+    let light = LightCorrections { stray, flicker: Flicker::measure(scene, radiometry.flicker_sd)? };
     let times_are_off = |w: &Warning| matches!(w, Warning::Radiance(RadianceWarning::ExposureRatios { .. }));
-    let lattice_light = light.flicker.judge(&scene, radiometry.warnings.iter().any(times_are_off), options)?;
-    let movements = Movements::prepare(&scene)?;
-    let slab = movements.slab(&scene);
-    let prepared = Instant::now();
-    let search = dots_seen::DotSearch::new(&scene)?;
-    let (mut shots, taken_over) = lattice::extract(&scene, &light, &movements, &search, rows, progress)?;
-    let mut seen = dots_seen::judge(&scene, &shots, options)?;
-    seen.extend(lattice_light);
-    seen.extend(slab.into_iter().map(Warning::from));
-    seen.extend(stray_warnings);
-    seen.extend(references.warnings.iter().cloned());
+    let mut findings: Vec<Warning> =
+        light.flicker.judge(scene, radiometry.warnings.iter().any(times_are_off), options)?.into_iter().collect();
+    let movements = Movements::prepare(scene)?;
+    findings.extend(movements.slab(scene).into_iter().map(Warning::from));
+    findings.extend(stray_warnings);
+    findings.extend(references.warnings.iter().cloned());
+    let at = Instant::now();
+    let search = dots_seen::DotSearch::new(scene)?;
+    then(&Prepared { scene, registered, light, movements, search, findings, at })
+}
+
+/// The lattice shots, and what they say together.
+fn build_rows(
+    before: &Before<'_>,
+    prepared: &Prepared<'_>,
+    options: &BuildOptions,
+    rows: &impl RowSink,
+    progress: &Progress,
+) -> Result<(MatrixHeader, BuildReport)> {
+    let Prepared { scene, registered, light, .. } = prepared;
+    let (mut shots, taken_over) = lattice::extract(prepared, rows, progress)?;
+    let mut seen = dots_seen::judge(scene, &shots, options)?;
+    seen.extend(prepared.findings.iter().cloned());
     let crosstalk = match options.keep_crosstalk {
         true => None,
-        false => crosstalk::separate(&scene, &mut shots, rows, progress)?,
+        false => crosstalk::separate(scene, &mut shots, rows, progress)?,
     };
     // Rows that hold the light of other dots say nothing of each other's places.
-    let mixed = options.keep_crosstalk && crosstalk::overlap_samples(&scene).is_some();
+    let mixed = options.keep_crosstalk && crosstalk::overlap_samples(scene).is_some();
     if seen.is_empty() && !mixed {
-        seen = reciprocity::judge(&scene, &shots, rows, options)?;
+        seen = reciprocity::judge(scene, &shots, rows, options)?;
     }
     let (crosstalk, left_by_others) = crosstalk.unzip();
-    let common = common::common_errors(&scene, &light, &shots, &left_by_others.unwrap_or_default());
-    let stages = Stages { before, registered: &registered, light: &light };
-    let secs = BuildSecs { once: (prepared - before.start).as_secs_f64(), lattice: prepared.elapsed().as_secs_f64() };
-    let (mut header, mut report) = findings::summarize(&scene, &stages, &shots, crosstalk, secs)?;
+    let common = common::common_errors(scene, light, &shots, &left_by_others.unwrap_or_default());
+    let stages = Stages { before, registered, light };
+    let secs =
+        BuildSecs { once: (prepared.at - before.start).as_secs_f64(), lattice: prepared.at.elapsed().as_secs_f64() };
+    let (mut header, mut report) = findings::summarize(scene, &stages, &shots, crosstalk, secs)?;
     header.common = Some(common);
     report.taken_over = taken_over;
     tell(&mut header, &mut report, seen);

@@ -38,6 +38,22 @@ pub(super) struct Said {
     piles: Vec<(usize, f64)>,
 }
 
+/// What all photographs that were read have said: see the fields of [`Photographs`].
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+pub(super) struct Heard {
+    hashes: Vec<(PathBuf, String)>,
+    strangers: Vec<([usize; 2], Disagreement)>,
+    piles: Vec<([usize; 2], f64)>,
+}
+
+/// By what a file is known that was read before, where reading it again would cost too much.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(super) struct FileState {
+    bytes: u64,
+    /// When it was changed last, in nanoseconds since 1970.
+    modified_ns: u64,
+}
+
 /// Pixels of a shot in which its photographs are compared.
 const COMPARED_PX: usize = 1 << 14;
 
@@ -211,6 +227,27 @@ impl<'a> Photographs<'a> {
         Ok(())
     }
 
+    /// All that was heard so far.
+    pub(super) fn heard(&self) -> Result<Heard> {
+        Ok(Heard {
+            hashes: self.hashes()?.into_iter().map(|(path, hash)| (path, hash.to_hex().to_string())).collect(),
+            strangers: self.strangers()?.into_iter().collect(),
+            piles: self.piles()?.into_iter().collect(),
+        })
+    }
+
+    /// Takes what was heard before for its own.
+    pub(super) fn hear(&self, heard: &Heard) -> Result<()> {
+        let hash = |(path, hash): &(PathBuf, String)| {
+            blake3::Hash::from_hex(hash).map(|hash| (path.clone(), hash)).map_err(Error::internal)
+        };
+        let hashes: Vec<_> = heard.hashes.iter().map(hash).collect::<Result<_>>()?;
+        self.hashes.lock().map_err(Error::internal)?.extend(hashes);
+        self.strangers.lock().map_err(Error::internal)?.extend(heard.strangers.iter().cloned());
+        self.piles.lock().map_err(Error::internal)?.extend(heard.piles.iter().copied());
+        Ok(())
+    }
+
     /// What the photographs of a shot have said so far, by their places in its bracket.
     pub(super) fn said(&self, shot: usize) -> Result<Said> {
         let of = |shot: usize| [shot, 0]..=[shot, usize::MAX];
@@ -223,9 +260,17 @@ impl<'a> Photographs<'a> {
         })
     }
 
-    /// Takes what a stopped run has heard of a shot's photographs; says whether they are the same photographs.
-    pub(super) fn repeat(&self, shot: usize, said: &Said) -> Result<bool> {
-        self.remember(shot)?;
+    /// Takes what a stopped run or a task has heard of a shot's photographs; says whether they are the same photographs.
+    /// They are read again unless their files are still as in `files`.
+    pub(super) fn repeat(&self, shot: usize, said: &Said, files: &[FileState]) -> Result<bool> {
+        match files.is_empty() || self.file_states(shot)? != files {
+            true => self.remember(shot)?,
+            false => {
+                let hashes = said.hashes.iter().filter_map(|hash| blake3::Hash::from_hex(hash).ok());
+                let read = self.brackets[shot].iter().map(|p| p.path.clone()).zip(hashes);
+                self.hashes.lock().map_err(Error::internal)?.extend(read);
+            }
+        }
         if self.hashes_of(shot)? != said.hashes {
             return Ok(false);
         }
@@ -233,6 +278,17 @@ impl<'a> Photographs<'a> {
         self.strangers.lock().map_err(Error::internal)?.extend(strangers);
         self.piles.lock().map_err(Error::internal)?.extend(said.piles.iter().map(|(k, code)| ([shot, *k], *code)));
         Ok(true)
+    }
+
+    /// The files of a shot's photographs as they are now.
+    pub(super) fn file_states(&self, shot: usize) -> Result<Vec<FileState>> {
+        let state = |photograph: &Photograph| {
+            let failed = |e| Error::io("read", &photograph.path)(e);
+            let file = std::fs::metadata(&photograph.path).map_err(failed)?;
+            let since = file.modified().map_err(failed)?.duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+            Ok(FileState { bytes: file.len(), modified_ns: since.as_nanos() as u64 })
+        };
+        self.brackets[shot].iter().map(state).collect()
     }
 
     fn hashes_of(&self, shot: usize) -> Result<Vec<String>> {

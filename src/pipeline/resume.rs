@@ -6,7 +6,7 @@
 //! photographs are known by their BLAKE3.
 
 use super::lattice::{LightCorrections, ShotResult};
-use super::photographs::Said;
+use super::photographs::{FileState, Said};
 use super::scene::Scene;
 use super::sink::RowSink;
 use crate::output::{Earlier, WorkLog, key_of};
@@ -19,10 +19,19 @@ use std::sync::Mutex;
 /// its dots.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct MeasuredShot {
-    shot: usize,
-    said: Said,
-    rows: String,
-    result: ShotResult,
+    pub(super) shot: usize,
+    pub(super) said: Said,
+    pub(super) rows: String,
+    pub(super) result: ShotResult,
+    /// Its photographs' files as a task saw them before it read them; none where the photographs are to be read again.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) files: Vec<FileState>,
+}
+
+impl MeasuredShot {
+    pub(super) fn new(said: Said, shot: usize, rows: blake3::Hash, result: ShotResult) -> Self {
+        Self { shot, said, rows: rows.to_hex().to_string(), result, files: vec![] }
+    }
 }
 
 /// How much of the work a stopped run had done.
@@ -39,7 +48,8 @@ pub struct TakenOver {
 /// What a stopped run has left, and where this one adds to it.
 pub(super) struct Resumed {
     log: Option<WorkLog>,
-    earlier: Mutex<BTreeMap<usize, MeasuredShot>>,
+    /// By shot: several tasks may have measured the same.
+    earlier: Mutex<BTreeMap<usize, Vec<MeasuredShot>>>,
     pub(super) anew: bool,
 }
 
@@ -52,7 +62,8 @@ impl Resumed {
         };
         let anew = matches!(earlier, Earlier::Other);
         let shots = if let Earlier::Finished(shots) = earlier { shots } else { vec![] };
-        let earlier = shots.into_iter().map(|s| (s.shot, s)).collect();
+        let mut earlier = BTreeMap::<usize, Vec<MeasuredShot>>::new();
+        shots.into_iter().for_each(|s| earlier.entry(s.shot).or_default().push(s));
         Ok(Self { log: Some(log), earlier: Mutex::new(earlier), anew })
     }
 
@@ -61,13 +72,18 @@ impl Resumed {
     /// # Errors
     /// [`Error::Io`] when a photograph cannot be read.
     pub(super) fn take(&self, scene: &Scene<'_>, shot: usize, rows: &impl RowSink) -> Result<Option<ShotResult>> {
-        let Some(measured) = self.earlier.lock().map_err(Error::internal)?.remove(&shot) else { return Ok(None) };
+        let earlier = self.earlier.lock().map_err(Error::internal)?.remove(&shot).unwrap_or_default();
         let grid = &scene.capture.manifest.grid;
         let indices: Vec<usize> = scene.dots(shot).iter().map(|&dot| grid.row_index(dot)).collect();
-        let same = measured.result.lit.iter().map(|l| l.dot).eq(scene.dots(shot).iter().copied())
-            && blake3::Hash::from_hex(&measured.rows).is_ok_and(|hash| rows.adopt(&indices, &hash))
-            && scene.photographs.repeat(shot, &measured.said)?;
-        Ok(same.then_some(measured.result))
+        for measured in earlier {
+            let same = measured.result.lit.iter().map(|l| l.dot).eq(scene.dots(shot).iter().copied())
+                && blake3::Hash::from_hex(&measured.rows).is_ok_and(|hash| rows.adopt(&indices, &hash))
+                && scene.photographs.repeat(shot, &measured.said, &measured.files)?;
+            if same {
+                return Ok(Some(measured.result));
+            }
+        }
+        Ok(None)
     }
 
     /// Keeps a measured shot, whose rows were put, for a next run.
@@ -76,20 +92,13 @@ impl Resumed {
     /// [`Error::Io`].
     pub(super) fn add(&self, scene: &Scene<'_>, shot: usize, rows: blake3::Hash, result: &ShotResult) -> Result<()> {
         let Some(log) = &self.log else { return Ok(()) };
-        #[derive(Serialize)]
-        struct Line<'a> {
-            shot: usize,
-            said: Said,
-            rows: String,
-            result: &'a ShotResult,
-        }
-        log.add(&Line { shot, said: scene.photographs.said(shot)?, rows: rows.to_hex().to_string(), result })
+        log.add(&MeasuredShot::new(scene.photographs.said(shot)?, shot, rows, result.clone()))
     }
 }
 
-/// Of all that lattice shots are measured against. Pictures of references are in it by the files that they were made
-/// of.
-fn key(scene: &Scene<'_>, light: &LightCorrections) -> Result<String> {
+/// The key of all that lattice shots are measured against. Pictures of references are in it by the files that they were
+/// made of.
+pub(super) fn key(scene: &Scene<'_>, light: &LightCorrections) -> Result<String> {
     let (capture, references) = (scene.capture, scene.references);
     let times: Vec<Vec<f64>> =
         scene.photographs.brackets.iter().map(|b| b.iter().map(|p| p.exposure_secs).collect()).collect();

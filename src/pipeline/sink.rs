@@ -24,6 +24,12 @@ pub(super) trait RowSink: Sync {
 
     /// Takes measured rows of that run; says whether they are what it has written, by their BLAKE3.
     fn adopt(&self, indices: &[usize], hash: &blake3::Hash) -> bool;
+
+    /// Refuses to go on where lattice shots are still to be measured, by their numbers in a sweep of `of`, which others
+    /// should have measured.
+    fn may_lack(&self, _lacking: &[usize], _of: usize) -> Result<()> {
+        Ok(())
+    }
 }
 
 impl RowSink for MatrixWriter {

@@ -92,8 +92,10 @@ fn stages_that_go_on_from_saved_outputs_give_the_same_rows_to_the_last_bit() {
         let flicker = passed(Flicker::measure(&scene, radiometry.flicker_sd).unwrap(), through_files);
         let (light, sink) = (LightCorrections { stray, flicker }, HeldRows::default());
         let movements = Movements::prepare(&scene).unwrap();
-        lattice::extract(&scene, &light, &movements, &dots_seen::DotSearch::new(&scene).unwrap(), &sink, &silent)
-            .unwrap();
+        let search = dots_seen::DotSearch::new(&scene).unwrap();
+        let (registered, findings, at) = (&registered, vec![], Instant::now());
+        let prepared = Prepared { scene: &scene, registered, light, movements, search, findings, at };
+        lattice::extract(&prepared, &sink, &silent).unwrap();
         let row = |index: usize| sink.row(index).unwrap();
         (0..capture.manifest.grid.len()).map(row).collect::<Vec<_>>()
     });

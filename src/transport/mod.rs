@@ -6,6 +6,7 @@ pub mod common;
 mod earlier;
 pub mod normalize;
 mod open;
+mod part;
 mod positioned;
 mod row_array;
 pub mod rows;
@@ -18,4 +19,5 @@ const CHANNELS: usize = 3;
 
 pub use common::{CommonErrors, CommonOfAll};
 pub(crate) use earlier::check as check_matrix;
+pub(crate) use part::{Part, PartWriter, RowsAt, check_part, find_parts};
 pub use store::{MatrixHeader, MatrixReader, MatrixWriter, Row, RowBlock, ShotRecord};

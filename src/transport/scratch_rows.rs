@@ -1,5 +1,6 @@
 //! Rows that wait for the others of their chunk.
 
+use super::part::RowsAt;
 use super::positioned::{read_exact_at, write_all_at};
 use super::store::{Row, RowBlock};
 use crate::output::ScratchFolder;
@@ -7,7 +8,7 @@ use crate::{Error, Result};
 use std::fs::File;
 use std::io;
 use std::path::Path;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 /// The file of rows in a scratch folder.
 const ROWS: &str = "rows";
@@ -16,18 +17,20 @@ const ROWS: &str = "rows";
 #[derive(Debug)]
 pub(super) struct ScratchRows {
     /// As they were put; they outlive the run.
-    put: File,
+    put: Arc<File>,
     /// Those in the place of others.
     replaced: File,
     state: Mutex<Vec<State>>,
     row_len: usize,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone)]
 enum State {
     Missing,
     Put,
     Replaced,
+    /// In the file of a task that has measured it, from this byte on.
+    InPart(Arc<File>, u64),
 }
 
 impl ScratchRows {
@@ -36,7 +39,7 @@ impl ScratchRows {
         let path = folder.path().join(ROWS);
         let put = File::options().create(true).truncate(false).read(true).write(true).open(path)?;
         let replaced = tempfile::tempfile_in(folder.path())?;
-        Ok(Self { put, replaced, state: Mutex::new(vec![State::Missing; rows]), row_len })
+        Ok(Self { put: Arc::new(put), replaced, state: Mutex::new(vec![State::Missing; rows]), row_len })
     }
 
     fn bytes(&self) -> usize {
@@ -56,7 +59,7 @@ impl ScratchRows {
         if let Some(value) = row.response.iter().chain(&row.variance).find(|v| !v.is_finite()) {
             return Err(Error::internal(format_args!("row {index} holds {value}")));
         }
-        let (file, state) = if replaces { (&self.replaced, State::Replaced) } else { (&self.put, State::Put) };
+        let (file, state) = if replaces { (&self.replaced, State::Replaced) } else { (&*self.put, State::Put) };
         write_all_at(file, &row.bytes(), (index * self.bytes()) as u64).map_err(Error::io("write", path))?;
         self.state.lock().map_err(Error::internal)?[index] = state;
         Ok(())
@@ -67,7 +70,7 @@ impl ScratchRows {
     /// # Errors
     /// [`Error::Io`] for `path`; [`Error::Internal`] when there is none.
     pub(super) fn row(&self, index: usize, path: &Path) -> Result<Row> {
-        if self.state(index) == State::Missing {
+        if matches!(self.state(index), State::Missing) {
             return Err(Error::internal(format_args!("row {index} has not been put")));
         }
         let mut block = RowBlock::zeros(index..index + 1, self.row_len);
@@ -86,20 +89,31 @@ impl ScratchRows {
             }
             found.update(&bytes);
         }
+        found.finalize() == *hash && self.set(indices, |_| State::Put)
+    }
+
+    /// [`Self::adopt`] of rows that a task has measured; they stay where they are.
+    pub(super) fn adopt_part(&self, indices: &[usize], hash: &blake3::Hash, rows: &RowsAt) -> bool {
+        rows.hash(indices.len()).is_ok_and(|found| found == *hash)
+            && self.set(indices, |k| State::InPart(rows.file.clone(), rows.offset + (k * self.bytes()) as u64))
+    }
+
+    /// Says where rows are, if there are such rows.
+    fn set(&self, indices: &[usize], of: impl Fn(usize) -> State) -> bool {
         // Locked only now: other threads put rows while these are read.
         let Ok(mut state) = self.state.lock() else { return false };
-        let same = found.finalize() == *hash && indices.iter().all(|&index| index < state.len());
-        if same {
-            indices.iter().for_each(|&index| state[index] = State::Put);
+        let all = indices.iter().all(|&index| index < state.len());
+        if all {
+            indices.iter().enumerate().for_each(|(k, &index)| state[index] = of(k));
         }
-        same
+        all
     }
 
     /// Rows in one block, those that were never put invalid throughout.
     pub(super) fn block(&self, rows: std::ops::Range<usize>) -> io::Result<RowBlock> {
         let mut block = RowBlock::zeros(rows.clone(), self.row_len);
         for (k, row) in rows.enumerate() {
-            if self.state(row) != State::Missing {
+            if !matches!(self.state(row), State::Missing) {
                 self.read(row, &mut block, k)?;
             }
         }
@@ -108,13 +122,17 @@ impl ScratchRows {
 
     fn state(&self, index: usize) -> State {
         let state = self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        state.get(index).copied().unwrap_or(State::Missing)
+        state.get(index).cloned().unwrap_or(State::Missing)
     }
 
     fn read(&self, index: usize, block: &mut RowBlock, k: usize) -> io::Result<()> {
-        let file = if self.state(index) == State::Replaced { &self.replaced } else { &self.put };
         let (n, mut bytes) = (self.row_len, vec![0; self.bytes()]);
-        read_exact_at(file, &mut bytes, (index * self.bytes()) as u64)?;
+        let at = (index * self.bytes()) as u64;
+        match self.state(index) {
+            State::Replaced => read_exact_at(&self.replaced, &mut bytes, at)?,
+            State::InPart(file, at) => read_exact_at(&file, &mut bytes, at)?,
+            _ => read_exact_at(&self.put, &mut bytes, at)?,
+        }
         let (values, valid) = bytes.split_at(8 * n);
         let floats = values.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
         for (i, value) in floats.enumerate() {

@@ -18,6 +18,7 @@
 
 use super::checksum::{self, Checksums};
 use super::open::{self, Opened};
+use super::part::RowsAt;
 use super::row_array::{RowArray, RowLayout};
 use super::scratch_rows::ScratchRows;
 use super::{CHANNELS, CommonErrors, earlier};
@@ -308,6 +309,11 @@ impl MatrixWriter {
     /// Takes the rows of a stopped run for its own if together they have this BLAKE3; says whether they have.
     pub(crate) fn adopt(&self, indices: &[usize], hash: &blake3::Hash) -> bool {
         self.rows.adopt(indices, hash)
+    }
+
+    /// The same of rows that a task has measured; they stay in its part, which must stay until the store is written.
+    pub(crate) fn adopt_part(&self, indices: &[usize], hash: &blake3::Hash, in_part: &RowsAt) -> bool {
+        self.rows.adopt_part(indices, hash, in_part)
     }
 
     /// What the stopped run had finished that this one goes on from ([`Self::go_on`]), if it worked on the same `key`;

@@ -39,6 +39,9 @@ const STANDS_FOR: &[(&str, &str, &str)] = &[
     // It factors the matrix a hundred times.
     ("tradeoff", "slab.rd.zarr", "few/truth.rd.zarr"),
     ("tradeoff", "X.rd.zarr", "few/truth.rd.zarr"),
+    // Its small capture has few shots.
+    ("--part", "3/64", "1/2"),
+    ("--shots", "120..180", "0..2"),
     ("", "DIR", "captures"),
     ("", "CAPTURE", "captures/probe"),
     ("", "FOLDER", "DCIM"),
@@ -90,12 +93,15 @@ impl Bench {
         for truth in ["truth.rd.zarr", "t/truth.rd.zarr"] {
             common::copy_folder(Path::new("captures/truth.rd.zarr"), &at(truth));
         }
+        std::fs::create_dir(at("parts")).unwrap();
         bench.photographs_of_a_plan();
         voxels(&at("slab.npz"));
         arrays(bench.path());
         common::copy_folder(Path::new("captures/truth.rd.zarr"), &at("simulated.zarr"));
         for command in [
             "build-matrix captures --out slab.rd.zarr",
+            "extract captures --part 1/1 --out parts/all.part",
+            "prepare captures --out parts/slab.prepared",
             "factor slab.rd.zarr --out slab.safetensors",
             "relight slab.safetensors --light spot --out window.exr",
             "simulate few --grid 4 --window 7",

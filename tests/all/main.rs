@@ -27,6 +27,7 @@ mod labs;
 mod merge;
 mod noise;
 mod outputs;
+mod parts;
 mod patterns;
 mod pipeline;
 mod properties;
