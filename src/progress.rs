@@ -91,7 +91,7 @@ impl Progress {
         });
     }
 
-    /// The stages that have ended, in that order.
+    /// The stages that have ended, in that order; those of one name, as the passes of a factorization, are one.
     pub fn timings(&self) -> Vec<StageTime> {
         self.timings.lock().map(|t| t.clone()).unwrap_or_default()
     }
@@ -129,7 +129,11 @@ impl Drop for Stage<'_> {
             running.remove(at);
         }
         if let Ok(mut timings) = self.progress.timings.lock() {
-            timings.push(StageTime { stage: self.name.clone(), secs: self.start.elapsed().as_secs_f64() });
+            let secs = self.start.elapsed().as_secs_f64();
+            match timings.iter_mut().find(|t| t.stage == self.name) {
+                Some(earlier) => earlier.secs += secs,
+                None => timings.push(StageTime { stage: self.name.clone(), secs }),
+            }
         }
     }
 }
@@ -137,6 +141,16 @@ impl Drop for Stage<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn stages_of_one_name_are_one_in_the_timings() {
+        let progress = Progress::silent();
+        for name in ["survey", "factor", "factor", "color", "factor"] {
+            drop(progress.stage(name, 1));
+        }
+        let names: Vec<String> = progress.timings().into_iter().map(|t| t.stage).collect();
+        assert_eq!(names, ["survey", "factor", "color"]);
+    }
 
     #[test]
     fn a_stop_unwinds_the_stage_at_its_next_step_and_not_before() {

@@ -227,12 +227,12 @@ impl NativeMaterial {
         let given = LightImage { size: [width, height], rgb };
         let (exitance, origin) = py
             .detach(|| -> acquire::Result<_> {
-                let image = match extent_mm {
-                    None => given,
-                    Some([x0, x1, y0, y1]) => self.placed(&given, [[x0, x1], [y0, y1]]),
-                };
                 let shape = self.material.shape();
                 let area = LitArea::of(&shape).map_err(acquire::Error::from)?;
+                let image = match extent_mm {
+                    None => given,
+                    Some([x0, x1, y0, y1]) => placed(&area, &given, shape.pitch_mm, [[x0, x1], [y0, y1]]),
+                };
                 let quadrature = Quadrature::new(&area, &shape);
                 let flux = Light::Image(image).flux(&quadrature)?;
                 let images = acquire_material::relight(&self.material, &quadrature, &[flux], &|_| ())?;
@@ -286,38 +286,33 @@ impl NativeMaterial {
     }
 }
 
-impl NativeMaterial {
-    /// An image over an extent as an image over the lit area, dark beyond the extent: means over pixels of a fourth of
-    /// a sample.
-    fn placed(&self, image: &LightImage, [x, y]: [[f64; 2]; 2]) -> LightImage {
-        let area = self.extent();
-        let pitch = self.material.header.pitch_mm;
-        let size = area.map(|[low, high]| (PIXELS * (high - low) / pitch).ceil().clamp(1.0, MOST_PIXELS) as usize);
-        // For each pixel over the lit area, the pixels of the image that lie in it, and the share of it that they
-        // cover.
-        let overlaps = |a: usize, [low, high]: [f64; 2]| -> Vec<Vec<(usize, f32)>> {
-            let (step, side) = ((area[a][1] - area[a][0]) / size[a] as f64, (high - low) / image.size[a] as f64);
-            let of = |k: usize| {
-                let [from, to] = [0.0, 1.0].map(|end| (area[a][0] + (k as f64 + end) * step - low) / side);
-                let (from, to) = (from.min(to).max(0.0), from.max(to).min(image.size[a] as f64));
-                let pixels = from.floor().max(0.0) as usize..(to.ceil().max(0.0) as usize).min(image.size[a]);
-                let share =
-                    |p: usize| ((to.min(p as f64 + 1.0) - from.max(p as f64)).max(0.0) * side.abs() / step) as f32;
-                pixels.map(|p| (p, share(p))).collect()
-            };
-            (0..size[a]).map(of).collect()
-        };
-        let (columns, lines) = (overlaps(0, x), overlaps(1, y));
-        let pixel = |k: usize| {
-            let mut sum = [0.0_f32; 3];
-            for &(line, down) in &lines[k / size[0]] {
-                for &(column, across) in &columns[k % size[0]] {
-                    let rgb = image.rgb[column + line * image.size[0]];
-                    (0..3).for_each(|c| sum[c] += down * across * rgb[c]);
-                }
+/// An image over an extent of the slab, mm, as an image over the lit area, dark beyond the extent: means over pixels
+/// of a fourth of a sample. On a turned lattice a pixel's sides are taken to be along the axes; its middle is exact.
+fn placed(area: &LitArea, image: &LightImage, pitch_mm: f64, [x, y]: [[f64; 2]; 2]) -> LightImage {
+    let corner = area.place([0.0, 0.0]);
+    let sides = [area.place([1.0, 0.0]), area.place([0.0, 1.0])].map(|p| (p[0] - corner[0]).hypot(p[1] - corner[1]));
+    let size = sides.map(|side| (PIXELS * side / pitch_mm).ceil().clamp(1.0, MOST_PIXELS) as usize);
+    let (step, extent) = ([0, 1].map(|a| sides[a] / size[a] as f64), [x, y]);
+    // Pixels of the image that lie in one around `middle`, and the share of it that they cover.
+    let overlap = |a: usize, middle: f64| {
+        let (low, side) = (extent[a][0], (extent[a][1] - extent[a][0]) / image.size[a] as f64);
+        let [from, to] = [-0.5, 0.5].map(|end| (middle + end * step[a] - low) / side);
+        let (from, to) = (from.max(0.0), to.min(image.size[a] as f64));
+        let pixels = from.floor() as usize..(to.ceil().max(0.0) as usize).min(image.size[a]);
+        let share = move |p: usize| (to.min(p as f64 + 1.0) - from.max(p as f64)).max(0.0) * side / step[a];
+        pixels.map(move |p| (p, share(p) as f32))
+    };
+    let pixel = |k: usize| {
+        let share = |a: usize, k: usize| (k as f64 + 0.5) / size[a] as f64;
+        let middle = area.place([share(0, k % size[0]), share(1, k / size[0])]);
+        let mut sum = [0.0_f32; 3];
+        for (line, down) in overlap(1, middle[1]) {
+            for (column, across) in overlap(0, middle[0]) {
+                let rgb = image.rgb[column + line * image.size[0]];
+                (0..3).for_each(|c| sum[c] += down * across * rgb[c]);
             }
-            sum
-        };
-        LightImage { size, rgb: (0..size[0] * size[1]).into_par_iter().map(pixel).collect() }
-    }
+        }
+        sum
+    };
+    LightImage { size, rgb: (0..size[0] * size[1]).into_par_iter().map(pixel).collect() }
 }

@@ -34,14 +34,7 @@ pub(super) fn independent(
 }
 
 /// [`independent`] of a row with gaps.
-fn general(
-    row: RowView<'_>,
-    content: Content,
-    scale: f64,
-    window: [usize; 2],
-    position: f64,
-    independent: &mut [f64],
-) {
+fn general(row: RowView<'_>, content: Content, scale: f64, window: [usize; 2], position: f64, independent: &mut [f64]) {
     let n = window[0] * window[1];
     for c in 0..3 {
         let steep = (position > 0.0).then(|| {

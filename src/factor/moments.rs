@@ -135,7 +135,8 @@ impl NullaryFnOnce for Sum<'_> {
             let mut done = 0;
             while done < length {
                 let n = (length - done).min(TILE - tile.samples);
-                let (intensity, response) = (&row.intensity[of_intensity + done..][..n], &row.response[at + done..][..n]);
+                let (intensity, response) =
+                    (&row.intensity[of_intensity + done..][..n], &row.response[at + done..][..n]);
                 tile.take(intensity, response, row.interval);
                 done += n;
                 if tile.samples == TILE {
@@ -284,7 +285,9 @@ mod tests {
 
     #[test]
     fn fits_are_those_of_the_orthonormal_basis_where_there_is_one() {
-        for (width, left, steep, degree) in [(247, 0, 2.0, 7), (85, 3, 0.5, 3), (9, 1, 1.0, 2), (300, 0, 4.0, 5), (13, 2, 1.0, 0)] {
+        for (width, left, steep, degree) in
+            [(247, 0, 2.0, 7), (85, 3, 0.5, 3), (9, 1, 1.0, 2), (300, 0, 4.0, 5), (13, 2, 1.0, 0)]
+        {
             let row = row(width, left, |x| 2.0 * (-steep * x).exp());
             let basis = PolynomialBasis::new(&row.arguments, degree);
             for (fit, values) in row.fit(degree).unwrap().iter().zip(&row.channels) {

@@ -161,10 +161,14 @@ impl<'a> PreparedRows<'a> {
     /// # Errors
     /// Those of the reader and of `each`.
     pub(super) fn for_each_chunk(&self, stage: &str, each: &mut EachChunk<'_>) -> Result<()> {
-        if let Some(chunks) = &self.cache {
-            return chunks.iter().try_for_each(|c| each(c.first, &c.values, &c.missing));
-        }
         let stage = self.progress.stage(stage, self.reader.header().rows());
+        if let Some(chunks) = &self.cache {
+            return chunks.iter().try_for_each(|c| {
+                each(c.first, &c.values, &c.missing)?;
+                stage.advance(c.missing.len());
+                Ok(())
+            });
+        }
         let basis = self.basis.prepared(&self.patterns);
         self.reader.for_each_block_of_responses(|block| {
             let raw = RawRows::extract(block, self.content, |k| self.scale(block.first + k));

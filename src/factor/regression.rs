@@ -165,8 +165,7 @@ pub(super) fn intensity_range(material: &Material, rows: impl IntoIterator<Item 
         let (first, count) = (rows.start, rows.len());
         let ranges = (0..count.div_ceil(TOGETHER)).into_par_iter().map(|group| {
             let indices = first + group * TOGETHER..first + ((group + 1) * TOGETHER).min(count);
-            let indices: Vec<usize> =
-                indices.filter(|&i| material.incident(0, i).iter().any(|&f| f != 0.0)).collect();
+            let indices: Vec<usize> = indices.filter(|&i| material.incident(0, i).iter().any(|&f| f != 0.0)).collect();
             let intensity = responses.plane(0, &indices);
             let mut range = [f64::INFINITY, f64::NEG_INFINITY];
             for (&i, row) in indices.iter().zip(intensity.chunks_exact(samples)) {

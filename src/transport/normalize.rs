@@ -39,7 +39,8 @@ pub fn place(row: RowView<'_>, window: [usize; 2], limit: [usize; 2]) -> Placeme
     let far = |k: usize| offset(k).iter().map(|o| o * o).sum::<i64>();
     // The brightest of the samples within so many of the centre.
     let brightest = |reach: [usize; 2]| {
-        let range = |a: usize| centre[a].saturating_sub(reach[a])..(centre[a].saturating_add(reach[a]) + 1).min(window[a]);
+        let range =
+            |a: usize| centre[a].saturating_sub(reach[a])..(centre[a].saturating_add(reach[a]) + 1).min(window[a]);
         let line = |y: usize| {
             let at = range(0).start + y * window[0];
             (at, &values[at..at + range(0).len()], &measured[at..at + range(0).len()])

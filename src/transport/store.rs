@@ -670,12 +670,7 @@ impl MatrixReader {
     }
 
     /// [`Self::read`], with the variance or without, into the memory of another block.
-    pub(super) fn read_into(
-        &self,
-        rows: std::ops::Range<usize>,
-        variance: bool,
-        block: &mut RowBlock,
-    ) -> Result<()> {
+    pub(super) fn read_into(&self, rows: std::ops::Range<usize>, variance: bool, block: &mut RowBlock) -> Result<()> {
         if rows.end > self.header.rows() || rows.start > rows.end {
             return Err(Error::internal(format_args!("rows {rows:?} of a matrix of {}", self.header.rows())));
         }

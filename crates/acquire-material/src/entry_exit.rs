@@ -114,7 +114,8 @@ impl Material {
         }
         let [x, y] = [0, 1].map(|a| Between::at(place[a], size[a]));
         let plane = &self.exit_map[channel.min(planes - 1) * size[0] * size[1]..];
-        let [above, below] = [y.first, y.next].map(|line| plane[line * size[0]..][..size[0]].get(x.first..=x.first + count));
+        let [above, below] =
+            [y.first, y.next].map(|line| plane[line * size[0]..][..size[0]].get(x.first..=x.first + count));
         Some(ExitLine { above: above?, below: below?, beyond: [x.beyond, y.beyond] })
     }
 

@@ -41,6 +41,12 @@ impl LitArea {
         let canvas = Canvas::covering(shape, lattice.place([0.0, 0.0]), corners)?;
         Ok(Self { canvas, points: shape.points, lattice })
     }
+
+    /// Where on the slab the lit area has a place that is given by its shares of the area's two sides, mm. The sides
+    /// are those of the lattice of lit points, which may be turned against the slab's axes.
+    pub fn place(&self, share: Point) -> Point {
+        self.lattice.place([0, 1].map(|a| share[a] * self.points[a] as f64 - 0.5))
+    }
 }
 
 /// A cell on which light falls.
