@@ -38,9 +38,8 @@ impl WholeChunks {
         let chunk = array.chunk_shape(&[0; 5]).ok()?;
         let chunk: Vec<u64> = chunk.iter().map(|n| n.get()).collect();
         let whole = chunk[0] == 1 && chunk[2..] == shape[2..] && shape[4] == CHANNELS as u64;
-        if !(whole && little && cfg!(target_endian = "little"))
-            || !names.eq([Some("bytes"), Some("zstd"), Some("crc32c")])
-        {
+        let ours = names.eq([Some("bytes"), Some("zstd"), Some("crc32c")]);
+        if !(whole && little && ours && cfg!(target_endian = "little")) {
             return None;
         }
         let row = usize::try_from(shape[2] * shape[3] * shape[4]).ok()?;
