@@ -87,3 +87,73 @@ fn decode(path: PathBuf, out: &mut [u8], whole: usize) -> Option<()> {
     out.copy_from_slice(all.get(..out.len()).filter(|_| all.len() == whole)?);
     Some(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::store::tests::header;
+    use super::super::{MatrixReader, MatrixWriter, RowBlock};
+
+    const POINTS: [usize; 2] = [11, 2];
+    const WINDOW: [usize; 2] = [221, 223];
+
+    /// Rows of 0.6 MB: chunks of six, of which the second goes on beyond a line of eleven.
+    fn rows(range: std::ops::Range<usize>) -> RowBlock {
+        let n = 3 * WINDOW[0] * WINDOW[1];
+        let value = |k: usize| ((k * 7919) % 10_007) as f32 * 0.25 - 300.0;
+        let (first, rows) = (range.start, range.len());
+        let numbers = first * n..(first + rows) * n;
+        let valid: Vec<u8> = numbers.clone().map(|k| u8::from(k % 5 != 0)).collect();
+        let measured = |v: f32, k: usize| if k % 5 == 0 { 0.0 } else { v };
+        let response = numbers.clone().map(|k| measured(value(k), k)).collect();
+        let variance = numbers.map(|k| measured(value(k).abs(), k)).collect();
+        RowBlock { first, rows, response, variance, valid }
+    }
+
+    #[test]
+    fn whole_and_cut_chunks_are_read_as_they_were_made() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.rd.zarr");
+        let header = header(POINTS, WINDOW);
+        MatrixWriter::create(&path, header).unwrap().finish_with(|range| Ok(rows(range))).unwrap();
+        let reader = MatrixReader::open(&path).unwrap();
+        // All chunks; one that is padded; parts of two, which go the general way.
+        for range in [0..22, 6..11, 17..22, 3..8, 10..13] {
+            let (found, made) = (reader.read(range.clone()).unwrap(), rows(range.clone()));
+            assert!(found.response == made.response && found.variance == made.variance, "{range:?}");
+            assert!(found.valid == made.valid, "{range:?}");
+            let light = reader.read_responses(range.clone()).unwrap();
+            assert!(light.response == made.response && light.variance.is_empty(), "{range:?}");
+        }
+        // The blocks share their memory.
+        let mut all = Vec::new();
+        let keep = |block: &RowBlock| {
+            all.extend_from_slice(&block.response);
+            assert!(block.variance.is_empty());
+            Ok(())
+        };
+        reader.for_each_block_of_responses(keep).unwrap();
+        assert!(all == rows(0..22).response);
+    }
+
+    #[test]
+    fn rows_that_do_not_fit_the_matrix_are_not_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.rd.zarr");
+        let header = header([2, 1], [3, 1]);
+        let short = |range: std::ops::Range<usize>| {
+            let n = range.len();
+            Ok(RowBlock {
+                first: range.start,
+                rows: n,
+                response: vec![0.0; 8],
+                variance: vec![],
+                valid: vec![0; 9 * n],
+            })
+        };
+        assert!(matches!(
+            MatrixWriter::create(&path, header).unwrap().finish_with(short),
+            Err(crate::Error::Internal { .. })
+        ));
+        assert!(!path.exists());
+    }
+}

@@ -223,6 +223,22 @@ mod tests {
     }
 
     #[test]
+    fn a_share_of_the_lit_area_is_a_place_along_the_sides_of_its_lattice() {
+        let turn = 0.2_f64;
+        let lit: Vec<Point> = (0..12)
+            .map(|k| [0.75 * (k % 4) as f64, 1.0 * (k / 4) as f64])
+            .map(|[x, y]| [x * turn.cos() - y * turn.sin(), x * turn.sin() + y * turn.cos()])
+            .collect();
+        let shape = Shape { points: [4, 3], window: [5, 3], pitch_mm: 0.5, lit_pitch_mm: [0.75, 1.0], lit_mm: &lit };
+        let area = LitArea::of(&shape).unwrap();
+        // Half a lit pitch beyond the first point and the last; the middle of the first cell is the first point.
+        for (share, expected) in [([0.125, 1.0 / 6.0], lit[0]), ([0.875, 5.0 / 6.0], lit[11]), ([0.375, 0.5], lit[5])] {
+            let found = area.place(share);
+            assert!((0..2).all(|a| (found[a] - expected[a]).abs() < 1e-12), "rounding: {found:?} {expected:?}");
+        }
+    }
+
+    #[test]
     fn cells_cover_the_lit_area_once_and_every_cell_is_answered_for_once() {
         let lit = moved();
         let shape = shape(&lit);
