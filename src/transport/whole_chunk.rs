@@ -102,8 +102,8 @@ mod tests {
         let value = |k: usize| ((k * 7919) % 10_007) as f32 * 0.25 - 300.0;
         let (first, rows) = (range.start, range.len());
         let numbers = first * n..(first + rows) * n;
-        let valid: Vec<u8> = numbers.clone().map(|k| u8::from(k % 5 != 0)).collect();
-        let measured = |v: f32, k: usize| if k % 5 == 0 { 0.0 } else { v };
+        let valid: Vec<u8> = numbers.clone().map(|k| u8::from(!k.is_multiple_of(5))).collect();
+        let measured = |v: f32, k: usize| if k.is_multiple_of(5) { 0.0 } else { v };
         let response = numbers.clone().map(|k| measured(value(k), k)).collect();
         let variance = numbers.map(|k| measured(value(k).abs(), k)).collect();
         RowBlock { first, rows, response, variance, valid }
