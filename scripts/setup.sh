@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Installs what the build needs besides Rust, gcc and make: OpenCV 4 and libclang (the opencv crate
 # generates its bindings while it builds). Does nothing when everything is there.
-# `setup.sh python`: what the Python module's tests need besides cargo and a compiler, which is Python with venv.
+# `setup.sh python`: what the Python module's tests need besides cargo and a compiler, which is Python with venv; with
+# CI=true also an LLVM for Mitsuba.
 set -euo pipefail
 
 # The same names on Debian 12 and later and on Ubuntu 22.04 and later.
@@ -30,6 +31,11 @@ missing() {
 if ! command -v cargo >/dev/null; then
     echo "setup: cargo not found. Install Rust (https://rustup.rs) and try again." >&2
     exit 1
+fi
+
+# Mitsuba compiles with an LLVM that Debian 12 does not install by itself; without one its tests are skipped.
+if [ "$what" = python ] && [ "${CI:-}" = true ] && [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null; then
+    apt-get install -y --no-install-recommends libllvm19 >/dev/null 2>&1 || echo "setup: no libllvm19: Mitsuba's tests are skipped" >&2
 fi
 
 lacking=$(missing)

@@ -15,10 +15,6 @@ environment() { # name, packages
 
 environment new "maturin>=1.9,<2" "numpy>=2" pytest safetensors "mitsuba>=3.9" moderngl "xarray>=2024.10" "zarr>=3" dask \
     "distributed>=2024.10" jsonschema
-# Mitsuba compiles with an LLVM that Debian 12 does not install by itself; without one its tests are skipped.
-if [ "${CI:-}" = true ] && [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null; then
-    apt-get install -y --no-install-recommends libllvm19 >/dev/null 2>&1 || echo "no libllvm19: Mitsuba's tests are skipped" >&2
-fi
 rm -rf "$work/wheels"
 CARGO_TARGET_DIR=$target "$work/new/bin/maturin" build --quiet --release --locked --auditwheel skip --features "${FEATURES:-}" \
     --manifest-path python/Cargo.toml --out "$work/wheels"

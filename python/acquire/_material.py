@@ -136,7 +136,7 @@ class Material:
 
         :param irradiance: shape (y, x) or (y, x, 3), linear; line 0 is at the smallest y. Each cell of the lit area receives the flux Φ = irradiance (its mean over
             the cell) × the cell's area, mm²; exitance has the unit of the irradiance, so that a slab of albedo A under an irradiance of 1 gives A.
-        :param extent_mm: x from, x to, y from, y to of the image on the slab, mm; dark beyond it. Default: the lit area, :attr:`lit_extent_mm`.
+        :param extent_mm: x from, x to, y from, y to of the image on the slab, mm; dark beyond it. Default: over the lit area, along the sides of its lattice.
         """
         image = np.asarray(irradiance, dtype=np.float32)
         if image.ndim == 2:

@@ -12,18 +12,20 @@ shows the stages by name. What fails, or was on a worker that died, the cluster 
 
 from __future__ import annotations
 
+import json
 import os
 import time
 import uuid
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path as FilePath
 from typing import Any
 
 from distributed import Client, Future, get_client
 
 from . import _commands
-from ._errors import InputError, tell
+from ._errors import FindingWarning, InputError, tell
 from ._material import Path
 from ._matrix import Matrix
 from ._native import native
@@ -78,16 +80,18 @@ def build_matrix(
         client.submit(_extract, prepared, str(place / f"{k}-of-{count}.part"), (k, count), memory, key=(f"extract-{call}", k), **more) for k in range(1, count + 1)
     ]
     built = client.submit(_assemble, capture, measured, out, max(threads), force, options, key=f"assemble-{call}", **more)
-    result: dict[str, Any] = _result(client, [prepared, *measured, built])
+    with _all_or_none(client, [prepared, *measured, built]):
+        result: dict[str, Any] = built.result()
     _remove(place)
     tell(result["findings"])
     return result
 
 
-def _result(client: Client, futures: list[Future]) -> Any:
-    """The last one's; where one fails, or the caller gives up, none goes on."""
+@contextmanager
+def _all_or_none(client: Client, futures: list[Future]) -> Iterator[None]:
+    """Where one fails, or the caller gives up, none goes on."""
     try:
-        return futures[-1].result()
+        yield
     except BaseException:
         client.cancel(futures)
         raise
@@ -104,8 +108,6 @@ def _extract(prepared: str, out: str, part: tuple[int, int], options: dict[str, 
 
 
 def _assemble(capture: str, parts: list[str], out: str, threads: int, force: bool, options: dict[str, Any]) -> dict[str, Any]:
-    import json
-
     words = _commands._words(options)
     # Findings are told where the caller is.
     result: dict[str, Any] = json.loads(native.assemble(capture, parts, out, words, False, force, threads, None))
@@ -146,18 +148,11 @@ def tradeoff(
     call = uuid.uuid4().hex
     tried = [dict(one) for one in (SETTINGS if settings is None else settings)]
     futures = [client.submit(_try, path, one, key=(f"factor-{call}", k), retries=retries, pure=False) for k, one in enumerate(tried)]
-    try:
+    with _all_or_none(client, futures):
         return client.gather(futures)
-    except BaseException:
-        client.cancel(futures)
-        raise
 
 
 def _try(path: str, settings: dict[str, Any]) -> dict[str, Any]:
-    import warnings
-
-    from ._errors import FindingWarning
-
     start = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FindingWarning)

@@ -21,6 +21,12 @@ pub(crate) fn findings(found: impl IntoIterator<Item = impl Into<Warning>>) -> a
     found.into_iter().map(|finding| finding.into().json()).collect()
 }
 
+/// A report with its findings, as JSON.
+fn with_findings(mut report: Value, found: impl IntoIterator<Item = impl Into<Warning>>) -> acquire::Result<String> {
+    report["findings"] = Value::Array(findings(found)?);
+    Ok(report.to_string())
+}
+
 fn to_json(value: &impl serde::Serialize) -> acquire::Result<Value> {
     serde_json::to_value(value).map_err(Error::internal)
 }
@@ -100,9 +106,7 @@ pub(crate) fn simulate(py: Python<'_>, dir: PathBuf, words: Vec<String>, report:
     acquire::cli::check_folder("dir", &dir, voxels.as_slice(), false).map_err(raised)?;
     run(py, report, |progress| {
         let summary = acquire::simulate::simulate(&options, &dir, progress)?;
-        let mut object = to_json(&summary)?;
-        object["findings"] = Value::Array(findings(summary.warnings)?);
-        Ok(object.to_string())
+        with_findings(to_json(&summary)?, summary.warnings)
     })
 }
 
@@ -121,9 +125,7 @@ pub(crate) fn build_matrix(
     acquire::cli::check_matrix_output("out", &out, &inputs, force).map_err(raised)?;
     run(py, report, |progress| {
         let built = acquire::pipeline::build_matrix(&capture, &options, &out, progress)?;
-        let mut object = built.figures()?;
-        object["findings"] = Value::Array(findings(built.warnings)?);
-        Ok(object.to_string())
+        with_findings(built.figures()?, built.warnings)
     })
 }
 
@@ -208,8 +210,7 @@ pub(crate) fn assemble(
         })?;
         let mut object = built.figures()?;
         object["unused_parts"] = json!(built.unused_parts);
-        object["findings"] = Value::Array(findings(built.warnings)?);
-        Ok(object.to_string())
+        with_findings(object, built.warnings)
     })
 }
 
@@ -255,9 +256,7 @@ pub(crate) fn import_matrix(
 
 /// What was imported, as JSON.
 pub(crate) fn told(imported: &ImportedMatrix) -> acquire::Result<String> {
-    let mut object = to_json(imported)?;
-    object["findings"] = Value::Array(findings(imported.findings.iter().cloned())?);
-    Ok(object.to_string())
+    with_findings(to_json(imported)?, imported.findings.iter().cloned())
 }
 
 /// JSON of anything, as an exception where it fails.

@@ -2,7 +2,7 @@
 
 use super::content::Content;
 use super::noise::F32_ROUNDING;
-use crate::transport::rows::{RowView, gradient, is_complete};
+use crate::transport::rows::{RowView, gradient, is_complete, mean_of};
 use pulp::{Arch, NullaryFnOnce};
 
 /// Variance of a row that is independent from sample to sample (photons, read noise, rounding), in the unit of the
@@ -59,9 +59,8 @@ fn general(row: RowView<'_>, content: Content, scale: f64, window: [usize; 2], p
             finish(s % 3 * n + s / 3, f64::from(value), valid != 0);
         }
     } else {
-        for (k, (rgb, valid)) in row.response.chunks_exact(3).zip(row.valid.chunks_exact(3)).enumerate() {
-            let value = rgb.iter().map(|&v| f64::from(v)).sum::<f64>() / 3.0;
-            finish(k, value, valid.iter().all(|&v| v != 0));
+        for (k, (rgb, valid)) in row.response.as_chunks::<3>().0.iter().zip(row.valid.chunks_exact(3)).enumerate() {
+            finish(k, mean_of(rgb), valid.iter().all(|&v| v != 0));
         }
     }
 }
@@ -103,8 +102,7 @@ impl NullaryFnOnce for Complete<'_> {
                 }
             } else {
                 for ((out, own), rgb) in out[y * w..][..w].iter_mut().zip(own).zip(line) {
-                    let mean = (f64::from(rgb[0]) + f64::from(rgb[1]) + f64::from(rgb[2])) / 3.0;
-                    *out = ((own[0] + own[1] + own[2]) / 9.0 + rounded(mean)) * over;
+                    *out = ((own[0] + own[1] + own[2]) / 9.0 + rounded(mean_of(rgb))) * over;
                 }
             }
         }

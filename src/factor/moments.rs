@@ -6,6 +6,7 @@
 //! there is no fit, and the row goes the other way.
 
 use super::color::{Fit, MOST, PolynomialBasis};
+use super::vector::{Lanes, add_all_in, add_products_in};
 use crate::cholesky::Cholesky;
 use crate::material::legendre::argument;
 use pulp::{Arch, NullaryFnOnce};
@@ -19,10 +20,6 @@ const ERROR: f64 = 1e-12;
 const TILE: usize = 256;
 /// 2P + 1 at the most.
 const SUMS: usize = 2 * MOST - 1;
-
-/// Parts of a sum, one for each of so many neighbours; a single one would wait for each addition.
-const LANES: usize = 16;
-type Lanes = [f64; LANES];
 
 /// Sums of one row.
 struct Moments {
@@ -128,7 +125,7 @@ impl NullaryFnOnce for Sum<'_> {
     #[inline(always)]
     fn call(self) -> Moments {
         let Self { row, degree } = self;
-        let none = [0.0; LANES];
+        let none = Lanes::default();
         let mut out = Moments { of_basis: [none; SUMS], along: [[none; MOST]; 3], energy: [none; 3], samples: 0 };
         let mut tile = Tile { arguments: [0.0; TILE], channels: [[0.0; TILE]; 3], samples: 0 };
         for &(at, of_intensity, length) in row.lines {
@@ -172,7 +169,7 @@ impl Moments {
         self.samples += n;
         let (u, y) = (&tile.arguments[..n], tile.channels.each_ref().map(|c| &c[..n]));
         for c in 0..3 {
-            add_products(&mut self.energy[c], y[c], y[c]);
+            add_products_in(&mut self.energy[c], y[c], y[c]);
         }
         // L_k and the two before it.
         let mut legendre = [[0.0; TILE]; 3];
@@ -194,41 +191,15 @@ impl Moments {
                     }
                 }
             }
-            add_all(&mut self.of_basis[k], &now[..n]);
+            add_all_in(&mut self.of_basis[k], &now[..n]);
             if k <= degree {
                 // A closure would be compiled without the vector instructions.
                 for c in 0..3 {
-                    add_products(&mut self.along[c][k], &now[..n], y[c]);
+                    add_products_in(&mut self.along[c][k], &now[..n], y[c]);
                 }
             }
         }
     }
-}
-
-#[inline(always)]
-fn add_products(sum: &mut Lanes, a: &[f64], b: &[f64]) {
-    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
-    let mut lanes = *sum;
-    for (a, b) in a.iter().zip(b) {
-        for k in 0..LANES {
-            lanes[k] += a[k] * b[k];
-        }
-    }
-    lanes.iter_mut().zip(a_rest).zip(b_rest).for_each(|((lane, a), b)| *lane += a * b);
-    *sum = lanes;
-}
-
-#[inline(always)]
-fn add_all(sum: &mut Lanes, values: &[f64]) {
-    let (parts, rest) = values.as_chunks::<LANES>();
-    let mut lanes = *sum;
-    for part in parts {
-        for k in 0..LANES {
-            lanes[k] += part[k];
-        }
-    }
-    lanes.iter_mut().zip(rest).for_each(|(lane, v)| *lane += v);
-    *sum = lanes;
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use super::{Misfit, vector};
 use crate::material::Layout;
 use crate::progress::Progress;
 use crate::transport::normalize::{Placement, layout, place};
-use crate::transport::rows::{RowView, is_complete};
+use crate::transport::rows::RowView;
 use crate::transport::{MatrixReader, RowBlock};
 use crate::{FactorWarning, Result};
 use rayon::prelude::*;
@@ -240,9 +240,9 @@ impl Sums {
     ) {
         let row = block.view(k);
         // What was not measured is zero, and adds nothing.
-        self.entries += match is_complete(row.valid) {
-            true => row.valid.len() as u64,
-            false => row.valid.iter().map(|&v| u64::from(v)).sum(),
+        self.entries += match raw.measured[k] {
+            None => row.valid.len() as u64,
+            Some(_) => row.valid.iter().map(|&v| u64::from(v)).sum(),
         };
         let (energy, peak) = vector::energy_and_peak(row.response);
         (self.energy, self.peak) = (self.energy + energy, self.peak.max(peak));

@@ -4,8 +4,44 @@
 
 use pulp::{Arch, NullaryFnOnce};
 
-/// Lanes of a sum: a single one would wait for each addition.
+/// Parts of a sum, one for each of so many neighbours: a single one would wait for each addition.
 const LANES: usize = 16;
+pub(super) type Lanes = [f64; LANES];
+
+/// Adds products of whole parts; gives what is left of both.
+#[inline(always)]
+fn add_parts<'a>(sum: &mut Lanes, a: &'a [f64], b: &'a [f64]) -> (&'a [f64], &'a [f64]) {
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    let mut lanes = *sum;
+    for (a, b) in a.iter().zip(b) {
+        for k in 0..LANES {
+            lanes[k] += a[k] * b[k];
+        }
+    }
+    *sum = lanes;
+    (a_rest, b_rest)
+}
+
+/// Adds a b to the parts of a sum, inside a dispatched function.
+#[inline(always)]
+pub(super) fn add_products_in(sum: &mut Lanes, a: &[f64], b: &[f64]) {
+    let (a, b) = add_parts(sum, a, b);
+    sum.iter_mut().zip(a).zip(b).for_each(|((lane, a), b)| *lane += a * b);
+}
+
+/// Adds values to the parts of a sum, inside a dispatched function.
+#[inline(always)]
+pub(super) fn add_all_in(sum: &mut Lanes, values: &[f64]) {
+    let (parts, rest) = values.as_chunks::<LANES>();
+    let mut lanes = *sum;
+    for part in parts {
+        for k in 0..LANES {
+            lanes[k] += part[k];
+        }
+    }
+    lanes.iter_mut().zip(rest).for_each(|(lane, v)| *lane += v);
+    *sum = lanes;
+}
 
 struct Dot<'a>(&'a [f64], &'a [f64]);
 
@@ -26,13 +62,8 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
 /// Σ a b inside a dispatched function.
 #[inline(always)]
 pub(super) fn dot_in(a: &[f64], b: &[f64]) -> f64 {
-    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut lanes = [0.0; LANES];
-    for (a, b) in a.iter().zip(b) {
-        for k in 0..LANES {
-            lanes[k] += a[k] * b[k];
-        }
-    }
+    let (a_rest, b_rest) = add_parts(&mut lanes, a, b);
     let mut sum = 0.0;
     for k in 0..LANES {
         sum += lanes[k];
@@ -55,14 +86,9 @@ impl NullaryFnOnce for Sum<'_> {
 
     #[inline(always)]
     fn call(self) -> f64 {
-        let (parts, rest) = self.0.as_chunks::<LANES>();
         let mut lanes = [0.0; LANES];
-        for part in parts {
-            for k in 0..LANES {
-                lanes[k] += part[k];
-            }
-        }
-        lanes.iter().chain(rest).sum()
+        add_all_in(&mut lanes, self.0);
+        lanes.iter().sum()
     }
 }
 
@@ -149,7 +175,7 @@ impl NullaryFnOnce for Range<'_> {
     }
 }
 
-/// The smallest and the largest value; infinities the wrong way round when there is none.
+/// The smallest and the largest value; \[∞, −∞\] of an empty slice.
 pub(super) fn range(values: &[f64]) -> [f64; 2] {
     Arch::new().dispatch(Range(values))
 }

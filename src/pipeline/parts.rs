@@ -209,7 +209,7 @@ fn is_there(scene: &Scene<'_>, shots: &[usize], head: &Head, out: &Path, row_len
     Ok(true)
 }
 
-/// Opens a part; says why it is none.
+/// Opens a part: its rows, its head, its undamaged shots. The error says why the file is not a part.
 fn read(path: &Path) -> Result<(Part, Head, Vec<Line>), String> {
     let (part, lines) = Part::open(path)?;
     let damaged = || "it is damaged".to_owned();

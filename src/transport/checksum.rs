@@ -258,16 +258,26 @@ fn file_name(chunk: &Path) -> String {
 
 /// Whether an array's chunks have the codecs and names that this program gives them.
 fn as_written(name: &str, array: &Value) -> bool {
+    if ROWS.contains(&name) {
+        return rows_as_written(array);
+    }
+    let separator = array.pointer("/chunk_key_encoding/configuration/separator");
+    let expected = if OF_COMMON.contains(&name) { "bytes zstd crc32c" } else { "bytes crc32c" };
+    codecs(array) == expected && separator.is_none_or(|s| s == "/")
+}
+
+/// The same of an array of rows.
+pub(super) fn rows_as_written(array: &Value) -> bool {
+    let separator = array.pointer("/chunk_key_encoding/configuration/separator");
+    codecs(array) == "bytes zstd crc32c" && separator == Some(&".".into()) && one_line(array)
+}
+
+/// The names of an array's codecs.
+fn codecs(array: &Value) -> String {
     // What has no settings is a name alone.
     let name_of = |codec: &Value| codec.as_str().or_else(|| codec["name"].as_str()).map(str::to_owned);
     let codecs: Option<Vec<String>> = array["codecs"].as_array().and_then(|all| all.iter().map(name_of).collect());
-    let codecs = codecs.unwrap_or_default().join(" ");
-    let separator = array.pointer("/chunk_key_encoding/configuration/separator");
-    match ROWS.contains(&name) {
-        true => codecs == "bytes zstd crc32c" && separator == Some(&".".into()) && one_line(array),
-        false if OF_COMMON.contains(&name) => codecs == "bytes zstd crc32c" && separator.is_none_or(|s| s == "/"),
-        false => codecs == "bytes crc32c" && separator.is_none_or(|s| s == "/"),
-    }
+    codecs.unwrap_or_default().join(" ")
 }
 
 /// Whether chunks have one line of points, all samples and all channels.

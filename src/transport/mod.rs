@@ -8,11 +8,13 @@ pub mod normalize;
 mod open;
 mod part;
 mod positioned;
+mod reader;
 mod row_array;
 pub mod rows;
 mod scratch_rows;
 mod store;
 mod whole_chunk;
+mod writer;
 
 /// R, G, B.
 const CHANNELS: usize = 3;
@@ -20,4 +22,6 @@ const CHANNELS: usize = 3;
 pub use common::{CommonErrors, CommonOfAll};
 pub(crate) use earlier::check as check_matrix;
 pub(crate) use part::{Part, PartWriter, RowsAt, check_part, find_parts};
-pub use store::{MatrixHeader, MatrixReader, MatrixWriter, Row, RowBlock, ShotRecord};
+pub use reader::MatrixReader;
+pub use store::{MatrixHeader, Row, RowBlock, ShotRecord};
+pub use writer::MatrixWriter;

@@ -72,7 +72,7 @@ pub fn place(row: RowView<'_>, window: [usize; 2], limit: [usize; 2]) -> Placeme
     placement
 }
 
-/// The largest measured value, −∞ when there is none.
+/// The largest measured value; −∞ when no sample was measured.
 struct Largest<'a> {
     values: &'a [f64],
     measured: &'a [bool],

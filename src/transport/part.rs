@@ -122,7 +122,7 @@ impl RowsAt {
 }
 
 impl Part {
-    /// Opens a part, and reads its lines that are not damaged; says why it is none.
+    /// Opens a part and reads its undamaged lines. The error says why the file is not a part.
     pub(crate) fn open(path: &Path) -> Result<(Self, Vec<Vec<u8>>), String> {
         if !begins_with(path, HEAD) {
             return Err("it is no part".into());

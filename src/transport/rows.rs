@@ -80,6 +80,12 @@ pub fn is_complete(valid: &[u8]) -> bool {
     valid.chunks(1024).all(|part| part.iter().fold(true, |all, &v| all & (v != 0)))
 }
 
+/// Intensity of a sample.
+#[inline(always)]
+pub fn mean_of(rgb: &[f32; 3]) -> f64 {
+    (f64::from(rgb[0]) + f64::from(rgb[1]) + f64::from(rgb[2])) / 3.0
+}
+
 /// Intensity of one row: the mean of its three channels, and where it was measured (all three were).
 pub fn intensity(row: RowView<'_>) -> (Vec<f64>, Vec<bool>) {
     let mut values = vec![0.0; row.valid.len() / 3];
@@ -104,7 +110,7 @@ impl NullaryFnOnce for Means<'_> {
     #[inline(always)]
     fn call(self) {
         for (out, rgb) in self.out.iter_mut().zip(self.response.as_chunks::<3>().0) {
-            *out = (f64::from(rgb[0]) + f64::from(rgb[1]) + f64::from(rgb[2])) / 3.0;
+            *out = mean_of(rgb);
         }
     }
 }
@@ -126,7 +132,7 @@ impl NullaryFnOnce for ScaledMeans<'_> {
     #[inline(always)]
     fn call(self) {
         for (out, rgb) in self.out.iter_mut().zip(self.response.as_chunks::<3>().0) {
-            *out = ((f64::from(rgb[0]) + f64::from(rgb[1]) + f64::from(rgb[2])) / 3.0 * self.over) as f32;
+            *out = (mean_of(rgb) * self.over) as f32;
         }
     }
 }

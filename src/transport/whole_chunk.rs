@@ -2,6 +2,7 @@
 //! three times, into memory that is new each time: of a matrix in memory that is two thirds of reading it.
 
 use super::CHANNELS;
+use super::checksum::rows_as_written;
 use std::fs::File;
 use std::io::Read;
 use std::ops::Range;
@@ -12,8 +13,8 @@ use zarrs::filesystem::FilesystemStore;
 /// Bytes of a CRC-32C.
 const CHECKSUM: usize = 4;
 
-/// An array whose chunks hold whole windows of lit points of one line, their numbers little-endian, compressed by zstd
-/// and followed by their CRC-32C.
+/// An array of rows as [`rows_as_written`] has it: a chunk holds whole windows of lit points of one line, compressed by
+/// zstd and followed by their CRC-32C.
 #[derive(Debug)]
 pub(super) struct WholeChunks {
     /// Lit points of a line, and of a chunk.
@@ -27,7 +28,6 @@ impl WholeChunks {
     /// `None` for an array with other chunks.
     pub(super) fn of(array: &Array<FilesystemStore>) -> Option<Self> {
         let metadata = serde_json::to_value(array.metadata()).ok()?;
-        let names = metadata["codecs"].as_array()?.iter().map(|c| c.as_str().or_else(|| c["name"].as_str()));
         let little = metadata["codecs"][0]["configuration"]["endian"].as_str().is_none_or(|e| e == "little");
         let bytes = match metadata["data_type"].as_str()? {
             "float32" => 4,
@@ -36,22 +36,20 @@ impl WholeChunks {
         };
         let shape: [u64; 5] = array.shape().try_into().ok()?;
         let chunk = array.chunk_shape(&[0; 5]).ok()?;
-        let chunk: Vec<u64> = chunk.iter().map(|n| n.get()).collect();
-        let whole = chunk[0] == 1 && chunk[2..] == shape[2..] && shape[4] == CHANNELS as u64;
-        let ours = names.eq([Some("bytes"), Some("zstd"), Some("crc32c")]);
-        if !(whole && little && ours && cfg!(target_endian = "little")) {
+        let here = little && cfg!(target_endian = "little");
+        if !(here && rows_as_written(&metadata) && shape[4] == CHANNELS as u64) {
             return None;
         }
         let row = usize::try_from(shape[2] * shape[3] * shape[4]).ok()?;
         Some(Self {
             across: usize::try_from(shape[1]).ok()?,
-            side: usize::try_from(chunk[1]).ok()?,
+            side: usize::try_from(chunk[1].get()).ok()?,
             row_bytes: row.checked_mul(bytes)?,
         })
     }
 
-    /// Decodes the chunk that holds these rows and no others into `out`; false when there is none, or when it is not
-    /// as it should be, for which the general way has the words.
+    /// Decodes the chunk of exactly these rows into `out`. False when the rows are not those of one chunk, or its file
+    /// is missing or damaged: the general way then has the words for the error.
     pub(super) fn read(&self, array: &Array<FilesystemStore>, rows: &Range<usize>, out: &mut [u8]) -> bool {
         let x = rows.start % self.across;
         let whole = x.is_multiple_of(self.side) && rows.len() == self.side.min(self.across - x);

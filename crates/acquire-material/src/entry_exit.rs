@@ -96,11 +96,16 @@ impl Material {
             for (dy, line) in channel.chunks_exact_mut(window[0]).enumerate().filter(|_| exit) {
                 let steps = [-((window[0] / 2) as f64), dy as f64 - (window[1] / 2) as f64];
                 let first = [0, 1].map(|a| lit[a] + steps[a] * pitch_mm);
-                match self.inside(c, first, line.len()) {
-                    Some(exit) => pulp::Arch::new().dispatch(MultiplyLine { line, exit }),
-                    None => self.exit_line(c, first, line.len(), |x, e| line[x] *= e),
-                }
+                self.multiply_line(c, first, line);
             }
+        }
+    }
+
+    /// Multiplies values at places a pitch apart along x from `first_mm` on by e_c.
+    pub(crate) fn multiply_line(&self, channel: usize, first_mm: Point, line: &mut [f64]) {
+        match self.inside(channel, first_mm, line.len()) {
+            Some(exit) => pulp::Arch::new().dispatch(MultiplyLine { line, exit }),
+            None => self.exit_line(channel, first_mm, line.len(), |x, e| line[x] *= e),
         }
     }
 
@@ -130,24 +135,13 @@ impl Material {
 
     /// e_c at `count` places a pitch apart along x from `first_mm` on; nothing is called without maps.
     #[inline]
-    pub(crate) fn exit_line(&self, channel: usize, first_mm: Point, count: usize, mut each: impl FnMut(usize, f64)) {
+    fn exit_line(&self, channel: usize, first_mm: Point, count: usize, mut each: impl FnMut(usize, f64)) {
         let Some(ExitGrid { origin_mm, size, planes }) = self.header.exit_grid else { return };
         let place = [0, 1].map(|a| (first_mm[a] - origin_mm[a]) / self.header.pitch_mm);
         let y = Between::at(place[1], size[1]);
         let plane = &self.exit_map[channel.min(planes - 1) * size[0] * size[1]..];
         let [above, below] = [y.first, y.next].map(|line| &plane[line * size[0]..][..size[0]]);
         let down = |x: usize| f64::from(above[x]) + y.beyond * (f64::from(below[x]) - f64::from(above[x]));
-        let start = Between::at(place[0], size[0]);
-        if place[0] > -1e-6 && place[0] + count as f64 - 1.0 < size[0] as f64 - 1.0 + 1e-6 {
-            // All samples lie as far beyond those of the map.
-            let mut left = down(start.first);
-            for k in 0..count {
-                let right = down((start.first + k + 1).min(size[0] - 1));
-                each(k, if start.beyond == 0.0 { left } else { left + start.beyond * (right - left) });
-                left = right;
-            }
-            return;
-        }
         for k in 0..count {
             let x = Between::at(place[0] + k as f64, size[0]);
             let left = down(x.first);

@@ -68,7 +68,7 @@ fn leave(material: &Material, image: &mut Exitance) {
     for (c, plane) in image.planes.iter_mut().enumerate() {
         plane.par_chunks_mut(size[0].max(1)).enumerate().for_each(|(y, line)| {
             let first = [origin_mm[0], origin_mm[1] + y as f64 * pitch_mm];
-            material.exit_line(c, first, line.len(), |x, e| line[x] *= e);
+            material.multiply_line(c, first, line);
         });
     }
 }

@@ -147,7 +147,7 @@ def _relit(slab, irradiance: Image) -> Image:
     for number in _tiles(factors, slab.mm_per_uv, reach):
         start = number * np.ptp(tile, axis=1)
         mirrored = (number % 2 == 1) & (factors.wrap == "mirror")
-        relit = slab.source.relight(_tile_light(irradiance, factors, start, mirrored, mm))
+        relit = slab.source.relight(_tile_light(irradiance, factors, start, mirrored, mm), extent_mm=tuple(tile.ravel()))
         # Texels that this tile's light reaches, in the tile's own coordinates.
         along = [tile[a, 1] - (texels - start[a]) if mirrored[a] else tile[a, 0] + texels - start[a] for a in (0, 1)]
         near = [np.nonzero((v > at[0]) & (v < at[-1]))[0] for v, at in zip(along, (relit.x_mm, relit.y_mm))]
@@ -166,15 +166,11 @@ def _tiles(factors, mm_per_uv: float, reach: np.ndarray) -> list[np.ndarray]:
 
 
 def _tile_light(irradiance: Image, factors, start: np.ndarray, mirrored: np.ndarray, mm: float) -> Image:
-    """The light on one tile as an image over the lit area, whose sides are the lattice's; dark beside the tile, beyond uv 0…1 that of the rim."""
-    tile, steps, points = np.array(factors.tile_mm), np.array(factors.steps_mm), np.array(factors.points)
-    counts = np.ceil(PIXELS_A_PITCH * points * np.linalg.norm(steps, axis=0) / factors.pitch_mm).astype(int)
-    u, v = np.meshgrid(*((np.arange(n) + 0.5) / n * p - 0.5 for n, p in zip(counts, points)))
-    light, pixel = [], factors.pitch_mm / PIXELS_A_PITCH
-    share = 1.0
+    """The light on one tile as an image over it; beyond uv 0…1 that of the rim."""
+    light = []
     for a, flip in enumerate(mirrored):
-        place = factors.origin_mm[a] + steps[a, 0] * u + steps[a, 1] * v
-        # Pixels that the tile's side cuts have a part of their light.
-        share = share * np.clip(np.minimum(place - tile[a, 0], tile[a, 1] - place) / pixel + 0.5, 0, 1)
-        light.append((start[a] + (tile[a, 1] - place if flip else place - tile[a, 0])) / mm - 0.5)
-    return (_bilinear(irradiance, *light) * share[..., None]).astype(np.float32)
+        side = np.ptp(factors.tile_mm[a])
+        count = int(np.ceil(PIXELS_A_PITCH * side / factors.pitch_mm))
+        along = (np.arange(count) + 0.5) / count * side
+        light.append((start[a] + (side - along if flip else along)) / mm - 0.5)
+    return _bilinear(irradiance, *np.meshgrid(*light)).astype(np.float32)

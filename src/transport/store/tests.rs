@@ -1,5 +1,10 @@
 use super::*;
-use crate::transport::CommonOfAll;
+use crate::transport::writer::chunks;
+use crate::transport::{CommonOfAll, MatrixReader, MatrixWriter, checksum};
+use std::path::Path;
+use std::sync::Arc;
+use zarrs::array::{Array, ArrayBuilder, ArraySubset};
+use zarrs::filesystem::FilesystemStore;
 
 pub(in crate::transport) fn header(points: [usize; 2], window: [usize; 2]) -> MatrixHeader {
     let rows = points[0] * points[1];

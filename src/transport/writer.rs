@@ -1,0 +1,368 @@
+//! Writing a matrix: rows wait until all are there, then the store is written and takes its place.
+
+use super::part::RowsAt;
+use super::scratch_rows::ScratchRows;
+use super::store::{COMMON, FORMAT, MatrixHeader, Row, RowBlock};
+use super::{CHANNELS, checksum, earlier};
+use crate::output::{Earlier, ScratchFolder, WorkLog, put};
+use crate::{Error, FindingRecord, Result, Warning};
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use zarrs::array::codec::{Crc32cCodec, ZstdCodec};
+use zarrs::array::{Array, ArrayBuilder, ArraySubset, BytesToBytesCodecTraits, ChunkKeySeparator, data_type};
+use zarrs::filesystem::FilesystemStore;
+
+/// Whatever the Zarr crate answers; turned into ours at the public functions.
+type BoxedError = Box<dyn std::error::Error + Send + Sync>;
+/// Gives consecutive rows.
+type BlockSource<'a> = dyn Fn(std::ops::Range<usize>) -> Result<RowBlock> + Sync + 'a;
+/// A chunk holds about this many bytes of responses: large enough for the disk, small enough to stream.
+const CHUNK_BYTES: usize = 4 << 20;
+/// Negative levels leave the bytes that do not repeat as they are: decoding is twice as fast as at level 1, for a tenth
+/// more bytes of measured noise, which no level compresses by much.
+const ZSTD_LEVEL: i32 = -1;
+
+/// Writes a matrix. Rows come in any order from any thread; nothing appears under the final name before
+/// [`Self::finish`].
+///
+/// Rows wait uncompressed in a scratch file until all of a chunk are there.
+#[derive(Debug)]
+pub struct MatrixWriter {
+    path: PathBuf,
+    header: MatrixHeader,
+    folder: ScratchFolder,
+    replaces: bool,
+    rows: ScratchRows,
+    /// Whether rows outlive the writing of the store.
+    stays: bool,
+}
+
+impl MatrixWriter {
+    /// Prepares to write the store `path`; an older store there is replaced by [`Self::finish`].
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the folder of `path` cannot be written; [`Error::NotOurs`], [`Error::Changed`] when something
+    /// other than a matrix of this program is at `path`.
+    pub fn create(path: &Path, header: MatrixHeader) -> Result<Self> {
+        Self::new(path, header, ScratchFolder::new)
+    }
+
+    /// [`Self::create`], with what a stopped run for the same `path` had finished.
+    pub(crate) fn go_on(path: &Path, header: MatrixHeader) -> Result<Self> {
+        Self::new(path, header, ScratchFolder::go_on)
+    }
+
+    /// [`Self::go_on`] for a `path` in an output that is not finished: rows wait in its scratch folder `outer` and stay
+    /// there when the store is written, so that a run that is stopped afterwards need not measure them again.
+    pub(crate) fn go_on_in(outer: &Path, path: &Path, header: MatrixHeader) -> Result<Self> {
+        let writer = Self::new(path, header, |_, path| ScratchFolder::go_on(outer, path))?;
+        writer.keep_work();
+        Ok(Self { stays: true, ..writer })
+    }
+
+    fn new(
+        path: &Path,
+        header: MatrixHeader,
+        scratch: impl FnOnce(&Path, &Path) -> Result<ScratchFolder>,
+    ) -> Result<Self> {
+        if path.to_str().is_none() {
+            // The Zarr crate could not read it back.
+            let reason = "the path of a matrix must be UTF-8";
+            return Err(Error::io("create", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
+        }
+        let replaces = earlier::check(path, true)?;
+        // Where a link leads: it stays.
+        let path = &if replaces { path.canonicalize().map_err(Error::io("create", path))? } else { path.to_path_buf() };
+        let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = scratch(parent, path)?;
+        let rows = ScratchRows::new(&folder, header.rows(), header.row_len()).map_err(Error::io("create", path))?;
+        Ok(Self { path: path.clone(), header, folder, replaces, rows, stays: false })
+    }
+
+    /// What will be written besides the rows.
+    pub fn header_mut(&mut self) -> &mut MatrixHeader {
+        &mut self.header
+    }
+
+    /// What will be written besides the rows.
+    pub fn header(&self) -> &MatrixHeader {
+        &self.header
+    }
+
+    /// Stores row `index` (row-major over (y_i, x_i)).
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Internal`] when the row has another length than the header says, or a value is not
+    /// finite.
+    pub fn put(&self, index: usize, row: &Row) -> Result<()> {
+        self.rows.put(index, row, false, &self.path)
+    }
+
+    /// Stores row `index` in the place of the one that was put, which a later run can still take over.
+    ///
+    /// # Errors
+    /// Those of [`Self::put`].
+    pub(crate) fn replace(&self, index: usize, row: &Row) -> Result<()> {
+        self.rows.put(index, row, true, &self.path)
+    }
+
+    /// The row that was put last at `index`.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Internal`] when there is none.
+    pub fn row(&self, index: usize) -> Result<Row> {
+        self.rows.row(index, &self.path)
+    }
+
+    /// Takes the rows of a stopped run for its own if together they have this BLAKE3; says whether they have.
+    pub(crate) fn adopt(&self, indices: &[usize], hash: &blake3::Hash) -> bool {
+        self.rows.adopt(indices, hash)
+    }
+
+    /// The same of rows that a task has measured; they stay in its part, which must stay until the store is written.
+    pub(crate) fn adopt_part(&self, indices: &[usize], hash: &blake3::Hash, in_part: &RowsAt) -> bool {
+        self.rows.adopt_part(indices, hash, in_part)
+    }
+
+    /// What the stopped run had finished that this one goes on from ([`Self::go_on`]), if it worked on the same `key`;
+    /// what is added from now on is there for a next run.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub(crate) fn earlier<T: serde::de::DeserializeOwned>(&self, key: &str) -> Result<(WorkLog, Earlier<T>)> {
+        WorkLog::open(&self.folder, key)
+    }
+
+    /// From now on what was finished stays for a next run, whatever becomes of this one.
+    pub(crate) fn keep_work(&self) {
+        self.folder.keep();
+    }
+
+    /// Writes the store and renames it into place. Rows never put are invalid throughout.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Internal`] when the header holds what [`MatrixReader::open`] would refuse.
+    pub fn finish(self) -> Result<()> {
+        self.finish_from(&|rows| self.rows.block(rows).map_err(Error::io("read", &self.path)))
+    }
+
+    /// [`Self::finish`] with rows that were not put: `block` is called once for each of some ranges that together are
+    /// all rows, from several threads. No scratch file is needed then, which takes nine bytes a number.
+    ///
+    /// # Errors
+    /// Those of [`Self::finish`] and of `block`.
+    pub fn finish_with(self, block: impl Fn(std::ops::Range<usize>) -> Result<RowBlock> + Sync) -> Result<()> {
+        self.finish_from(&block)
+    }
+
+    fn finish_from(&self, block: &BlockSource<'_>) -> Result<()> {
+        self.header.check().and_then(|()| self.header.check_places()).map_err(Error::internal)?;
+        let done = self.write(block);
+        // A full disk, say: the rows need not be measured again.
+        match &done {
+            Ok(()) if !self.stays => self.folder.let_go(),
+            Err(error) if error.is_of_system() => {
+                self.keep_work();
+                let _ = std::fs::remove_dir_all(self.folder.new_path());
+            }
+            _ => {}
+        }
+        done
+    }
+
+    fn write(&self, block: &BlockSource<'_>) -> Result<()> {
+        let store_path = self.folder.new_path();
+        // Half of one that a stopped run has left.
+        match std::fs::remove_dir_all(&store_path) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(Error::io("write", &self.path)(e)),
+            _ => {}
+        }
+        self.write_store(&store_path, block).map_err(|e| match e.downcast::<Error>() {
+            Ok(error) => *error,
+            Err(e) => {
+                let reason = e.to_string();
+                Error::io("write", &self.path)(std::io::Error::new(kind_of(&reason), reason))
+            }
+        })?;
+        earlier::check(&self.path, self.replaces)?;
+        put(&self.folder, &self.path, self.replaces).map_err(Error::io("write", &self.path))
+    }
+
+    fn write_store(&self, store_path: &Path, block: &BlockSource<'_>) -> Result<(), BoxedError> {
+        let header = &self.header;
+        let store = Arc::new(FilesystemStore::new(store_path)?);
+        let mut attributes = serde_json::Map::new();
+        attributes.insert("acquire_format".into(), FORMAT.into());
+        attributes.insert("channels".into(), serde_json::json!(["R", "G", "B"]));
+        if let serde_json::Value::Object(fields) = serde_json::to_value(header)? {
+            attributes.extend(fields);
+        }
+        if let Some(common) = &header.common {
+            attributes.insert(COMMON.into(), serde_json::to_value(common.of_all)?);
+        }
+        // What `warnings` say, as other programs may want it; not read again.
+        let findings: Vec<FindingRecord> = header.warnings.iter().map(Warning::record).collect();
+        attributes.insert("findings".into(), serde_json::to_value(findings)?);
+        self.write_coordinates(&store)?;
+
+        let arrays =
+            ["response", "variance"].map(|name| rows_array(header, &store, name, data_type::float32(), f32::NAN));
+        let [response, variance] = arrays;
+        let (response, variance) = (response?, variance?);
+        let valid = rows_array(header, &store, "valid", data_type::uint8(), u8::MAX)?;
+        for array in [&response, &variance, &valid] {
+            array.store_metadata()?;
+        }
+        let chunks: Vec<_> = chunks(header).collect();
+        chunks.into_par_iter().try_for_each(|rows| {
+            let mut block = block(rows.clone())?;
+            let n = rows.len() * header.row_len();
+            if [block.response.len(), block.variance.len(), block.valid.len()] != [n; 3] {
+                return Err(Error::internal(format_args!("rows {rows:?} do not fit the matrix")).into());
+            }
+            let not = block.valid.iter().enumerate().filter(|(_, v)| **v == 0).map(|(k, _)| k);
+            not.for_each(|k| (block.response[k], block.variance[k]) = (f32::NAN, f32::NAN));
+            let subset = subset(header, rows);
+            response.store_array_subset(&subset, block.response)?;
+            variance.store_array_subset(&subset, block.variance)?;
+            valid.store_array_subset(&subset, block.valid)?;
+            Ok::<_, BoxedError>(())
+        })?;
+        // Last, as it has the checksum of all metadata.
+        attributes.insert(checksum::GROUP.into(), checksum::seal(store_path, &attributes)?);
+        zarrs::group::GroupBuilder::new().attributes(attributes).build(store, "/")?.store_metadata()?;
+        Ok(())
+    }
+
+    fn write_coordinates(&self, store: &Arc<FilesystemStore>) -> Result<(), BoxedError> {
+        let header = &self.header;
+        let grid = [header.points[1] as u64, header.points[0] as u64];
+        let names = ["y_i", "x_i"];
+        let lit = |a: usize| header.lit_mm.iter().map(|p| p[a]).collect::<Vec<f64>>();
+        small_array(store, "x_i_mm", &grid, &names, data_type::float64(), f64::NAN, lit(0))?;
+        small_array(store, "y_i_mm", &grid, &names, data_type::float64(), f64::NAN, lit(1))?;
+        small_array(
+            store,
+            "position_sd_mm",
+            &grid,
+            &names,
+            data_type::float64(),
+            f64::NAN,
+            header.position_sd_mm.clone(),
+        )?;
+        // Zarr has no missing integers; −1 is the documented mark of an unlit point on disk only.
+        let shot = header.shot_of.iter().map(|s| s.map_or(-1, |s| s as i32)).collect::<Vec<i32>>();
+        small_array(store, "shot", &grid, &names, data_type::int32(), i32::MIN, shot)?;
+        for (a, name) in ["dx", "dy"].into_iter().enumerate() {
+            let offsets = (0..header.window[a]).map(|k| header.offset_px([k, k])[a] as f64 * header.pitch_mm);
+            let shape = [header.window[a] as u64];
+            small_array(store, name, &shape, &[name], data_type::float64(), f64::NAN, offsets.collect())?;
+        }
+        if let Some(common) = &header.common {
+            let [samples_x, samples_y] = header.window.map(|n| n as u64);
+            let channels = CHANNELS as u64;
+            let (shape, names) = ([grid[0], grid[1], channels], ["y_i", "x_i", "channel"]);
+            let values = common.row_scale_sd.as_flattened().to_vec();
+            small_array(store, "row_scale_sd", &shape, &names, data_type::float64(), f64::NAN, values)?;
+            let (shape, names) = ([samples_y, samples_x, channels], ["dy", "dx", "channel"]);
+            let values = common.sample_sd.clone();
+            small_array(store, "common_sd", &shape, &names, data_type::float64(), f64::NAN, values)?;
+        }
+        Ok(())
+    }
+}
+
+/// Ranges of rows that lie in one chunk each.
+pub(super) fn chunks(header: &MatrixHeader) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
+    let (nx, step) = (header.points[0], chunk_rows(header));
+    (0..header.points[1]).flat_map(move |y| (0..nx).step_by(step).map(move |x| y * nx + x..y * nx + (x + step).min(nx)))
+}
+
+fn chunk_rows(header: &MatrixHeader) -> usize {
+    let most = (CHUNK_BYTES / (4 * header.row_len())).clamp(1, header.points[0]);
+    let nx = header.points[0];
+    // Equal chunks along a line, of at least half as many rows as may be; else the last one is padded to the size of
+    // the others.
+    let equal = (most.div_ceil(2)..=most).rev().find(|&n| nx.is_multiple_of(n));
+    equal.unwrap_or(nx.div_ceil(nx.div_ceil(most)))
+}
+
+/// The part of a row array that holds `rows`, all of one y_i.
+fn subset(header: &MatrixHeader, rows: std::ops::Range<usize>) -> ArraySubset {
+    let (nx, [wx, wy]) = (header.points[0], header.window);
+    let (y, x) = ((rows.start / nx) as u64, (rows.start % nx) as u64);
+    let n = rows.len() as u64;
+    ArraySubset::new_with_ranges(&[y..y + 1, x..x + n, 0..wy as u64, 0..wx as u64, 0..CHANNELS as u64])
+}
+
+/// The attributes of an array: its unit, and what else there is to say.
+fn units(name: &str, more: &[(&str, &str)]) -> serde_json::Map<String, serde_json::Value> {
+    let unit = match name {
+        "response" => "mm^-2",
+        "variance" => "mm^-4",
+        "valid" | "shot" | "row_scale_sd" => "1",
+        "common_sd" => "mm^-2",
+        _ => "mm",
+    };
+    let all = [("units", unit)].into_iter().chain(more.iter().copied());
+    all.map(|(key, value)| (key.to_owned(), value.into())).collect()
+}
+
+fn rows_array<F>(
+    header: &MatrixHeader,
+    store: &Arc<FilesystemStore>,
+    name: &str,
+    data_type: zarrs::array::DataType,
+    fill: F,
+) -> Result<Array<FilesystemStore>, zarrs::array::ArrayCreateError>
+where
+    F: Into<zarrs::array::FillValue>,
+{
+    let ([nx, ny], [wx, wy]) = (header.points, header.window);
+    let shape = [ny, nx, wy, wx, CHANNELS].map(|n| n as u64);
+    let chunk = [1, chunk_rows(header), wy, wx, CHANNELS].map(|n| n as u64);
+    ArrayBuilder::new(shape.to_vec(), chunk.to_vec(), data_type, fill.into())
+        .dimension_names(["y_i", "x_i", "dy", "dx", "channel"].into())
+        // The CF convention by which xarray takes the lit points' places for coordinates.
+        .attributes(units(name, &[("coordinates", "x_i_mm y_i_mm")]))
+        .bytes_to_bytes_codecs(vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, false)), Arc::new(Crc32cCodec::new())])
+        // One file a chunk in one folder: five nested folders for each would cost more than the data.
+        .chunk_key_encoding_default_separator(ChunkKeySeparator::Dot)
+        .build(store.clone(), &format!("/{name}"))
+}
+
+fn small_array<T: zarrs::array::Element>(
+    store: &Arc<FilesystemStore>,
+    name: &str,
+    shape: &[u64],
+    dimensions: &[&str],
+    data_type: zarrs::array::DataType,
+    fill: impl Into<zarrs::array::FillValue>,
+    values: Vec<T>,
+) -> Result<(), BoxedError>
+where
+    Vec<T>: zarrs::array::IntoArrayBytes<'static>,
+{
+    let checked: Arc<dyn BytesToBytesCodecTraits> = Arc::new(Crc32cCodec::new());
+    let codecs = match checksum::OF_COMMON.contains(&name) {
+        // Often zero, or nearly constant.
+        true => vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, false)), checked],
+        false => vec![checked],
+    };
+    // The fill value is one that no data has: a chunk that equals it would not be written, and seem lost.
+    let array = ArrayBuilder::new(shape.to_vec(), shape.to_vec(), data_type, fill.into())
+        .dimension_names(Some(dimensions.iter().copied()))
+        .attributes(units(name, &[]))
+        .bytes_to_bytes_codecs(codecs)
+        .build(store.clone(), &format!("/{name}"))?;
+    array.store_metadata()?;
+    array.store_array_subset(&array.subset_all(), values)?;
+    Ok(())
+}
+
+/// What the system said: of its errors the Zarr crate keeps the words, and in them the number.
+fn kind_of(reason: &str) -> std::io::ErrorKind {
+    let number = reason.rsplit_once("(os error ").and_then(|(_, end)| end.split(')').next()?.parse().ok());
+    number.map_or(std::io::ErrorKind::Other, |number| std::io::Error::from_raw_os_error(number).kind())
+}
