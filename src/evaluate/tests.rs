@@ -366,11 +366,11 @@ fn both_are_lit_on_the_area_of_the_reference_each_from_its_own_points() {
         let images = [a, b].map(|plain| {
             let quadrature = Quadrature::new(&area, &shape(plain));
             let mut image = vec![Exitance::new(area.canvas)];
-            let all: Vec<usize> = (0..15).collect();
-            acquire_material::splat(&mut image, &all, WINDOW, &quadrature, &flux, &|row, c, dy, line| {
-                for (dx, to) in line.iter_mut().enumerate() {
+            let all: Vec<_> = (0..15).map(|row| (row, [1.0; 3])).collect();
+            acquire_material::splat(&mut image, &all, WINDOW, &quadrature, &flux, &|row, c, _, add| {
+                for (dy, dx) in (0..WINDOW[1]).flat_map(|dy| (0..WINDOW[0]).map(move |dx| (dy, dx))) {
                     let entry = at(row, dy, dx, c);
-                    *to = if a.common(b, entry) { f64::from(plain.response[entry]) } else { 0.0 };
+                    add(dx, dy, &[if a.common(b, entry) { f64::from(plain.response[entry]) } else { 0.0 }]);
                 }
             });
             image.remove(0).planes.concat()

@@ -5,6 +5,8 @@
 //! matrix (the row's albedo), and at every x_o the exitance under even light. Entries that were not measured count as
 //! what the material says there.
 
+use super::term_rows::TermRows;
+use super::vector::dot_wide;
 use crate::Result;
 use crate::material::{ExitGrid, Exitance, Light, Material, Quadrature, Responses, lit_area_of, splat, splat_entries};
 use crate::transport::{MatrixReader, RowBlock};
@@ -23,8 +25,6 @@ const DIM: f64 = 1e-3;
 const UNSEEN: f64 = 1e-4;
 /// A map never changes light by more than this.
 const MOST: f64 = 30.0;
-/// Numbers in a block of rows.
-const BLOCK: usize = 1 << 20;
 
 /// Marginals over a row, their variances, and where it was measured, if not everywhere.
 type RowSums = ([f64; 3], [f64; 3], Option<Vec<u8>>);
@@ -185,19 +185,22 @@ impl Marginals {
     }
 }
 
-/// Marginals of the rows of a material over their windows.
+/// Marginals of the rows of a material over their windows; terms in f32, sums in f64.
 fn row_sums(material: &Material) -> Vec<[f64; 3]> {
-    let responses = Responses::new(material);
-    let window = responses.window_len();
-    let all: Vec<usize> = (0..material.header.rows()).collect();
-    let (mut found, mut values) = (Vec::with_capacity(all.len()), Vec::new());
-    for indices in all.chunks((BLOCK / (3 * window).max(1)).max(1)) {
-        values.resize(3 * window * indices.len(), 0.0);
-        responses.by_channel(indices, &mut values);
-        let row = |row: &[f64]| std::array::from_fn::<f64, 3, _>(|c| row[c * window..][..window].iter().sum());
-        found.extend(values.par_chunks(3 * window).map(row).collect::<Vec<[f64; 3]>>());
+    let (terms, header) = (TermRows::new(material), &material.header);
+    let (layout, planes) = (header.layout(), header.planes());
+    let found = terms.map(0..header.rows(), |row| {
+        let mut sum = 0.0;
+        layout.for_each_line(material.shift[row.index], |w, e, n| {
+            sum += dot_wide(&row.values[e..e + n], &row.maps[w..w + n]);
+        });
+        (row.index, row.plane, terms.unit * sum)
+    });
+    let mut sums = vec![[0.0; 3]; header.rows()];
+    for (index, plane, sum) in found {
+        (plane..if plane + 1 == planes { 3 } else { plane + 1 }).for_each(|c| sums[index][c] = sum);
     }
-    found
+    sums
 }
 
 /// Mean square of the differences over their variance and what is unseen; over what scatter alone may give it.

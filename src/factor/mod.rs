@@ -21,6 +21,7 @@ mod regression;
 mod shared_basis;
 mod storing;
 mod survey;
+mod term_rows;
 mod terms;
 #[cfg(test)]
 mod test_matrices;

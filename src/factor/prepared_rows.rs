@@ -6,6 +6,8 @@ use super::content::{Content, RawRows};
 use super::fill::{Basis, Missing};
 use super::noise::NoiseSums;
 use super::survey::{Survey, survey};
+use super::term_rows::TermRows;
+use super::vector::misfit;
 use crate::Result;
 use crate::material::Material;
 use crate::progress::Progress;
@@ -117,21 +119,23 @@ impl<'a> PreparedRows<'a> {
     /// Divides rows by the entry and exit maps of `material` from now on.
     pub(super) fn divide_by(&mut self, material: &Material) {
         let new = material.maps_alone();
-        let (old, content, layout) = (self.through.take(), self.content, self.survey.layout);
-        let (samples, planes) = (layout.len(), content.planes());
-        let window = layout.window[0] * layout.window[1];
+        let (old, layout, planes) = (self.through.take(), self.survey.layout, self.content.planes());
+        let (samples, window) = (layout.len(), layout.window[0] * layout.window[1]);
+        let placements = &self.survey.placements;
         for chunk in self.cache.iter_mut().flatten() {
             let first = chunk.first;
-            chunk.values.par_chunks_mut((planes * samples).max(1)).enumerate().for_each(|(k, row)| {
-                let factor = |m: &Material| m.row_maps(first + k);
-                let (before, after) = (old.as_ref().map(factor), factor(&new));
-                for p in 0..planes {
-                    layout.for_each(self.survey.placements[first + k].shift, |w, e| {
-                        let before = before.as_ref().map_or(1.0, |b| b[p * window + w]);
-                        let value = &mut row[p * samples + e];
-                        *value = (f64::from(*value) * before / after[p * window + w]) as f32;
-                    });
+            let buffers = || [vec![1.0; window], vec![1.0; window]];
+            let all = chunk.values.par_chunks_mut(samples.max(1)).enumerate();
+            all.for_each_init(buffers, |[before, after], (k, row)| {
+                let (index, plane) = (first + k / planes, k % planes);
+                if let Some(old) = &old {
+                    old.row_maps(plane, index, before);
                 }
+                new.row_maps(plane, index, after);
+                layout.for_each_line(placements[index].shift, |w, e, n| {
+                    let maps = before[w..w + n].iter().zip(&after[w..w + n]);
+                    row[e..e + n].iter_mut().zip(maps).for_each(|(v, (before, after))| *v *= before / after);
+                });
             });
         }
         self.through = Some(new);
@@ -139,21 +143,46 @@ impl<'a> PreparedRows<'a> {
         self.refill(self.basis.clone());
     }
 
-    /// What row `index` was before it was divided and its columns were multiplied, on its measured window
-    /// `[plane][dy][dx]`.
-    pub(super) fn measured(&self, index: usize, row: &[f32]) -> Vec<f64> {
-        let layout = &self.survey.layout;
+    /// Σ (R̂−R)² over the measured entries, in the rows' squared unit, of a material without a colour polynomial; or,
+    /// `inside`, Σ of the squares of what its terms differ by from the rows as they are factored, divided by the maps.
+    ///
+    /// # Errors
+    /// Those of the reader.
+    pub(super) fn misfit(&self, material: &Material, inside: bool) -> Result<f64> {
+        let (columns, layout, terms) = (self.shape().1, self.survey.layout, TermRows::new(material));
         let (samples, window) = (layout.len(), layout.window[0] * layout.window[1]);
-        let through = self.through.as_ref().map(|m| m.row_maps(index));
-        let mut out = vec![0.0; self.content.planes() * window];
-        for p in 0..self.content.planes() {
-            layout.for_each(self.survey.placements[index].shift, |w, e| {
-                let metric = self.metric.get(p * samples + e).map_or(1.0, |&m| f64::from(m));
-                let through = through.as_ref().map_or(1.0, |t| t[p * window + w]);
-                out[p * window + w] = f64::from(row[p * samples + e]) * self.unit() * through / metric;
+        let scale = terms.unit / self.unit();
+        let over: Vec<f32> = self.metric.iter().map(|m| 1.0 / m).collect();
+        let ones = vec![1.0; window];
+        let mut error = 0.0;
+        self.for_each_chunk("measure", &mut |first, values, missing| {
+            let errors = terms.map(first..first + missing.len(), |row| {
+                let (k, from) = (row.index - first, row.plane * samples);
+                let mut measured = values[k * columns + from..][..samples].to_vec();
+                if let Some(over) = over.get(from..from + samples) {
+                    measured.iter_mut().zip(over).for_each(|(v, o)| *v *= o);
+                }
+                if let Missing::Columns(columns) = &missing[k] {
+                    let here = columns.iter().filter_map(|&d| (d as usize).checked_sub(from));
+                    here.filter(|&d| d < samples).for_each(|d| (measured[d], row.values[d]) = (0.0, 0.0));
+                }
+                let mut through = ones.clone();
+                if let Some(maps) = self.through.as_ref().filter(|_| !inside) {
+                    maps.row_maps(row.plane, row.index, &mut through);
+                }
+                let maps = if inside { &ones } else { row.maps };
+                let mut sum = 0.0;
+                layout.for_each_line(self.survey.placements[row.index].shift, |w, e, n| {
+                    let [measured, fit] = [&measured, &*row.values].map(|v| &v[e..e + n]);
+                    let [through, maps] = [&through, maps].map(|v| &v[w..w + n]);
+                    sum += misfit(measured, through, scale, fit, maps);
+                });
+                sum
             });
-        }
-        out
+            error += errors.iter().sum::<f64>();
+            Ok(())
+        })?;
+        Ok(error)
     }
 
     /// Calls `each(first_row, values, missing)` for blocks of rows `[row][plane][y][x]` whose gaps are filled.
@@ -180,15 +209,6 @@ impl<'a> PreparedRows<'a> {
         })
     }
 
-    /// Columns of a row that were not measured.
-    pub(super) fn missing<'m>(&'m self, missing: &'m Missing) -> &'m [u32] {
-        match missing {
-            Missing::Nothing => &[],
-            Missing::Pattern(k) => self.patterns.get(*k).map_or(&[], |(_, columns)| columns),
-            Missing::Columns(columns) => columns,
-        }
-    }
-
     /// What the factored rows are to be multiplied by; 1 for normalized ones.
     pub(super) fn unit(&self) -> f64 {
         self.content.unit(self.survey.peak)
@@ -210,7 +230,12 @@ impl<'a> PreparedRows<'a> {
             .map(|(k, out)| {
                 let placement: &Placement = &self.survey.placements[raw.first + k];
                 let row = &raw.values[k * planes * window..(k + 1) * planes * window];
-                let through = self.through.as_ref().map(|m| m.row_maps(raw.first + k));
+                let through = self.through.as_ref().map(|m| {
+                    let mut maps = vec![1.0; planes * window];
+                    let channels = maps.chunks_exact_mut(window.max(1)).enumerate();
+                    channels.for_each(|(plane, maps)| m.row_maps(plane, raw.first + k, maps));
+                    maps
+                });
                 for p in 0..planes {
                     layout.for_each_line(placement.shift, |w, e, n| {
                         let to = &mut out[p * samples + e..][..n];
@@ -220,7 +245,7 @@ impl<'a> PreparedRows<'a> {
                         }
                         if let Some(through) = &through {
                             let maps = &through[p * window + w..][..n];
-                            to.iter_mut().zip(maps).for_each(|(v, m)| *v = (f64::from(*v) / m) as f32);
+                            to.iter_mut().zip(maps).for_each(|(v, m)| *v /= m);
                         }
                         if let Some(metric) = self.metric.get(p * samples + e..p * samples + e + n) {
                             to.iter_mut().zip(metric).for_each(|(v, m)| *v *= m);

@@ -45,6 +45,11 @@ pub(super) fn multiply<T: ComplexField + Copy + Send + Sync>(
     }
 }
 
+/// `out` = a b on this core alone.
+pub(super) fn multiply_here(out: MatMut<'_, f32>, a: MatRef<'_, f32>, b: MatRef<'_, f32>) {
+    matmul(out, Accum::Replace, a, b, 1.0, Par::Seq);
+}
+
 /// The lower half of `out` += aᵀ a; some of the upper half changes too.
 pub(super) fn add_gram(mut out: MatMut<'_, f64>, a: MatRef<'_, f64>) {
     out.as_mut().par_col_chunks_mut(BLOCK).zip(a.par_col_chunks(BLOCK)).enumerate().for_each(|(k, (out, columns))| {

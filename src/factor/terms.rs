@@ -401,21 +401,13 @@ impl Asked<'_, '_> {
     }
 
     /// The same with offset factors as sums of fewer maps, where that takes fewer numbers.
-    fn shared(
-        &self,
-        reader: &MatrixReader,
-        mut material: Material,
-        all: &Triplets,
-        maps: Option<usize>,
-    ) -> Result<Material> {
+    fn shared(&self, mut material: Material, all: &Triplets, maps: Option<usize>) -> Result<Material> {
         let (terms, planes) = (material.header.terms, self.rows.content.planes());
         if planes > 1 {
             let sharing = Sharing::new(all, planes, terms);
             let maps = match maps {
                 Some(maps) => maps,
-                None => {
-                    sharing.unnoticed(terms, residual_of(self.rows, reader, &material)? / self.rows.unit().powi(2))?
-                }
+                None => sharing.unnoticed(terms, self.rows.misfit(&material, true)?)?,
             };
             if let Some(shared) = sharing.basis(terms, maps)? {
                 material.header.shared_maps = Some(shared.maps);
@@ -460,46 +452,16 @@ impl Asked<'_, '_> {
         }
         // The mean profile is never nothing, however noisy.
         let all = found.chosen(&kept, shrink && kept.len() > 1);
-        self.shared(reader, self.material(reader, &all, kept.len(), &found.singular), &all, plan.maps)
+        self.shared(self.material(reader, &all, kept.len(), &found.singular), &all, plan.maps)
     }
 }
 
 /// Σ (R̂−R)² over the valid entries of the matrix, of a material without a colour polynomial.
 fn residual_of(rows: &PreparedRows<'_>, reader: &MatrixReader, material: &Material) -> Result<f64> {
-    if rows.content != Content::Channels {
-        return residual_of_rows(reader, material);
+    match rows.content {
+        Content::Channels => Ok(rows.misfit(material, false)? * rows.unit().powi(2)),
+        _ => residual_of_rows(reader, material),
     }
-    let columns = rows.shape().1;
-    let (layout, planes) = (rows.survey.layout, rows.content.planes());
-    let (samples, window) = (layout.len(), layout.window[0] * layout.window[1]);
-    let (mut error, responses) = (0.0, Responses::new(material));
-    rows.for_each_chunk("measure", &mut |first, values, missing| {
-        let indices: Vec<usize> = (first..first + missing.len()).collect();
-        let mut fits = vec![0.0; indices.len() * planes * window];
-        responses.by_channel(&indices, &mut fits);
-        let errors: Vec<f64> = missing
-            .par_iter()
-            .enumerate()
-            .map(|(k, gaps)| {
-                let mut measured = vec![true; columns];
-                rows.missing(gaps).iter().for_each(|&d| measured[d as usize] = false);
-                let row = rows.measured(first + k, &values[k * columns..(k + 1) * columns]);
-                let fit = &fits[k * planes * window..][..planes * window];
-                let mut sum = 0.0;
-                for p in 0..planes {
-                    layout.for_each(rows.survey.placements[first + k].shift, |w, e| {
-                        if measured[p * samples + e] {
-                            sum += (fit[p * window + w] - row[p * window + w]).powi(2);
-                        }
-                    });
-                }
-                sum
-            })
-            .collect();
-        error += errors.iter().sum::<f64>();
-        Ok(())
-    })?;
-    Ok(error)
 }
 
 /// The same for any material, by evaluating it: one pass over the store.

@@ -124,6 +124,70 @@ impl NullaryFnOnce for AddWide<'_> {
     }
 }
 
+/// Σ a b of f32, each product in f64.
+pub(super) fn dot_wide(a: &[f32], b: &[f32]) -> f64 {
+    Arch::new().dispatch(DotWide(a, b))
+}
+
+struct DotWide<'a>(&'a [f32], &'a [f32]);
+
+impl NullaryFnOnce for DotWide<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        let ((a, a_rest), (b, b_rest)) = (self.0.as_chunks::<LANES>(), self.1.as_chunks::<LANES>());
+        let mut lanes = [0.0_f64; LANES];
+        for (a, b) in a.iter().zip(b) {
+            for k in 0..LANES {
+                lanes[k] += f64::from(a[k]) * f64::from(b[k]);
+            }
+        }
+        for (k, (a, b)) in a_rest.iter().zip(b_rest).enumerate() {
+            lanes[k] += f64::from(*a) * f64::from(*b);
+        }
+        lanes.iter().sum()
+    }
+}
+
+/// Σ (a m − s b n)² of f32, in f64.
+pub(super) fn misfit(a: &[f32], m: &[f32], s: f64, b: &[f32], n: &[f32]) -> f64 {
+    Arch::new().dispatch(Misfit { a, m, s, b, n })
+}
+
+struct Misfit<'a> {
+    a: &'a [f32],
+    m: &'a [f32],
+    s: f64,
+    b: &'a [f32],
+    n: &'a [f32],
+}
+
+impl NullaryFnOnce for Misfit<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call(self) -> f64 {
+        let Self { a, m, s, b, n } = self;
+        let len = a.len().min(m.len()).min(b.len()).min(n.len());
+        let (a, m, b, n) = (&a[..len], &m[..len], &b[..len], &n[..len]);
+        let mut lanes = [0.0_f64; LANES];
+        let whole = len / LANES * LANES;
+        for at in (0..whole).step_by(LANES) {
+            let [a, m, b, n] = [a, m, b, n].map(|v| &v[at..at + LANES]);
+            for k in 0..LANES {
+                let apart = f64::from(a[k]) * f64::from(m[k]) - s * f64::from(b[k]) * f64::from(n[k]);
+                lanes[k] += apart * apart;
+            }
+        }
+        for k in whole..len {
+            let apart = f64::from(a[k]) * f64::from(m[k]) - s * f64::from(b[k]) * f64::from(n[k]);
+            lanes[k - whole] += apart * apart;
+        }
+        lanes.iter().sum()
+    }
+}
+
 struct EnergyAndPeak<'a>(&'a [f32]);
 
 impl NullaryFnOnce for EnergyAndPeak<'_> {
@@ -207,6 +271,21 @@ mod tests {
             }
             assert_eq!(dot(&a, &b), naive, "{n} entries");
         }
+    }
+
+    #[test]
+    fn sums_of_narrow_products_have_every_entry_once_and_are_made_in_f64() {
+        let narrow = |v: &[f64]| v.iter().map(|&v| v as f32).collect::<Vec<f32>>();
+        for n in [0, 1, 15, 16, 17, 47] {
+            let (a, b) = numbers(n);
+            let m: Vec<f64> = (0..n).map(|k| (k % 3) as f64 + 0.5).collect();
+            assert_eq!(dot_wide(&narrow(&a), &narrow(&b)), dot(&a, &b), "{n} entries");
+            let expected: f64 = (0..n).map(|k| (a[k] * m[k] - 2.0 * b[k] * (m[k] - 1.0)).powi(2)).sum();
+            let less: Vec<f64> = m.iter().map(|m| m - 1.0).collect();
+            assert_eq!(misfit(&narrow(&a), &narrow(&m), 2.0, &narrow(&b), &narrow(&less)), expected, "{n} entries");
+        }
+        // Products beyond f32.
+        assert_eq!(dot_wide(&[2e30], &[3e30]), f64::from(2e30_f32) * f64::from(3e30_f32));
     }
 
     #[test]

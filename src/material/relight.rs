@@ -75,13 +75,17 @@ pub(crate) fn splat_entries(
     quadrature: &Quadrature,
     fluxes: &[Vec<[f64; 3]>],
 ) {
-    let indices: Vec<usize> = (block.first..block.first + block.rows).collect();
-    acquire_material::splat(images, &indices, window, quadrature, fluxes, &|k, channel, dy, line| {
-        let first = 3 * window[0] * (window[1] * k + dy);
-        let entries = first..first + 3 * window[0];
-        let measured = values[entries.clone()].chunks_exact(3).zip(block.valid[entries].chunks_exact(3));
-        for (out, (value, valid)) in line.iter_mut().zip(measured) {
-            *out = if valid[channel] == 0 { 0.0 } else { f64::from(value[channel]) };
+    let rows: Vec<_> = (block.first..block.first + block.rows).map(|row| (row, [1.0; 3])).collect();
+    acquire_material::splat(images, &rows, window, quadrature, fluxes, &|k, channel, seen, add| {
+        let mut line = vec![0.0; window[0]];
+        for dy in seen {
+            let first = 3 * window[0] * (window[1] * k + dy);
+            let entries = first..first + 3 * window[0];
+            let measured = values[entries.clone()].chunks_exact(3).zip(block.valid[entries].chunks_exact(3));
+            for (out, (value, valid)) in line.iter_mut().zip(measured) {
+                *out = if valid[channel] == 0 { 0.0 } else { f64::from(value[channel]) };
+            }
+            add(0, dy, &line);
         }
     });
 }

@@ -1,10 +1,12 @@
 //! Relighting without rows: lit points as weighted impulses, convolved with the offset factors.
 //!
 //! Without a colour polynomial the exitance is Σ_j (Σ_i Φ_i g_j f_j(i) δ(x_i)) ∗ h_j. Impulses lie where the shares of
-//! the light do; offset factors are cut to the window that rows of one shift have measured. All terms are summed before
-//! the one transform back.
+//! the light do, moved by the shift of their row; offset factors are cut to the part of the common window that the
+//! windows of all these rows have, what else they have is added row by row. All terms are summed before the one
+//! transform back.
 
 use crate::exitance::Exitance;
+use crate::layout::Core;
 use crate::parallel::*;
 use crate::quadrature::Quadrature;
 use crate::response::Responses;
@@ -12,7 +14,7 @@ use crate::{CHANNELS, Error, Material, Result};
 use realfft::num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 type Spectrum = Vec<Complex<f64>>;
@@ -26,26 +28,65 @@ const ADD_NS: f64 = 0.5;
 /// Bytes of spectra that are summed at a time: more lights are done in turn.
 const SPECTRA: usize = 1 << 29;
 
-/// Whether [`convolve`] takes less time than evaluating `rows` rows and adding them to the images.
-pub(super) fn convolution_is_faster(
+/// What of the rows `lit` is convolved where that takes less time than adding all of them one by one: a part of the
+/// common window, the rows, and the rows of which nothing is.
+///
+/// Of rows that are shifted the windows overlap in part only, so the farther shifts may be from the middle one, the
+/// more rows are convolved, and the less of each.
+pub(super) fn parts(
     material: &Material,
-    rows: &[usize],
+    lit: Vec<usize>,
     quadrature: &Quadrature,
     fluxes: &[Vec<[f64; 3]>],
-) -> bool {
+) -> (Option<Core>, Vec<usize>, Vec<usize>) {
     let h = &material.header;
-    if h.degree.is_some() {
-        return false;
+    if h.degree.is_some() || lit.is_empty() {
+        return (None, Vec::new(), lit);
     }
+    let shift = |row: usize| material.shift.get(row).copied().unwrap_or_default();
+    let middle = [0, 1].map(|a| {
+        let mut along: Vec<i16> = lit.iter().map(|&row| shift(row)[a]).collect();
+        *along.select_nth_unstable(lit.len() / 2).1
+    });
+    let far = |row: usize| (0..2).map(|a| shift(row)[a].abs_diff(middle[a])).max().unwrap_or(0);
     let samples = quadrature.canvas().size.map(smooth).into_iter().product::<usize>() as f64;
     let jobs = jobs(material, fluxes);
     let impulses: BTreeSet<[usize; 3]> = jobs.iter().map(|j| j.impulses(h.incident_planes)).collect();
-    let transforms = h.terms * (h.offset_planes + impulses.len()) + jobs.len();
+    let transforms = (h.terms * (h.offset_planes + impulses.len()) + jobs.len()) as f64;
+    let of_transforms = transforms * samples * samples.log2() * TRANSFORM_NS;
+    // Of one sample of a row.
+    let of_row = |row: usize| {
+        let shares = quadrature.shares(row).len() as f64;
+        (h.terms * h.planes()) as f64 * TERM_NS + shares * (fluxes.len() * CHANNELS) as f64 * ADD_NS
+    };
     let window = (h.window[0] * h.window[1]) as f64;
-    let shares = rows.iter().map(|&i| quadrature.shares(i).len()).sum::<usize>() as f64;
-    let evaluated = rows.len() as f64 * window * (h.terms * h.planes()) as f64 * TERM_NS;
-    let direct = evaluated + shares * window * (fluxes.len() * CHANNELS) as f64 * ADD_NS;
-    transforms as f64 * samples * samples.log2() * TRANSFORM_NS < direct
+    // By how far they are: rows, what a sample of all of them takes, and their shifts.
+    let mut by_distance: BTreeMap<u16, (f64, [i16; 2], [i16; 2])> = BTreeMap::new();
+    for &row in &lit {
+        let s = shift(row);
+        let (cost, least, most) = by_distance.entry(far(row)).or_insert((0.0, s, s));
+        *cost += of_row(row);
+        (*least, *most) = ([0, 1].map(|a| least[a].min(s[a])), [0, 1].map(|a| most[a].max(s[a])));
+    }
+    let all: f64 = by_distance.values().map(|(cost, ..)| cost).sum();
+    let mut best: (f64, Option<(u16, Core)>) = (all * window, None);
+    let (mut near, mut least, mut most) = (0.0, middle, middle);
+    for (&distance, (cost, from, to)) in &by_distance {
+        near += cost;
+        (least, most) = ([0, 1].map(|a| least[a].min(from[a])), [0, 1].map(|a| most[a].max(to[a])));
+        let Some(core) = Core::of(&h.layout(), least, most) else { break };
+        let time = of_transforms + near * (window - core.samples() as f64) + (all - near) * window;
+        if time < best.0 {
+            best = (time, Some((distance, core)));
+        }
+    }
+    match best.1 {
+        None => (None, Vec::new(), lit),
+        Some((distance, core)) => {
+            let (convolved, others) = lit.into_iter().partition(|&row| far(row) <= distance);
+            (Some(core), convolved, others)
+        }
+    }
 }
 
 /// The least number from `n` on that has no prime factors but 2, 3 and 5: its transform is fast. Even.
@@ -74,14 +115,14 @@ impl Job {
     }
 }
 
-/// Adds the rows `indices`, all shifted by `shift`, to every image.
+/// Adds to every image what the rows `indices` have in `core`.
 ///
 /// # Errors
 /// [`Error::Internal`].
 pub(super) fn convolve(
     images: &mut [Exitance],
     rows: &Responses<'_>,
-    shift: [i16; 2],
+    core: &Core,
     indices: &[usize],
     quadrature: &Quadrature,
     fluxes: &[Vec<[f64; 3]>],
@@ -93,7 +134,7 @@ pub(super) fn convolve(
         let jobs = jobs(rows.material(), fluxes);
         let mut sums: Vec<Spectrum> = jobs.iter().map(|_| transform.dark()).collect();
         for term in 0..rows.terms() {
-            add_term(&mut sums, &jobs, &transform, rows, term, shift, indices, quadrature, fluxes)?;
+            add_term(&mut sums, &jobs, &transform, rows, term, core, indices, quadrature, fluxes)?;
         }
         for (job, mut sum) in jobs.iter().zip(sums) {
             let samples = transform.inverse(&mut sum)?;
@@ -135,21 +176,21 @@ fn add_term(
     transform: &Transform,
     rows: &Responses<'_>,
     term: usize,
-    shift: [i16; 2],
+    core: &Core,
     indices: &[usize],
     quadrature: &Quadrature,
     fluxes: &[Vec<[f64; 3]>],
 ) -> Result<()> {
-    let canvas = quadrature.canvas();
+    let (canvas, material) = (quadrature.canvas(), rows.material());
+    let layout = material.header.layout();
     let [incident_planes, offset_planes] = rows.factor_planes();
     let kernels: Vec<Spectrum> = (0..offset_planes)
         .map(|plane| {
             let mut samples = transform.black();
-            rows.window_map(plane, term, shift, |x, y, values| {
-                let at = x + y * transform.size[0];
-                samples[at..at + values.len()].copy_from_slice(values);
-            });
-            transform.forward(&mut samples, rows.material().header.window[1])
+            let map = rows.map(plane, term).chunks_exact(layout.extended[0]);
+            let lines = map.skip(core.y.start).zip(samples.chunks_exact_mut(transform.size[0]));
+            lines.take(core.y.len()).for_each(|(from, to)| to[..core.x.len()].copy_from_slice(&from[core.x.clone()]));
+            transform.forward(&mut samples, core.y.len())
         })
         .collect::<Result<_>>()?;
     // The impulses of the image before: planes often share them.
@@ -160,16 +201,16 @@ fn add_term(
             Some((_, spectrum)) => spectrum,
             None => {
                 let mut samples = transform.black();
-                let half = rows.material().header.window.map(|w| w / 2);
                 let width = canvas.size[0];
                 for &index in indices {
-                    let weight = rows.incident(job.plane, index, term) * rows.material().entry(index)[job.flux];
+                    let weight = rows.incident(job.plane, index, term) * material.entry(index)[job.flux];
+                    let first = core.from_lit(&layout, material.shift.get(index).copied().unwrap_or_default());
                     for share in quadrature.shares(index) {
                         let Some(flux) = fluxes[job.light].get(share.cell as usize) else { continue };
                         let at = [share.at as usize % width, share.at as usize / width];
-                        // An impulse at the first sample of the row's window.
-                        let corner = at[0].wrapping_sub(half[0]) + at[1].wrapping_sub(half[1]) * transform.size[0];
-                        if let Some(sample) = samples.get_mut(corner) {
+                        // An impulse at the first sample of the core.
+                        let [x, y] = [0, 1].map(|a| at[a].wrapping_add_signed(first[a]));
+                        if let Some(sample) = samples.get_mut(x.wrapping_add(y.wrapping_mul(transform.size[0]))) {
                             *sample += flux[job.flux] * share.weight * weight;
                         }
                     }
@@ -301,15 +342,19 @@ mod tests {
             let canvas = quadrature.canvas();
             let rows = Responses::new(&material);
             let (indices, fluxes) = ([1, 4], lights(6));
+            // Rows 1 and 4 are shifted by (1, 0), what they have is one window.
+            assert!(indices.iter().all(|&i| material.shift[i] == [1, 0]));
+            let core = Core::of(&h.layout(), [1, 0], [1, 0]).unwrap();
             let black = vec![Exitance::new(canvas), Exitance::new(canvas)];
             let (mut a, mut b) = (black.clone(), black);
-            convolve(&mut a, &rows, [1, 0], &indices, &quadrature, &fluxes).unwrap();
+            convolve(&mut a, &rows, &core, &indices, &quadrature, &fluxes).unwrap();
             let len = rows.window_len();
             let mut values = vec![0.0; indices.len() * 3 * len];
             rows.by_channel(&indices, &mut values);
-            splat(&mut b, &indices, shape.window, &quadrature, &fluxes, &|k, c, dy, line| {
-                let at = (3 * k + c) * len + dy * shape.window[0];
-                line.copy_from_slice(&values[at..at + shape.window[0]]);
+            let known = indices.map(|i| (i, [1.0; 3]));
+            splat(&mut b, &known, shape.window, &quadrature, &fluxes, &|k, c, _, add| {
+                let lines = values[(3 * k + c) * len..][..len].chunks_exact(shape.window[0]);
+                lines.enumerate().for_each(|(dy, line)| add(0, dy, line));
             });
             for (a, b) in a.iter().zip(&b) {
                 for (a, b) in a.planes.iter().flatten().zip(b.planes.iter().flatten()) {

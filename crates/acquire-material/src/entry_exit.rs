@@ -66,6 +66,29 @@ impl pulp::NullaryFnOnce for MultiplyLine<'_> {
     }
 }
 
+/// What a row is multiplied by on a line of its window.
+struct MapsLine<'a> {
+    line: &'a mut [f32],
+    entry: f32,
+    exit: ExitLine<'a>,
+}
+
+impl pulp::NullaryFnOnce for MapsLine<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { line, entry, exit: ExitLine { above, below, beyond } } = self;
+        let (n, [x, y]) = (line.len(), beyond.map(|b| b as f32));
+        let (above_next, below_next) = (&above[1..=n], &below[1..=n]);
+        for k in 0..n {
+            let left = above[k] + y * (below[k] - above[k]);
+            let right = above_next[k] + y * (below_next[k] - above_next[k]);
+            line[k] = entry * (left + x * (right - left));
+        }
+    }
+}
+
 impl Material {
     /// a_c(x_i) of a row, channel by channel; 1 without maps or for a row that is not there.
     #[inline]
@@ -78,25 +101,38 @@ impl Material {
         })
     }
 
-    /// a_c(x_i) e_c(x_o) over the window of a row, \[channel\]\[dy\]\[dx\]; 1 without maps.
-    pub fn row_maps(&self, index: usize) -> Vec<f64> {
-        let window = self.header.window;
-        let mut out = vec![1.0; CHANNELS * window[0] * window[1]];
-        self.multiply(index, &mut out, true);
-        out
+    /// a_c(x_i) e_c(x_o) of a channel over the window of a row, in f32 (to 3e-7 of it), \[dy\]\[dx\]; 1 without maps.
+    pub fn row_maps(&self, channel: usize, index: usize, out: &mut [f32]) {
+        let width = self.header.window[0].max(1);
+        let Some(&lit) = self.lit_mm.get(index).filter(|_| self.header.exit_grid.is_some()) else {
+            return out.fill(1.0);
+        };
+        let entry = self.entry(index)[channel.min(CHANNELS - 1)] as f32;
+        for (dy, line) in out.chunks_exact_mut(width).enumerate() {
+            let first = self.line_from(lit, dy);
+            match self.inside(channel, first, line.len()) {
+                Some(exit) => pulp::Arch::new().dispatch(MapsLine { line, entry, exit }),
+                None => self.exit_line(channel, first, line.len(), |x, e| line[x] = entry * e as f32),
+            }
+        }
+    }
+
+    /// Where line `dy` of the window of a point begins, mm.
+    fn line_from(&self, lit_mm: Point, dy: usize) -> Point {
+        let (window, pitch_mm) = (self.header.window, self.header.pitch_mm);
+        let steps = [-((window[0] / 2) as f64), dy as f64 - (window[1] / 2) as f64];
+        [0, 1].map(|a| lit_mm[a] + steps[a] * pitch_mm)
     }
 
     /// Multiplies a row, \[channel\]\[dy\]\[dx\], by what enters and, if wanted, by what leaves.
     pub(crate) fn multiply(&self, index: usize, row: &mut [f64], exit: bool) {
-        let (window, pitch_mm) = (self.header.window, self.header.pitch_mm);
+        let window = self.header.window;
         let Some(&lit) = self.lit_mm.get(index).filter(|_| self.header.exit_grid.is_some()) else { return };
         let entry = self.entry(index);
         for (c, channel) in row.chunks_exact_mut((window[0] * window[1]).max(1)).enumerate() {
             channel.iter_mut().for_each(|v| *v *= entry[c]);
             for (dy, line) in channel.chunks_exact_mut(window[0]).enumerate().filter(|_| exit) {
-                let steps = [-((window[0] / 2) as f64), dy as f64 - (window[1] / 2) as f64];
-                let first = [0, 1].map(|a| lit[a] + steps[a] * pitch_mm);
-                self.multiply_line(c, first, line);
+                self.multiply_line(c, self.line_from(lit, dy), line);
             }
         }
     }
@@ -171,6 +207,18 @@ mod tests {
             }
         }
         let plain = naive::materials().remove(0);
+        let mut maps = vec![0.0; 3 * 35];
+        for index in 0..naive::ROWS {
+            (0..3).for_each(|c| m.row_maps(c, index, &mut maps[35 * c..][..35]));
+            for (k, found) in maps.iter().enumerate() {
+                let (c, d) = (k / 35, [(k % 7) as f64 - 3.0, (k % 35 / 7) as f64 - 2.0]);
+                let at = [0, 1].map(|a| m.lit_mm[index][a] + d[a] * naive::PITCH_MM);
+                let product = m.entry(index)[c] * naive::exit(&m, c, at);
+                assert!((f64::from(*found) - product).abs() < 4e-7 * product.abs().max(1.0), "f32: {found} {product}");
+            }
+        }
+        plain.row_maps(0, 1, &mut maps);
+        assert_eq!(maps, [1.0; 105]);
         assert_eq!((plain.exit([0.3, 0.4]), plain.entry(2)), ([1.0; 3], [1.0; 3]));
     }
 }

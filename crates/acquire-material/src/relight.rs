@@ -1,13 +1,12 @@
 //! Relighting: the exitance of the slab under a light, rows added where they leave the slab.
 
-use crate::convolve::{convolution_is_faster, convolve};
+use crate::convolve::{convolve, parts};
 use crate::exitance::{Canvas, Exitance};
 use crate::parallel::*;
 use crate::quadrature::Quadrature;
 use crate::response::Responses;
 use crate::splat::splat;
 use crate::{CHANNELS, Material, Result};
-use std::collections::BTreeMap;
 
 /// Numbers in a block of a material's rows.
 const BLOCK: usize = 1 << 20;
@@ -17,8 +16,8 @@ const BLOCK: usize = 1 << 20;
 ///
 /// Where the material has an exit map, it multiplies what leaves at each sample of the canvas: the light that enters
 /// between lit points leaves through the surface as it is where it leaves. Rows without light are not evaluated. The
-/// rows of a material without a colour polynomial are added by convolution where that is faster: what they leave
-/// between samples that differ by more than 15 decades is rounding. `done` is told of rows as they are added.
+/// rows of a material without a colour polynomial are added by convolution where that is faster, as far as their shifted
+/// windows have a part in common: what they leave between samples that differ by more than 15 decades is rounding. `done` is told of rows as they are added.
 ///
 /// # Errors
 /// [`crate::Error::Internal`].
@@ -33,29 +32,12 @@ pub fn relight(
     let mut out: Vec<Exitance> = fluxes.iter().map(|_| Exitance::new(canvas)).collect();
     let lit: Vec<usize> = (0..shape.rows()).filter(|&i| quadrature.is_lit(i, fluxes)).collect();
     done(shape.rows() - lit.len());
-    let rows = Responses::without_exit(material);
-    let mut one_by_one = Vec::new();
-    for (shift, group) in by_shift(material, lit) {
-        match convolution_is_faster(material, &group, quadrature, fluxes) {
-            true => {
-                convolve(&mut out, &rows, shift, &group, quadrature, fluxes)?;
-                done(group.len());
-            }
-            false => one_by_one.extend(group),
-        }
+    let (core, convolved, others) = parts(material, lit, quadrature, fluxes);
+    if let Some(core) = core {
+        convolve(&mut out, &Responses::new(material), &core, &convolved, quadrature, fluxes)?;
+        add(&mut out, &Responses::entering(material, Some(core)), &convolved, quadrature, fluxes, done);
     }
-    one_by_one.sort_unstable();
-    let len = CHANNELS * rows.window_len();
-    let mut values = Vec::new();
-    for indices in one_by_one.chunks((BLOCK / len.max(1)).max(1)) {
-        values.resize(indices.len() * len, 0.0);
-        rows.by_channel(indices, &mut values);
-        splat(&mut out, indices, shape.window, quadrature, fluxes, &|k, channel, dy, line| {
-            let at = k * len + channel * rows.window_len() + dy * shape.window[0];
-            line.copy_from_slice(&values[at..at + shape.window[0]]);
-        });
-        done(indices.len());
-    }
+    add(&mut out, &Responses::entering(material, None), &others, quadrature, fluxes, done);
     if material.header.exit_grid.is_some() {
         out.iter_mut().for_each(|image| leave(material, image));
     }
@@ -73,19 +55,47 @@ fn leave(material: &Material, image: &mut Exitance) {
     }
 }
 
-/// Rows that are shifted alike.
-fn by_shift(material: &Material, rows: Vec<usize>) -> BTreeMap<[i16; 2], Vec<usize>> {
-    let mut groups: BTreeMap<[i16; 2], Vec<usize>> = BTreeMap::new();
-    for row in rows {
-        groups.entry(material.shift.get(row).copied().unwrap_or_default()).or_default().push(row);
+/// Adds what `rows` hold of the rows `indices` one by one.
+fn add(
+    out: &mut [Exitance],
+    rows: &Responses<'_>,
+    indices: &[usize],
+    quadrature: &Quadrature,
+    fluxes: &[Vec<[f64; 3]>],
+    done: &dyn Fn(usize),
+) {
+    let (material, window) = (rows.material(), rows.material().header.window);
+    let (width, len) = (window[0].max(1), rows.window_len());
+    if rows.map_len() == 0 {
+        return done(indices.len());
     }
-    groups
+    let mut values = Vec::new();
+    for indices in indices.chunks((BLOCK / (CHANNELS * len).max(1)).max(1)) {
+        if material.header.degree.is_some() {
+            values.resize(indices.len() * CHANNELS * len, 0.0);
+            rows.by_channel(indices, &mut values);
+            let known: Vec<_> = indices.iter().map(|&i| (i, [1.0; CHANNELS])).collect();
+            splat(out, &known, window, quadrature, fluxes, &|k, channel, seen, add| {
+                let lines = &values[(k * CHANNELS + channel) * len..][..len];
+                seen.for_each(|dy| add(0, dy, &lines[dy * width..][..width]));
+            });
+        } else {
+            let (planes, samples) = (rows.planes(indices), rows.map_len());
+            let known: Vec<_> = indices.iter().map(|&i| (i, material.entry(i))).collect();
+            splat(out, &known, window, quadrature, fluxes, &|k, channel, seen, add| {
+                let values = &planes[channel.min(planes.len() - 1)][k * samples..][..samples];
+                rows.for_each_piece(material.shift[indices[k]], seen, |dx, dy, at, n| add(dx, dy, &values[at..at + n]));
+            });
+        }
+        done(indices.len());
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::file::tests::example;
+    use crate::layout::Core;
     use crate::{Error, Light, LitArea, Point, Shape, naive};
 
     fn points_of(material: &Material) -> Quadrature {
@@ -112,7 +122,7 @@ mod tests {
         }
     }
 
-    /// Many points: rows of one shift are convolved, the few of another are not.
+    /// Many points: what rows of nearly one shift have in common is convolved, the rest and the few of another are not.
     #[test]
     fn a_slab_is_relit_as_its_rows_are() {
         let mut material = example();
@@ -125,20 +135,24 @@ mod tests {
         material.color_coefficients = Vec::new();
         material.lit_mm =
             (0..1200).map(|k| [(k % 40) as f64 * 0.5 + 0.07 * (k as f64).sin(), (k / 40) as f64 * 0.5]).collect();
-        material.shift = (0..1200).map(|k| if k % 97 == 0 { [2, -1] } else { [0, 1] }).collect();
+        // A few far from the others, which are one sample apart.
+        let shift = |k: usize| if k % 97 == 0 { [2, -2] } else { [-((k % 2) as i16), (k % 3 / 2) as i16] };
+        material.shift = (0..1200).map(shift).collect();
         let rows: Vec<f32> = (0..1200).flat_map(|i| material.evaluate_row(i)).collect();
         let grey: Vec<[f64; 3]> = (0..1200).map(|k| [(k % 7) as f64; 3]).collect();
         let colored: Vec<[f64; 3]> = (0..1200).map(|k| [1.0, (k % 3) as f64, 0.3]).collect();
         for fluxes in [vec![grey.clone()], vec![colored.clone(), grey]] {
             let points = points_of(&material);
             let canvas = points.canvas();
-            let groups = by_shift(&material, (0..1200).collect());
-            let ways = [[2, -1], [0, 1]].map(|s| convolution_is_faster(&material, &groups[&s], &points, &fluxes));
-            assert_eq!(ways, [false, true], "both ways are taken");
+            let (core, convolved, others) = parts(&material, (0..1200).collect(), &points, &fluxes);
+            assert!(core.is_some_and(|c| c.samples() == 8 * 6), "shifts of 0 and 1 along both axes");
+            assert_eq!((convolved.len(), others.len()), (1200 - 13, 13));
             let mut expected = vec![Exitance::new(canvas); fluxes.len()];
-            let all: Vec<usize> = (0..1200).collect();
-            splat(&mut expected, &all, material.header.window, &points, &fluxes, &|k, c, dy, line| {
-                line.iter_mut().enumerate().for_each(|(dx, to)| *to = f64::from(rows[189 * k + 3 * (9 * dy + dx) + c]));
+            let all: Vec<_> = (0..1200).map(|i| (i, [1.0; 3])).collect();
+            splat(&mut expected, &all, material.header.window, &points, &fluxes, &|k, c, _, add| {
+                for (dy, dx) in (0..7).flat_map(|dy| (0..9).map(move |dx| (dy, dx))) {
+                    add(dx, dy, &[f64::from(rows[189 * k + 3 * (9 * dy + dx) + c])]);
+                }
             });
             let found = relight(&material, &points, &fluxes, &|_| {}).unwrap();
             for (a, b) in found.iter().zip(&expected) {
@@ -228,8 +242,9 @@ mod tests {
             let grey: Vec<[f64; 3]> = (0..naive::ROWS).map(|i| [flux(i, 1); 3]).collect();
             for shift in [[0, 0], [-1, 0], [2, 1], [1, -1]] {
                 let group: Vec<usize> = (0..naive::ROWS).filter(|&i| m.shift[i] == shift).collect();
+                let core = Core::of(&m.header.layout(), shift, shift).unwrap();
                 let mut images = vec![Exitance::new(canvas), Exitance::new(canvas)];
-                convolve(&mut images, &Responses::new(&m), shift, &group, &points, &[grey.clone(), colored.clone()])
+                convolve(&mut images, &Responses::new(&m), &core, &group, &points, &[grey.clone(), colored.clone()])
                     .unwrap();
                 for c in 0..3 {
                     let found = images[1].planes[c].iter().zip(expected(&m, &canvas, c, &group));

@@ -6,9 +6,11 @@
 //! beside a row nor on the number of threads.
 
 use crate::color::{Colors, Interval, colors};
+use crate::layout::Core;
 use crate::parallel::*;
 use crate::{CHANNELS, Layout, Material};
 use pulp::Simd;
+use std::ops::Range;
 
 /// Numbers in the product of a few rows: they stay in the processor's cache.
 const PRODUCT: usize = 1 << 17;
@@ -130,6 +132,8 @@ pub struct Responses<'a> {
     layout: Layout,
     /// m_k h_{k,j} on the common window, for each of B planes.
     maps: Vec<Maps>,
+    /// What of the common window is left out of the maps.
+    core: Option<Core>,
     colors: Option<Colors>,
     exit: bool,
 }
@@ -137,24 +141,56 @@ pub struct Responses<'a> {
 impl<'a> Responses<'a> {
     /// Prepares `material`: memory of twice its offset factors.
     pub fn new(material: &'a Material) -> Self {
+        Self::without(material, None)
+    }
+
+    /// The same of what lies outside a part of the common window.
+    fn without(material: &'a Material, core: Option<Core>) -> Self {
         let (h, layout) = (&material.header, material.header.layout());
         let (samples, terms) = (layout.len(), h.terms);
         let factors = material.offset_factors.all();
+        let outside = |e: &usize| {
+            core.as_ref()
+                .is_none_or(|c| !c.y.contains(&(e / layout.extended[0])) || !c.x.contains(&(e % layout.extended[0])))
+        };
+        let kept: Vec<usize> = (0..samples).filter(outside).collect();
         let maps = (0..h.offset_planes).map(|plane| {
             let factors = &factors[plane * terms * samples..][..terms * samples];
-            let mut wide: Vec<f64> = factors.iter().map(|&v| f64::from(v)).collect();
-            if let Some(profile) = material.profile_plane(plane) {
-                let lines = wide.chunks_exact_mut(samples.max(1));
-                lines.for_each(|line| line.iter_mut().zip(profile).for_each(|(v, &m)| *v *= f64::from(m)));
-            }
+            let profile = material.profile_plane(plane);
+            let value = |line: &[f32], e: usize| f64::from(line[e]) * profile.map_or(1.0, |m| f64::from(m[e]));
+            let lines = factors.chunks_exact(samples.max(1));
+            let wide: Vec<f64> = lines.flat_map(|line| kept.iter().map(move |&e| value(line, e))).collect();
             Maps::new(&wide, terms)
         });
-        Self { material, layout, maps: maps.collect(), colors: h.degree.map(Colors::new), exit: true }
+        let maps = maps.collect();
+        Self { material, layout, maps, core, colors: h.degree.map(Colors::new), exit: true }
     }
 
-    /// Of light before it leaves: without the exit map.
-    pub(crate) fn without_exit(material: &'a Material) -> Self {
-        Self { exit: false, ..Self::new(material) }
+    /// Of light before it leaves, without the exit map; and of what lies outside `core` alone.
+    pub(crate) fn entering(material: &'a Material, core: Option<Core>) -> Self {
+        Self { exit: false, ..Self::without(material, core) }
+    }
+
+    /// Calls `each(dx, dy, map_index, length)` for pieces of the lines `seen` of a window shifted by `shift`, as far as
+    /// they lie in the maps.
+    pub(crate) fn for_each_piece(
+        &self,
+        shift: [i16; 2],
+        seen: Range<usize>,
+        mut each: impl FnMut(usize, usize, usize, usize),
+    ) {
+        let (width, columns) = (self.layout.extended[0], self.layout.window[0].max(1));
+        self.layout.for_each_line(shift, |k, e, n| {
+            let (dx, dy) = (k % columns, k / columns);
+            match &self.core {
+                _ if !seen.contains(&dy) => {}
+                None => each(dx, dy, e, n),
+                Some(core) => core.outside(width, e, n, |skipped, n| {
+                    let e = e + skipped;
+                    each(dx + skipped, dy, e - core.before(width, e), n);
+                }),
+            }
+        });
     }
 
     /// What it was made from.
@@ -178,18 +214,19 @@ impl<'a> Responses<'a> {
         self.material.weights.get(term).map_or(0.0, |&g| f64::from(g) * f64::from(f))
     }
 
-    /// m_k h_{k,j} where rows shifted by `shift` have measured it: `each(x, y, values)` gets pieces of the lines of
-    /// their window.
-    pub(crate) fn window_map(
-        &self,
-        plane: usize,
-        term: usize,
-        shift: [i16; 2],
-        mut each: impl FnMut(usize, usize, &[f64]),
-    ) {
-        let width = self.layout.window[0].max(1);
-        let map = self.maps[plane.min(self.maps.len() - 1)].map(term);
-        self.layout.for_each_line(shift, |k, e, n| each(k % width, k / width, &map[e..e + n]));
+    /// Samples of the maps: those of the common window.
+    pub(crate) fn map_len(&self) -> usize {
+        self.maps.first().map_or(0, Maps::samples)
+    }
+
+    /// m_k h_{k,j} on the common window.
+    pub(crate) fn map(&self, plane: usize, term: usize) -> &[f64] {
+        self.maps[plane.min(self.maps.len() - 1)].map(term)
+    }
+
+    /// All planes of the rows `indices`, as [`Self::plane`] gives one.
+    pub(crate) fn planes(&self, indices: &[usize]) -> Vec<Vec<f64>> {
+        (0..self.material.header.planes()).map(|plane| self.plane(plane, indices)).collect()
     }
 
     /// Samples of a measured window.
@@ -232,7 +269,7 @@ impl<'a> Responses<'a> {
     /// Plane `plane` of the rows `indices` on the common window, \[rows\]\[y\]\[x\]; rows that are not there are zeros.
     /// The only plane of a material with a colour polynomial is the normalized intensity.
     pub fn plane(&self, plane: usize, indices: &[usize]) -> Vec<f64> {
-        let samples = self.layout.len();
+        let samples = self.map_len();
         let mut out = vec![0.0; indices.len() * samples];
         let few = (PRODUCT / samples.max(1)).clamp(1, 64);
         let part = |(factors, product): &mut (Vec<f64>, Vec<f64>), (out, indices): (&mut [f64], &[usize])| {

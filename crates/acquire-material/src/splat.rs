@@ -1,24 +1,28 @@
 //! Rows added to images where they leave the slab.
 
+use crate::CHANNELS;
 use crate::exitance::Exitance;
 use crate::parallel::*;
 use crate::quadrature::Quadrature;
+use std::ops::Range;
 
 /// Bands of lines into which an image is divided, for as many threads.
 const BANDS: usize = 8;
 
-/// Adds the rows `indices` to every image; `line(k, channel, dy, out)` writes line `dy` of the k-th of them.
+/// Adds rows to every image: those of `rows`, each by its index and what its channels are multiplied by;
+/// `lines(k, channel, seen, add)` calls `add(dx, dy, values)` for pieces of the lines of the k-th of them, from sample
+/// (dx, dy) of its window on; lines that are not in `seen` need not be given.
 ///
 /// A row is added once for every share that it has in the light of `quadrature`. Each band of an image is filled by one
 /// thread, in the order of rows: the sums do not depend on the number of threads. Images lie on the quadrature's
 /// canvas.
 pub fn splat(
     images: &mut [Exitance],
-    indices: &[usize],
+    rows: &[(usize, [f64; CHANNELS])],
     window: [usize; 2],
     quadrature: &Quadrature,
-    fluxes: &[Vec<[f64; 3]>],
-    line: &(impl Fn(usize, usize, usize, &mut [f64]) + Sync),
+    fluxes: &[Vec<[f64; CHANNELS]>],
+    lines: &(impl Fn(usize, usize, Range<usize>, &mut dyn FnMut(usize, usize, &[f64])) + Sync),
 ) {
     let [width, height] = quadrature.canvas().size;
     let mut bands = Vec::new();
@@ -30,19 +34,23 @@ pub fn splat(
         }
     }
     bands.into_par_iter().for_each(|(mut band, flux, channel)| {
-        let (mut here, mut parts) = (vec![0.0; window[0]], Vec::new());
-        for (k, &index) in indices.iter().enumerate() {
-            let lit = quadrature.shares(index).iter().filter_map(|share| {
-                let weight = share.weight * flux.get(share.cell as usize)?[channel];
+        let mut parts = Vec::new();
+        for (k, (index, gain)) in rows.iter().enumerate() {
+            let lit = quadrature.shares(*index).iter().filter_map(|share| {
+                let weight = share.weight * flux.get(share.cell as usize)?[channel] * gain[channel];
                 let at = [share.at as usize % width, share.at as usize / width];
                 let corner = [at[0].checked_sub(window[0] / 2)?, at[1].checked_sub(window[1] / 2)?];
                 (weight != 0.0 && band.sees(corner[1], window[1])).then_some((corner, weight))
             });
             parts.clear();
             parts.extend(lit);
-            for dy in 0..if parts.is_empty() { 0 } else { window[1] } {
-                line(k, channel, dy, &mut here);
-                parts.iter().for_each(|(corner, weight)| band.add([corner[0], corner[1] + dy], &here, *weight));
+            let corners = parts.iter().map(|([_, y], _)| *y);
+            if let (Some(least), Some(most)) = (corners.clone().min(), corners.max()) {
+                let seen = band.lines();
+                let seen = seen.start.saturating_sub(most)..(seen.end.saturating_sub(least)).min(window[1]);
+                lines(k, channel, seen, &mut |dx, dy, values| {
+                    parts.iter().for_each(|([x, y], weight)| band.add([x + dx, y + dy], values, *weight));
+                });
             }
         }
     });
@@ -56,9 +64,14 @@ struct Band<'a> {
 }
 
 impl Band<'_> {
+    /// Those of the image that it has.
+    fn lines(&self) -> Range<usize> {
+        self.first..self.first + self.samples.len() / self.width.max(1)
+    }
+
     /// Whether any of `lines` lines from `from` on is in it.
     fn sees(&self, from: usize, lines: usize) -> bool {
-        from + lines > self.first && from < self.first + self.samples.len() / self.width.max(1)
+        from + lines > self.first && from < self.lines().end
     }
 
     /// Adds a line of a row when it falls on the band.
@@ -106,8 +119,17 @@ mod tests {
             let of = |l: usize| (0..quadrature.cells.len()).map(|i| [0, 1, 2].map(|c| flux(l, i, c))).collect();
             let fluxes: Vec<Vec<[f64; 3]>> = (0..2).map(of).collect();
             let mut images = vec![Exitance::new(canvas), Exitance::new(canvas)];
-            splat(&mut images, &[2, 3], [3, 3], &quadrature, &fluxes, &|k, c, dy, line| {
-                line.iter_mut().enumerate().for_each(|(dx, to)| *to = value(k, 3 * (3 * dy + dx) + c));
+            let gains = [[1.0, 2.0, 0.5], [3.0, 1.0, 1.0]];
+            splat(&mut images, &[(2, gains[0]), (3, gains[1])], [3, 3], &quadrature, &fluxes, &|k, c, seen, add| {
+                let line = |dy: usize, dx: usize, n: usize| -> Vec<f64> {
+                    (dx..dx + n).map(|dx| value(k, 3 * (3 * dy + dx) + c)).collect()
+                };
+                // The middle line in pieces.
+                for (dx, dy, n) in [(0, 0, 3), (0, 1, 1), (1, 1, 2), (0, 2, 3)] {
+                    if seen.contains(&dy) {
+                        add(dx, dy, &line(dy, dx, n));
+                    }
+                }
             });
             for (light, image) in images.iter().enumerate() {
                 for c in 0..3 {
@@ -116,8 +138,10 @@ mod tests {
                         for share in quadrature.shares(row) {
                             for s in 0..9 {
                                 let at = share.at as usize + s % 3 + s / 3 * canvas.size[0] - 1 - canvas.size[0];
-                                expected[at] +=
-                                    share.weight * flux(light, share.cell as usize, c) * value(k, 3 * s + c);
+                                expected[at] += share.weight
+                                    * flux(light, share.cell as usize, c)
+                                    * gains[k][c]
+                                    * value(k, 3 * s + c);
                             }
                         }
                     }
