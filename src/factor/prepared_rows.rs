@@ -275,7 +275,7 @@ impl Rows for PreparedRows<'_> {
     }
 
     fn for_each(&self, each: &mut dyn FnMut(usize, &[f32]) -> Result<()>) -> Result<()> {
-        self.for_each_chunk("factor", &mut |first, values, _| each(first, values))
+        self.for_each_chunk("factor: terms", &mut |first, values, _| each(first, values))
     }
 }
 
