@@ -43,7 +43,8 @@ impl ImagePlacement {
             return Err(Error::Option { option: "extent_mm", expected, found });
         }
         let pitch = area.canvas.pitch_mm;
-        let most = sides.map(|s| (s / pitch).floor().clamp(1.0, MOST_COPIES) as usize);
+        // Ends of an extent are rounded.
+        let most = sides.map(|s| (s / pitch * (1.0 + 1e-9)).floor().clamp(1.0, MOST_COPIES) as usize);
         if (0..2).any(|a| !(1..=most[a]).contains(&self.tile[a])) {
             let expected = format!(
                 "1×1 to {}×{} copies, each as wide as an outgoing sample ({pitch} mm) or wider",
