@@ -13,6 +13,9 @@
 #[path = "../src/report/chart.rs"]
 mod chart;
 #[allow(dead_code, unused_imports)]
+#[path = "../src/report/labels.rs"]
+mod labels;
+#[allow(dead_code, unused_imports)]
 #[path = "../src/report/text.rs"]
 mod text;
 
@@ -242,9 +245,8 @@ fn panel(lines: &[Vec<Point>], x: Quantity, y: Quantity) -> String {
         chart.dots(values.iter().copied(), 2.6, &format!("s{k}"));
         // The numbers of exposures, where lines are least crowded.
         if k + 1 == lines.len() {
-            for (p, &at) in line.iter().zip(&values) {
-                chart.text(at, [0.0, -6.0], "middle", &p.exposures.to_string());
-            }
+            let labels: Vec<_> = line.iter().zip(&values).map(|(p, &at)| (at, p.exposures.to_string())).collect();
+            chart.labels(&labels, &values, std::slice::from_ref(&values));
         }
     }
     chart.finish(&format!("{} against {}, for dots of a shot at several distances and one to six exposures", y.0, x.0))

@@ -64,5 +64,6 @@ pub mod cli;
 pub use error::{Error, Result};
 pub use warning::{
     ArraysWarning, Bound, CaptureWarning, CheckWarning, ConsistencyWarning, Culprit, Done, DriftJump, FactorWarning,
-    FindingRecord, RadianceWarning, RegistrationWarning, ResponseWarning, Severity, SimulateWarning, Topic, Warning,
+    FindingRecord, LightWarning, RadianceWarning, RegistrationWarning, ResponseWarning, Severity, SimulateWarning,
+    Topic, Warning,
 };

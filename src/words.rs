@@ -13,6 +13,13 @@ pub(crate) fn figure(v: f64) -> String {
     if v == 0.0 || (1e-2..1e9).contains(&v.abs()) { format!("{v:.4}") } else { format!("{v:.2e}") }
 }
 
+/// `v` with so many significant digits and no exponent: `0.0000123`.
+pub(crate) fn plain(v: f64, digits: usize) -> String {
+    let exponent = if v == 0.0 || !v.is_finite() { 0 } else { v.abs().log10().floor() as i32 };
+    let places = (digits as i32 - 1 - exponent).max(0) as usize;
+    format!("{v:.places$}")
+}
+
 /// Numbers in rising order as ranges whose ends are not in them.
 pub(crate) fn ranges(numbers: &[usize]) -> Vec<Range<usize>> {
     let mut ranges: Vec<Range<usize>> = Vec::new();
@@ -49,6 +56,12 @@ pub(crate) fn not_used(things: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_plain_number_has_its_digits_and_no_exponent() {
+        let found = [0.0182, 0.000_012_34, 123_456.0, -0.5, 0.0].map(|v| plain(v, 3));
+        assert_eq!(found, ["0.0182", "0.0000123", "123456", "-0.500", "0.00"]);
+    }
 
     #[test]
     fn numbers_are_ranges_of_which_a_message_names_the_first() {

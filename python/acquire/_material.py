@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Union
 import numpy as np
 import numpy.typing as npt
 
-from ._errors import InputError
+from ._errors import InputError, tell
 from ._native import native
 
 Path = Union[str, "os.PathLike[str]"]
@@ -131,12 +131,14 @@ class Material:
         """The density with which :meth:`sample` draws offsets (n, 2), mm: mm⁻², shape (n,)."""
         return self._native.density(self._index(x_i), np.ascontiguousarray(offsets, dtype=np.float64).reshape(-1, 2))
 
-    def relight(self, irradiance: npt.ArrayLike, extent_mm: tuple[float, float, float, float] | None = None) -> Exitance:
+    def relight(self, irradiance: npt.ArrayLike, extent_mm: tuple[float, float, float, float] | None = None, tile: tuple[int, int] = (1, 1)) -> Exitance:
         """The slab under a light.
 
         :param irradiance: shape (y, x) or (y, x, 3), linear; line 0 is at the smallest y. Each cell of the lit area receives the flux Φ = irradiance (its mean over
             the cell) × the cell's area, mm²; exitance has the unit of the irradiance, so that a slab of albedo A under an irradiance of 1 gives A.
         :param extent_mm: x from, x to, y from, y to of the image on the slab, mm; dark beyond it. Default: over the lit area, along the sides of its lattice.
+        :param tile: copies of the image along x and y that fill this extent side by side; where copies meet, samples are means over parts of both, as within the image.
+        :warns FindingWarning: without ``extent_mm``, for an image of another aspect ratio than the lit area's (``light-stretched``).
         """
         image = np.asarray(irradiance, dtype=np.float32)
         if image.ndim == 2:
@@ -146,10 +148,11 @@ class Material:
         image = np.ascontiguousarray(np.broadcast_to(image, (*image.shape[:2], 3)))
         if extent_mm is not None:
             extent_mm = tuple(float(v) for v in extent_mm)
-            x0, x1, y0, y1 = extent_mm
-            if not (np.all(np.isfinite(extent_mm)) and x0 < x1 and y0 < y1):
-                raise InputError(f"extent_mm: expected x from < x to and y from < y to, found {extent_mm}", "Setting")
-        values, origin = self._native.relight(image, extent_mm)
+        tile = tuple(int(n) for n in tile)
+        if len(tile) != 2 or min(tile) < 1:
+            raise InputError(f"tile: expected two numbers of copies, 1 or more, found {tile}", "Setting")
+        values, origin, findings = self._native.relight(image, extent_mm, tile)
+        tell(json.loads(findings))
         lines, columns, _ = values.shape
         pitch = self._header["pitch_mm"]
         return Exitance(values, origin[0] + pitch * np.arange(columns), origin[1] + pitch * np.arange(lines))

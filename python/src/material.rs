@@ -1,8 +1,11 @@
 //! Factored materials.
 
-use crate::commands::text;
+use crate::commands::{findings, text};
 use crate::errors::{raised, refused};
-use acquire::material::{Evaluator, Light, LightImage, LitArea, Material, Precision, Quadrature, Responses, coded};
+use acquire::material::{
+    Evaluator, ImagePlacement, Light, LightImage, LitArea, Material, Precision, Quadrature, Responses, coded,
+    place_light,
+};
 use numpy::{
     PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };
@@ -14,12 +17,6 @@ use std::path::PathBuf;
 
 /// Pairs of points that a thread takes at a time: some hundred microseconds of work.
 const PAIRS: usize = 4096;
-/// Pixels of an image of light in a sample: what lies beside an edge of the image is told apart to a fourth of a
-/// sample.
-const PIXELS: f64 = 4.0;
-/// The most pixels of such an image along an axis.
-const MOST_PIXELS: f64 = 16384.0;
-
 /// A material in memory, and what a renderer asks it.
 #[pyclass(frozen, module = "acquire._acquire")]
 pub(crate) struct NativeMaterial {
@@ -208,14 +205,16 @@ impl NativeMaterial {
         [x[0], x[1], y[0], y[1]]
     }
 
-    /// Exitance under an irradiance over an extent (x from, x to, y from, y to, mm; none: the lit area), (y, x, 3),
-    /// with the centre of its first sample, mm.
+    /// Exitance under copies of an irradiance over an extent (x from, x to, y from, y to, mm; none: the lit area),
+    /// (y, x, 3), with the centre of its first sample, mm, and the findings.
+    #[allow(clippy::type_complexity, reason = "an array, a place and text")]
     fn relight<'py>(
         &self,
         py: Python<'py>,
         irradiance: PyReadonlyArray3<'py, f32>,
         extent_mm: Option<[f64; 4]>,
-    ) -> PyResult<(Bound<'py, PyArrayDyn<f64>>, [f64; 2])> {
+        tile: [usize; 2],
+    ) -> PyResult<(Bound<'py, PyArrayDyn<f64>>, [f64; 2], String)> {
         let &[height, width, 3] = irradiance.shape() else {
             return Err(refused("irradiance: expected shape (y, x, 3)"));
         };
@@ -224,26 +223,23 @@ impl NativeMaterial {
         if rgb.is_empty() || rgb.as_flattened().iter().any(|v| !v.is_finite()) {
             return Err(refused("irradiance: expected finite numbers, one pixel or more"));
         }
-        let given = LightImage { size: [width, height], rgb };
-        let (exitance, origin) = py
+        let given = Light::Image(LightImage::new([width, height], rgb));
+        let extent_mm = extent_mm.map(|[x0, x1, y0, y1]| [[x0, x1], [y0, y1]]);
+        let (values, size, origin, told) = py
             .detach(|| -> acquire::Result<_> {
                 let shape = self.material.shape();
                 let area = LitArea::of(&shape).map_err(acquire::Error::from)?;
-                let image = match extent_mm {
-                    None => given,
-                    Some([x0, x1, y0, y1]) => placed(&area, &given, shape.pitch_mm, [[x0, x1], [y0, y1]]),
-                };
+                let (light, told) = place_light(given, &area, &ImagePlacement { extent_mm, tile })?;
                 let quadrature = Quadrature::new(&area, &shape);
-                let flux = Light::Image(image).flux(&quadrature)?;
+                let flux = light.flux(&quadrature)?;
                 let images = acquire_material::relight(&self.material, &quadrature, &[flux], &|_| ())?;
                 let e = images.into_iter().next().ok_or_else(|| acquire::Error::internal("no image was made"))?;
                 let [r, g, b] = &e.planes;
                 let values: Vec<f64> = r.iter().zip(g).zip(b).flat_map(|((r, g), b)| [*r, *g, *b]).collect();
-                Ok(((values, e.canvas.size), e.canvas.origin_mm))
+                Ok((values, e.canvas.size, e.canvas.origin_mm, findings(told)?))
             })
             .map_err(raised)?;
-        let (values, [columns, lines]) = exitance;
-        Ok((shaped(py, values, &[lines, columns, 3])?, origin))
+        Ok((shaped(py, values, &[size[1], size[0], 3])?, origin, text(&told)?))
     }
 
     /// Tensors as they are stored, `shift` and `lit_mm` among them.
@@ -284,35 +280,4 @@ impl NativeMaterial {
         });
         exported.map_err(raised)
     }
-}
-
-/// An image over an extent of the slab, mm, as an image over the lit area, dark beyond the extent: means over pixels
-/// of a fourth of a sample. On a turned lattice a pixel's sides are taken to be along the axes; its middle is exact.
-fn placed(area: &LitArea, image: &LightImage, pitch_mm: f64, [x, y]: [[f64; 2]; 2]) -> LightImage {
-    let corner = area.place([0.0, 0.0]);
-    let sides = [area.place([1.0, 0.0]), area.place([0.0, 1.0])].map(|p| (p[0] - corner[0]).hypot(p[1] - corner[1]));
-    let size = sides.map(|side| (PIXELS * side / pitch_mm).ceil().clamp(1.0, MOST_PIXELS) as usize);
-    let (step, extent) = ([0, 1].map(|a| sides[a] / size[a] as f64), [x, y]);
-    // Pixels of the image that lie in one around `middle`, and the share of it that they cover.
-    let overlap = |a: usize, middle: f64| {
-        let (low, side) = (extent[a][0], (extent[a][1] - extent[a][0]) / image.size[a] as f64);
-        let [from, to] = [-0.5, 0.5].map(|end| (middle + end * step[a] - low) / side);
-        let (from, to) = (from.max(0.0), to.min(image.size[a] as f64));
-        let pixels = from.floor() as usize..(to.ceil().max(0.0) as usize).min(image.size[a]);
-        let share = move |p: usize| (to.min(p as f64 + 1.0) - from.max(p as f64)).max(0.0) * side / step[a];
-        pixels.map(move |p| (p, share(p) as f32))
-    };
-    let pixel = |k: usize| {
-        let share = |a: usize, k: usize| (k as f64 + 0.5) / size[a] as f64;
-        let middle = area.place([share(0, k % size[0]), share(1, k / size[0])]);
-        let mut sum = [0.0_f32; 3];
-        for (line, down) in overlap(1, middle[1]) {
-            for (column, across) in overlap(0, middle[0]) {
-                let rgb = image.rgb[column + line * image.size[0]];
-                (0..3).for_each(|c| sum[c] += down * across * rgb[c]);
-            }
-        }
-        sum
-    };
-    LightImage { size, rgb: (0..size[0] * size[1]).into_par_iter().map(pixel).collect() }
 }

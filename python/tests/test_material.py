@@ -89,7 +89,7 @@ def test_even_light_on_an_even_slab_leaves_as_its_albedo(tmp_path):
     row = 0.01 * np.exp(-np.hypot(*np.mgrid[-4:5, -4:5]))
     acquire.write_matrix(path, np.broadcast_to(row, (12, 10, 9, 9)), pitch_mm=0.5)
     even = acquire.factor(path, terms=1)
-    lit = even.relight(np.ones((3, 4)))
+    lit = even.relight(np.ones((12, 10)))
     albedo = row.sum() * 0.5**2
     middle = lit.values[len(lit.y_mm) // 2, len(lit.x_mm) // 2]
     np.testing.assert_allclose(middle, albedo, rtol=1e-5)  # f32 factors
@@ -102,6 +102,17 @@ def test_even_light_on_an_even_slab_leaves_as_its_albedo(tmp_path):
     for wrong in ((0, 0, 0, 1), (1, 0, 0, 1), (0, np.nan, 0, 1)):
         with pytest.raises(acquire.InputError, match="extent_mm"):
             even.relight(np.ones((2, 2)), extent_mm=wrong)
+    for wrong in ((0, 1), (11, 1), (1, 2, 3)):
+        with pytest.raises(acquire.InputError, match="tile"):
+            even.relight(np.ones((2, 2)), extent_mm=(x0, x1, y0, y1), tile=wrong)
+    # Over the lit area copies of a square picture are those of it over its extent.
+    square = np.random.default_rng(1).random((2, 2, 3))
+    whole = even.relight(square, extent_mm=(x0, x1, y0, y1), tile=(5, 6)).values
+    np.testing.assert_allclose(even.relight(square, tile=(5, 6)).values, whole, atol=1e-5 * whole.max())  # f32 means
+    np.testing.assert_allclose(even.relight(np.tile(square, (6, 5, 1))).values, whole, atol=1e-5 * whole.max())
+    with pytest.warns(acquire.FindingWarning, match="0.833 times") as told:
+        even.relight(np.ones((40, 80)))
+    assert told[0].message.finding["id"] == "light-stretched" and told[0].message.finding["figures"]["image_ratio"] == 2
     with pytest.raises(acquire.InputError, match="irradiance"):
         even.relight(np.full((2, 2), np.nan))
 

@@ -107,7 +107,7 @@ fn figures(report: &CheckReport, topic: Topic) -> Result<String, &'static str> {
             Some(format!("{} of {x} × {y} points lit by {}", f.points_lit, count(f.lattice_shots, "lattice shot")))
         }
         // Not of a capture.
-        Topic::Material | Topic::Simulation | Topic::Arrays => None,
+        Topic::Material | Topic::Relighting | Topic::Simulation | Topic::Arrays => None,
     };
     figures.ok_or(NOT_REACHED)
 }

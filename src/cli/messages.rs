@@ -2,7 +2,8 @@
 
 use super::things::{known, rig_near};
 use crate::{
-    CaptureWarning, CheckWarning, ConsistencyWarning, Error, RadianceWarning, Severity, SimulateWarning, Warning,
+    CaptureWarning, CheckWarning, ConsistencyWarning, Error, LightWarning, RadianceWarning, Severity, SimulateWarning,
+    Warning,
 };
 use std::io::ErrorKind;
 use std::path::Path;
@@ -174,6 +175,7 @@ fn advice(warning: &Warning) -> Option<&'static str> {
         Warning::Radiance(RadianceWarning::ExposureRatios { .. }) => {
             Some("use --exposure-from estimate, or check camera.response in rig.toml")
         }
+        Warning::Light(LightWarning::LightStretched { .. }) => Some("give its size on the slab: --extent-mm WxH"),
         Warning::Simulate(SimulateWarning::DiffusionTooClear { .. } | SimulateWarning::DiffusionTooDark { .. }) => {
             Some("use --transport mc")
         }

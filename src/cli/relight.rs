@@ -1,5 +1,6 @@
 use super::Context;
-use crate::material::{Exitance, Source, lit_area, parse_light, relight, write_exitance};
+use super::values::pair_of;
+use crate::material::{Exitance, ImagePlacement, Source, lit_area, parse_light, place_light, relight, write_exitance};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -9,6 +10,8 @@ use std::path::{Path, PathBuf};
 Examples:
   acquire relight slab.safetensors --light spot --out spot.exr
   acquire relight slab.rd.zarr --light window.png --out relit.exr       the measured matrix itself
+  acquire relight slab.safetensors --light window.png --extent-mm 6x4 --out e.exr    6 mm wide
+  acquire relight slab.safetensors --light window.png --tile 3x2 --out e.exr         side by side
   acquire relight slab.safetensors --light point:3,5 --out point.exr    one lit point")]
 pub(super) struct Args {
     /// A material or a matrix.
@@ -18,6 +21,14 @@ pub(super) struct Args {
     /// point:I,J.
     #[arg(long, value_name = "LIGHT")]
     light: String,
+    /// Size on the slab of what the image covers, mm: centred on the lit area, along the slab's axes, dark beyond it
+    /// [default: the lit area, half a lit pitch around the lit points, along their lattice].
+    #[arg(long, value_name = "WxH", value_parser = pair_of::<f64>, allow_negative_numbers = true)]
+    extent_mm: Option<[f64; 2]>,
+    /// Copies of the image side by side that fill it together. Where copies meet, samples are means over parts of
+    /// both, as within the image: a periodic image has no seams.
+    #[arg(long, value_name = "NxM", value_parser = pair_of::<usize>, default_value = "1x1")]
+    tile: [usize; 2],
     /// The exitance to write, linear OpenEXR; a tone-mapped PNG goes beside it.
     #[arg(long, short, value_name = "FILE.exr")]
     out: PathBuf,
@@ -33,7 +44,11 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     super::check_output("out", &png, &inputs, &["png"], args.force)?;
     let light = parse_light(&args.light)?;
     let source = Source::open(&args.source)?;
-    let quadrature = light.quadrature(&lit_area(&source)?, &source.shape());
+    let area = lit_area(&source)?;
+    let placement = ImagePlacement { extent_mm: args.extent_mm.map(|size| area.around_middle(size)), tile: args.tile };
+    let (light, findings) = place_light(light, &area, &placement)?;
+    context.tell(&findings);
+    let quadrature = light.quadrature(&area, &source.shape());
     let flux = light.flux(&quadrature)?;
     let images = relight(&source, &quadrature, &[flux], &context.progress)?;
     let Some(exitance) = images.first() else { return Err(Error::internal("no image was made")) };

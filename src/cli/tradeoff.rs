@@ -1,8 +1,8 @@
 use super::Context;
 use crate::output::{Earlier, NewFolder, key_of};
-use crate::tradeoff::{self, Tradeoff, TradeoffOptions, tradeoff_from};
+use crate::tradeoff::{self, TradePoint, Tradeoff, TradeoffOptions, tradeoff_from};
 use crate::transport::MatrixReader;
-use crate::words::count;
+use crate::words::{count, plain};
 use crate::{Error, Result};
 use std::path::PathBuf;
 
@@ -14,8 +14,9 @@ Examples:
   acquire tradeoff slab.rd.zarr --quick                a block of 24 × 24 lit points, under a minute
   acquire tradeoff slab.rd.zarr --quick --json | jq '.measured[] | select(.pareto)'
 
-Writes tradeoff.html (opens offline), tradeoff.csv and tradeoff.json into a folder; prints the front: the settings that no other
-beats in both bytes and psnr_db.")]
+Writes tradeoff.html (opens offline), tradeoff.csv and tradeoff.json into a folder; prints the front (the settings that no other
+beats in both bytes and psnr_db), what the program makes when nothing is asked, and what it recommends: the smallest whose
+rel_rmse and log_rmse are no more than those of the plain default and of the matrix's noise together.")]
 pub(super) struct Args {
     /// The matrix, a folder *.rd.zarr.
     #[arg(value_parser = super::things::matrix())]
@@ -80,7 +81,9 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     super::print(&text)?;
     if let Some([median, largest]) = found.regression_conditions.get(7) {
         context.done(format_args!(
-            "condition of the colour fits at degree 7: {median:.1e} at the median, {largest:.1e} at most"
+            "condition of the colour fits at degree 7: {} at the median, {} at most",
+            plain(*median, 2),
+            plain(*largest, 2)
         ));
     }
     context.done(format_args!(
@@ -91,18 +94,34 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     Ok(())
 }
 
+/// What a point stands out by.
+fn mark(p: &TradePoint) -> &'static str {
+    match (p.pareto, p.default, p.recommended) {
+        (true, true, true) => "front, default, recommended",
+        (true, true, false) => "front, default",
+        (true, false, true) => "front, recommended",
+        (true, false, false) => "front",
+        (false, true, true) => "default, recommended",
+        (false, true, false) => "default",
+        (false, false, true) => "recommended",
+        (false, false, false) => "",
+    }
+}
+
+/// The front with the default and the recommended point, by bytes, and the noise.
 fn front(found: &Tradeoff) -> String {
-    let mut front: Vec<_> = found.measured.iter().filter(|p| p.pareto).collect();
+    let told = |p: &&TradePoint| p.pareto || p.default || p.recommended;
+    let mut front: Vec<_> = found.measured.iter().filter(told).collect();
     front.sort_by_key(|p| p.bytes);
     let mut text = format!(
-        "{:<10} {:>3} {:>3} {:>5} {:<6} {:>10} {:>9} {:>8} {:>8} {:>8}",
-        "model", "T", "P", "maps", "stored", "bytes", "rel_rmse", "psnr_db", "log_rmse", "secs"
+        "{:<10} {:>3} {:>3} {:>5} {:<6} {:>10} {:>9} {:>8} {:>8} {:>8}  {}",
+        "model", "T", "P", "maps", "stored", "bytes", "rel_rmse", "psnr_db", "log_rmse", "secs", "mark"
     );
     let count = |v: Option<usize>| v.map_or("-".to_owned(), |v| v.to_string());
     let number = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
     for p in front {
         text += &format!(
-            "\n{:<10} {:>3} {:>3} {:>5} {:<6} {:>10} {:>9} {:>8} {:>8} {:>8.2}",
+            "\n{:<10} {:>3} {:>3} {:>5} {:<6} {:>10} {:>9} {:>8} {:>8} {:>8.2}  {}",
             p.model.to_string(),
             p.terms,
             count(p.degree),
@@ -112,8 +131,12 @@ fn front(found: &Tradeoff) -> String {
             number(p.rel_rmse, 5),
             number(p.psnr_db, 2),
             number(p.log_rmse, 4),
-            p.secs
+            p.secs,
+            mark(p)
         );
+    }
+    if let Some(n) = found.noise {
+        text += &format!("\n{:<41} {:>9.5} {:>8.2} {:>8.4}", "the matrix's noise", n.rel_rmse, n.psnr_db, n.log_rmse);
     }
     text
 }

@@ -1,5 +1,6 @@
 //! Evaluate: the measures of `docs/metrics.md`, a candidate matrix or material against a reference matrix.
 
+mod noise;
 mod reciprocity;
 mod sums;
 
@@ -8,6 +9,7 @@ use crate::material::{Exitance, FIXED_SET, Quadrature, Source, lit_area_of, reli
 use crate::progress::Progress;
 use crate::transport::{MatrixHeader, MatrixReader, RowBlock};
 use crate::{Error, Result};
+pub use noise::{NoiseLevel, noise_level};
 use rayon::prelude::*;
 use reciprocity::Reciprocity;
 use serde::{Deserialize, Serialize};

@@ -6,7 +6,7 @@ use crate::transport::{CommonErrors, CommonOfAll, MatrixWriter, Row, ShotRecord}
 use std::path::Path;
 
 /// 3 × 2 points, 3 × 3 window, R = 0.1 · (1 + row) in all entries times `gain`, one entry unmeasured.
-fn matrix(path: &Path, gain: f32, window: [usize; 2], drift_px: Point, moved_mm: f64) -> MatrixReader {
+pub(super) fn matrix(path: &Path, gain: f32, window: [usize; 2], drift_px: Point, moved_mm: f64) -> MatrixReader {
     let header = MatrixHeader {
         points: [3, 2],
         window,

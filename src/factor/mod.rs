@@ -126,6 +126,20 @@ pub struct Factored {
     pub choice: String,
     /// How the SVD was computed.
     pub backend: Backend,
+    /// The singular values among which terms were chosen, of the rows before entry and exit maps are divided out,
+    /// largest first; none for `peers2006`.
+    pub levels: Vec<TermLevel>,
+}
+
+/// A singular value beside what noise alone would give in the same directions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TermLevel {
+    /// The singular value, in the unit of the header's.
+    pub singular_value: f64,
+    /// Its noise, likewise.
+    pub noise: f64,
+    /// Whether the term was kept.
+    pub kept: bool,
 }
 
 /// Squared errors of a fit and what they are measured by.
@@ -253,7 +267,8 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progr
         "agreement": agreement,
         "matrix": reader.header().provenance,
     });
-    Ok(Factored { material, warnings, rel_rmse, psnr_db, agreement, choice, backend: fit.backend })
+    let (backend, levels) = (fit.backend, fit.levels);
+    Ok(Factored { material, warnings, rel_rmse, psnr_db, agreement, choice, backend, levels })
 }
 
 /// Half of the machine's memory; 4 GiB where the system does not tell.

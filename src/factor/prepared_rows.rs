@@ -155,7 +155,7 @@ impl<'a> PreparedRows<'a> {
         let over: Vec<f32> = self.metric.iter().map(|m| 1.0 / m).collect();
         let ones = vec![1.0; window];
         let mut error = 0.0;
-        self.for_each_chunk("measure", &mut |first, values, missing| {
+        self.for_each_chunk("factor: measure", &mut |first, values, missing| {
             let errors = terms.map(first..first + missing.len(), |row| {
                 let (k, from) = (row.index - first, row.plane * samples);
                 let mut measured = values[k * columns + from..][..samples].to_vec();
@@ -300,7 +300,7 @@ impl Rows for PreparedRows<'_> {
     }
 
     fn for_each(&self, each: &mut dyn FnMut(usize, &[f32]) -> Result<()>) -> Result<()> {
-        self.for_each_chunk("factor", &mut |first, values, _| each(first, values))
+        self.for_each_chunk("factor: terms", &mut |first, values, _| each(first, values))
     }
 }
 

@@ -101,7 +101,7 @@ fn of_sums(
 
 /// Fits β of all rows, one pass, and returns Σ (R̂−R)² over valid entries.
 pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usize, progress: &Progress) -> Result<f64> {
-    let stage = progress.stage("color", reader.header().rows());
+    let stage = progress.stage("factor: colour", reader.header().rows());
     material.header.degree = Some(degree);
     material.header.intensity_range = intensity_range(material, std::iter::once(0..material.header.rows()));
     let mut error = 0.0;

@@ -140,7 +140,7 @@ pub(super) fn survey(
 ) -> Result<Survey> {
     let header = reader.header();
     let window = header.window;
-    let stage = progress.stage("survey", header.rows());
+    let stage = progress.stage("factor: survey", header.rows());
     let widest = Layout { window, extended: std::array::from_fn(|a| window[a] + 2 * limit[a]) };
     let mut sums = Sums::new(widest, content.planes());
     let mut placements = Vec::with_capacity(header.rows());

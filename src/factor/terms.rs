@@ -10,10 +10,10 @@ use super::noise::{F32_ROUNDING, TermNoise, significant};
 use super::nonnegative::factorize;
 use super::prepared_rows::PreparedRows;
 use super::shared_basis::Sharing;
-use super::{FactorOptions, Misfit};
+use super::{FactorOptions, Misfit, TermLevel};
 use crate::material::{Material, MaterialHeader, Model, OffsetFactors, Responses};
 use crate::transport::MatrixReader;
-use crate::words::count;
+use crate::words::{count, plain};
 use crate::{Error, Result};
 use rayon::prelude::*;
 
@@ -36,6 +36,7 @@ pub(super) struct TermsFit {
     pub misfit: Misfit,
     /// The degree that the goal asks for.
     pub degree: Option<usize>,
+    pub levels: Vec<TermLevel>,
 }
 
 /// Times that terms are fitted anew to what entry and exit maps leave.
@@ -125,6 +126,7 @@ pub(super) fn fit(
     let mut material = Asked { rows, model, options, sums }.made(reader, &found, &plan)?;
     // Of an intensity the colour polynomial is still to come.
     let mut left = if rows.content == Content::Intensity { 0.0 } else { residual_of(rows, reader, &material)? };
+    let levels = Asked { rows, model, options, sums }.levels(&found, &plan);
     let mut why = plan.why.clone();
     let maps = match (sums, options.maps) {
         (Some(sums), Some(true)) => Some(sums),
@@ -163,7 +165,8 @@ pub(super) fn fit(
         if residual > 0.0 { format!(", singular values to {residual:.0e}") } else { String::new() },
         if rows.in_memory() { "" } else { ", streamed from the store" },
     );
-    Ok(TermsFit { material, why, how, backend: chosen, misfit: rows.survey.misfit(left), degree: plan.degree })
+    let misfit = rows.survey.misfit(left);
+    Ok(TermsFit { material, why, how, backend: chosen, misfit, degree: plan.degree, levels })
 }
 
 /// `terms` with the entry and exit maps of `maps`.
@@ -243,6 +246,14 @@ impl Plan {
         let (Kept::First(n) | Kept::AboveNoise(n)) = self.kept;
         n
     }
+
+    /// Their numbers among those found.
+    fn kept(&self, found: &Found) -> Vec<usize> {
+        match self.kept {
+            Kept::First(n) => (0..n.min(found.singular.len())).collect(),
+            Kept::AboveNoise(most) => significant(&found.singular, &found.noise, most),
+        }
+    }
 }
 
 impl Asked<'_, '_> {
@@ -262,13 +273,18 @@ impl Asked<'_, '_> {
             Goal::Noise => {
                 let kept = significant(&found.singular, &found.noise, most);
                 let next = (0..found.singular.len()).find(|j| !kept.contains(j));
-                let why = match next.map(|j| (j + 1, found.singular[j], found.noise[j].level())) {
-                    Some((_, s, level)) if s > level => format!(
-                        "the most allowed, more singular values are above their noise ({s:.3e} > {level:.3e}, …)"
+                let unit = self.rows.unit();
+                let why = match next.map(|j| (j + 1, found.singular[j] * unit, found.noise[j].level() * unit)) {
+                    Some((j, s, level)) if s > level => format!(
+                        "the most allowed, more singular values are above their noise (number {j}: {} > {}, …)",
+                        plain(s, 3),
+                        plain(level, 3)
                     ),
-                    Some((j, s, level)) => {
-                        format!("other singular values are below their noise (number {j}: {s:.3e} < {level:.3e})")
-                    }
+                    Some((j, s, level)) => format!(
+                        "other singular values are below their noise (number {j}: {} < {})",
+                        plain(s, 3),
+                        plain(level, 3)
+                    ),
                     None => "all that the rows have".to_owned(),
                 };
                 Ok(plan(Kept::AboveNoise(most), why))
@@ -282,6 +298,18 @@ impl Asked<'_, '_> {
             }
             goal => self.plan_for(reader, goal, all, most),
         }
+    }
+
+    /// The singular values that were found beside their noise, in the unit of the header's.
+    fn levels(&self, found: &Found, plan: &Plan) -> Vec<TermLevel> {
+        let (kept, unit) = (plan.kept(found), self.rows.unit());
+        let terms = found.singular.iter().zip(&found.noise).enumerate();
+        let level = |(j, (s, n)): (usize, (&f64, &TermNoise))| TermLevel {
+            singular_value: s * unit,
+            noise: n.level() * unit,
+            kept: kept.contains(&j),
+        };
+        if self.model == Model::Peers2006 { Vec::new() } else { terms.map(level).collect() }
     }
 
     /// Σ of squares of the rows as they are factored, in their unit, as far as they were measured.
@@ -443,10 +471,7 @@ impl Asked<'_, '_> {
 
     /// The material of what the plan keeps.
     fn made(&self, reader: &MatrixReader, found: &Found, plan: &Plan) -> Result<Material> {
-        let (kept, shrink) = match plan.kept {
-            Kept::First(n) => ((0..n.min(found.singular.len())).collect(), false),
-            Kept::AboveNoise(most) => (significant(&found.singular, &found.noise, most), true),
-        };
+        let (kept, shrink) = (plan.kept(found), matches!(plan.kept, Kept::AboveNoise(_)));
         if self.model == Model::Peers2006 {
             return Ok(self.non_negative(reader, &found.all, plan.most()));
         }

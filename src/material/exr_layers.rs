@@ -1,6 +1,7 @@
 //! OpenEXR: every map of a material as a layer that any viewer shows, and single images.
 
 use super::{Canvas, Exitance, Material, legendre};
+use crate::geometry::Point;
 use crate::output::{SEAL, write_whole};
 use crate::{Error, Result};
 use exr::prelude::{
@@ -11,15 +12,52 @@ use std::path::Path;
 
 type FlatLayer = Layer<AnyChannels<FlatSamples>>;
 
+/// What the samples of a part are, in the attributes of its header.
+#[derive(Debug, Clone, Copy)]
+struct PartGrid {
+    axes: &'static str,
+    size: [usize; 2],
+    origin_mm: Point,
+    pitch_mm: Point,
+}
+
+impl PartGrid {
+    /// One sample a lit point. Where they really are, the part `lit` has.
+    fn points(material: &Material) -> Self {
+        let h = &material.header;
+        let origin_mm = material.lit_mm.first().copied().unwrap_or_default();
+        Self { axes: "lit points x_i", size: h.points, origin_mm, pitch_mm: h.lit_pitch_mm }
+    }
+
+    /// Offsets of the common window; a row's are those plus its shift.
+    fn offsets(material: &Material) -> Self {
+        let h = &material.header;
+        let origin_mm = h.extended.map(|n| -((n / 2) as f64) * h.pitch_mm);
+        Self {
+            axes: "offsets x_o - x_i, of a row less its shift",
+            size: h.extended,
+            origin_mm,
+            pitch_mm: [h.pitch_mm; 2],
+        }
+    }
+
+    fn outgoing(size: [usize; 2], origin_mm: Point, pitch_mm: f64) -> Self {
+        Self { axes: "outgoing points x_o", size, origin_mm, pitch_mm: [pitch_mm; 2] }
+    }
+}
+
 /// Writes one part per map: `f_j` (points; the weight g_j is multiplied into it), `h_j` (offsets), `profile` (offsets),
 /// `color_p` (RGB, powers of the intensity, points), `entry` (points) and `exit` (the exit map's grid) where there are
-/// such maps, and `shift` (X, Y, points). Maps that the channels share are Y, others RGB.
+/// such maps, `shift` (X, Y, points) and `lit` (X, Y, mm, points). Maps that the channels share are Y, others RGB.
+/// Every part has the attributes of [`write_exitance`].
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Internal`].
 pub fn export_exr(material: &Material, path: &Path) -> Result<()> {
     let h = &material.header;
     let (terms, samples) = (h.terms, h.layout().len());
+    let (points, offset_grid) = (PartGrid::points(material), PartGrid::offsets(material));
+    let units = Units::of(material);
     let planes = |count: usize, map: &dyn Fn(usize) -> Vec<f32>| match count {
         1 => vec![("Y", map(0))],
         _ => ["R", "G", "B"].into_iter().enumerate().map(|(k, name)| (name, map(k))).collect(),
@@ -31,16 +69,16 @@ pub fn export_exr(material: &Material, path: &Path) -> Result<()> {
             let plane = &material.incident_factors[k * h.rows() * terms..][..h.rows() * terms];
             plane.iter().skip(j).step_by(terms).map(|f| g * f).collect()
         };
-        layers.push(layer(&format!("f_{j:02}"), h.points, planes(h.incident_planes, &map)));
+        layers.push(layer(&format!("f_{j:02}"), points, units.incident, planes(h.incident_planes, &map)));
     }
     let offsets = material.offset_factors.all();
     for j in 0..terms {
         let map = |k: usize| offsets[(k * terms + j) * samples..][..samples].to_vec();
-        layers.push(layer(&format!("h_{j:02}"), h.extended, planes(h.offset_planes, &map)));
+        layers.push(layer(&format!("h_{j:02}"), offset_grid, "1", planes(h.offset_planes, &map)));
     }
     if h.profile {
         let map = |k: usize| material.profile_plane(k).unwrap_or_default().to_vec();
-        layers.push(layer("profile", h.extended, planes(h.offset_planes, &map)));
+        layers.push(layer("profile", offset_grid, units.profile, planes(h.offset_planes, &map)));
     }
     if let Some(degree) = h.degree {
         let powers = degree + 1;
@@ -48,37 +86,55 @@ pub fn export_exr(material: &Material, path: &Path) -> Result<()> {
         for p in 0..powers {
             let channel =
                 |c: usize| monomials.iter().skip(c * powers + p).step_by(3 * powers).map(|&v| v as f32).collect();
-            layers.push(layer(&format!("color_{p:02}"), h.points, planes(3, &channel)));
+            layers.push(layer(&format!("color_{p:02}"), points, PER_MM2, planes(3, &channel)));
         }
     }
     if let Some(grid) = h.exit_grid {
-        for (name, map, size) in [("entry", &material.entry_map, h.points), ("exit", &material.exit_map, grid.size)] {
-            let plane = |k: usize| map[k * size[0] * size[1]..][..size[0] * size[1]].to_vec();
-            layers.push(layer(name, size, planes(grid.planes, &plane)));
+        let exit = PartGrid::outgoing(grid.size, grid.origin_mm, h.pitch_mm);
+        for (name, map, on) in [("entry", &material.entry_map, points), ("exit", &material.exit_map, exit)] {
+            let plane = |k: usize| map[k * on.size[0] * on.size[1]..][..on.size[0] * on.size[1]].to_vec();
+            layers.push(layer(name, on, "1", planes(grid.planes, &plane)));
         }
     }
     let along = |a: usize| material.shift.iter().map(|s| f32::from(s[a])).collect();
-    layers.push(layer("shift", h.points, vec![("X", along(0)), ("Y", along(1))]));
+    layers.push(layer("shift", points, "samples", vec![("X", along(0)), ("Y", along(1))]));
+    let place = |a: usize| material.lit_mm.iter().map(|p| p[a] as f32).collect();
+    layers.push(layer("lit", points, "mm", vec![("X", place(0)), ("Y", place(1))]));
     write_layers(path, layers)
 }
 
-/// Writes an exitance as linear RGB, with the attributes `originMm` (centre of the first sample), `pitchMm` and `unit`.
+/// mm⁻²; OpenEXR's texts are plain.
+const PER_MM2: &str = "mm^-2";
+
+/// Units of the maps that have one in some models only.
+struct Units {
+    incident: &'static str,
+    profile: &'static str,
+}
+
+impl Units {
+    /// The intensity that a colour polynomial takes has none. Else the profile has mm⁻², or what is summed.
+    fn of(material: &Material) -> Self {
+        match (material.header.degree.is_some(), material.header.profile) {
+            (true, _) => Self { incident: "1", profile: "1" },
+            (false, true) => Self { incident: "1", profile: PER_MM2 },
+            (false, false) => Self { incident: PER_MM2, profile: "1" },
+        }
+    }
+}
+
+/// Writes an exitance as linear RGB. Attributes, which programs that do not know them leave alone:
+/// `acquire:originMm` (x and y of the middle of the first sample), `acquire:pitchMm` (steps along x and y),
+/// `acquire:unit` of the values and `acquire:axes`, what the samples are.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Internal`].
 pub fn write_exitance(exitance: &Exitance, path: &Path) -> Result<()> {
     let plane = |c: usize| exitance.planes[c].iter().map(|&v| v as f32).collect();
     let maps = vec![("R", plane(0)), ("G", plane(1)), ("B", plane(2))];
-    let mut layer = layer("exitance", exitance.canvas.size, maps);
-    let Canvas { origin_mm, pitch_mm, .. } = exitance.canvas;
+    let Canvas { origin_mm, size, pitch_mm } = exitance.canvas;
     let unit = "radiant exitance, in the unit that the light's irradiance has";
-    let known = [
-        ("originMm", AttributeValue::FloatVec2(Vec2(origin_mm[0] as f32, origin_mm[1] as f32))),
-        ("pitchMm", AttributeValue::F32(pitch_mm as f32)),
-        ("unit", AttributeValue::Text(Text::from(unit))),
-    ];
-    layer.attributes.other.extend(known.map(|(name, value)| (Text::from(name), value)));
-    write_layers(path, vec![layer])
+    write_layers(path, vec![layer("exitance", PartGrid::outgoing(size, origin_mm, pitch_mm), unit, maps)])
 }
 
 /// β as coefficients of powers of the intensity, \[N, 3, P+1\], lowest power first; empty without a polynomial.
@@ -89,11 +145,22 @@ pub(super) fn monomial_coefficients(material: &Material) -> Vec<f64> {
     polynomials.flat_map(|beta| legendre::monomials(beta, low, high)).collect()
 }
 
-fn layer(name: &str, size: [usize; 2], channels: Vec<(&str, Vec<f32>)>) -> FlatLayer {
+fn layer(name: &str, grid: PartGrid, unit: &str, channels: Vec<(&str, Vec<f32>)>) -> FlatLayer {
     let channels: SmallVec<[AnyChannel<FlatSamples>; 4]> =
         channels.into_iter().map(|(name, values)| AnyChannel::new(name, FlatSamples::F32(values))).collect();
-    let attributes = LayerAttributes::named(name);
-    Layer::new((size[0], size[1]), attributes, Encoding::FAST_LOSSLESS, AnyChannels::sort(channels))
+    let mut attributes = LayerAttributes::named(name);
+    let pair = |v: Point| AttributeValue::FloatVec2(Vec2(v[0] as f32, v[1] as f32));
+    let text = |v: &str| AttributeValue::Text(Text::from(v));
+    attributes.other.extend(
+        [
+            ("acquire:originMm", pair(grid.origin_mm)),
+            ("acquire:pitchMm", pair(grid.pitch_mm)),
+            ("acquire:unit", text(unit)),
+            ("acquire:axes", text(grid.axes)),
+        ]
+        .map(|(name, value)| (Text::from(name), value)),
+    );
+    Layer::new((grid.size[0], grid.size[1]), attributes, Encoding::FAST_LOSSLESS, AnyChannels::sort(channels))
 }
 
 fn write_layers(path: &Path, mut layers: Vec<FlatLayer>) -> Result<()> {
@@ -144,21 +211,19 @@ mod tests {
     /// Name, size, and channels by name.
     type Found = (String, [usize; 2], Vec<(String, Vec<f32>)>);
 
+    fn parts(path: &Path) -> Vec<FlatLayer> {
+        let levels = read().no_deep_data().largest_resolution_level();
+        let image = levels.all_channels().all_layers().all_attributes().from_file(path).unwrap();
+        image.layer_data.into_vec()
+    }
+
     fn layers(path: &Path) -> Vec<Found> {
-        let image = read()
-            .no_deep_data()
-            .largest_resolution_level()
-            .all_channels()
-            .all_layers()
-            .all_attributes()
-            .from_file(path)
-            .unwrap();
         let layer = |l: &FlatLayer| {
             let channel = |c: &AnyChannel<FlatSamples>| (c.name.to_string(), c.sample_data.values_as_f32().collect());
             let name = l.attributes.layer_name.as_ref().unwrap().to_string();
             (name, [l.size.0, l.size.1], l.channel_data.list.iter().map(channel).collect())
         };
-        image.layer_data.iter().map(layer).collect()
+        parts(path).iter().map(layer).collect()
     }
 
     #[test]
@@ -194,6 +259,7 @@ mod tests {
             for (a, name) in ["X", "Y"].into_iter().enumerate() {
                 let shifts: Vec<f32> = m.shift.iter().map(|s| f32::from(s[a])).collect();
                 assert_eq!(get("shift", name, naive::POINTS), shifts);
+                assert_eq!(get("lit", name, naive::POINTS), m.lit_mm.iter().map(|p| p[a] as f32).collect::<Vec<_>>());
             }
             let Some(degree) = h.degree else { continue };
             for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
@@ -206,6 +272,59 @@ mod tests {
                         assert!((found - expected).abs() < 1e-5, "f32 coefficients of size 10: {found} {expected}");
                     }
                 }
+            }
+        }
+    }
+
+    /// Origin, pitch, unit and axes of every part, by its name.
+    fn attributes(path: &Path) -> Vec<(String, [[f32; 2]; 2], [String; 2])> {
+        let of = |l: &FlatLayer| {
+            let get = |name: &str| l.attributes.other.get(&Text::from(name)).unwrap_or_else(|| panic!("no {name}"));
+            let pair = |name| match get(name) {
+                AttributeValue::FloatVec2(Vec2(x, y)) => [*x, *y],
+                other => panic!("{name}: {other:?}"),
+            };
+            let text = |name| match get(name) {
+                AttributeValue::Text(text) => text.to_string(),
+                other => panic!("{name}: {other:?}"),
+            };
+            let name = l.attributes.layer_name.as_ref().unwrap().to_string();
+            (name, [pair("acquire:originMm"), pair("acquire:pitchMm")], [text("acquire:unit"), text("acquire:axes")])
+        };
+        parts(path).iter().map(of).collect()
+    }
+
+    #[test]
+    fn every_part_says_where_its_samples_are_and_in_which_unit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("e.exr");
+        let canvas = Canvas { origin_mm: [-1.25, 3.5], size: [4, 3], pitch_mm: 0.2 };
+        write_exitance(&Exitance::new(canvas), &path).unwrap();
+        let [(name, grid, [unit, axes])] = &attributes(&path)[..] else { panic!("one part") };
+        assert_eq!(
+            (name.as_str(), *grid, axes.as_str()),
+            ("exitance", [[-1.25, 3.5], [0.2; 2]], "outgoing points x_o")
+        );
+        assert!(unit.starts_with("radiant exitance"), "{unit}");
+        for m in naive::materials() {
+            export_exr(&m, &path).unwrap();
+            let found = attributes(&path);
+            let first = m.lit_mm[0].map(|v| v as f32);
+            // 9 × 7 samples of half a millimetre around the lit point.
+            for (part, grid) in
+                [("f_00", [first, [0.75, 1.0]]), ("lit", [first, [0.75, 1.0]]), ("h_02", [[-2.0, -1.5], [0.5; 2]])]
+            {
+                assert_eq!(found.iter().find(|f| f.0 == part).unwrap().1, grid, "{part}");
+            }
+            // What has mm⁻² is one of them: colours, the profile, or what is summed.
+            let per_mm2 = |part: &str| found.iter().any(|f| f.0.starts_with(part) && f.2[0] == "mm^-2");
+            let h = &m.header;
+            assert_eq!(per_mm2("color"), h.degree.is_some());
+            assert_eq!(per_mm2("profile"), h.degree.is_none() && h.profile);
+            assert_eq!(per_mm2("f_"), h.degree.is_none() && !h.profile);
+            if let Some(grid) = h.exit_grid {
+                let exit = found.iter().find(|f| f.0 == "exit").unwrap();
+                assert_eq!(exit.1, [grid.origin_mm.map(|v| v as f32), [0.5; 2]]);
             }
         }
     }

@@ -60,7 +60,7 @@ const LARGEST: f32 = 1e20;
 
 fn read_exr(bytes: &[u8]) -> Result<LightImage, String> {
     let (width, height, pixels) = decode_exr_bytes(bytes, MOST_PIXELS)?;
-    Ok(LightImage { size: [width, height], rgb: pixels.as_chunks::<3>().0.to_vec() })
+    Ok(LightImage::new([width, height], pixels.as_chunks::<3>().0.to_vec()))
 }
 
 fn read_encoded(bytes: &[u8]) -> Result<LightImage, String> {
@@ -79,7 +79,7 @@ fn read_encoded(bytes: &[u8]) -> Result<LightImage, String> {
         }
         Samples::F32(_) => return Err("expected PNG, JPEG or OpenEXR".into()),
     };
-    Ok(LightImage { size: [width, height], rgb })
+    Ok(LightImage::new([width, height], rgb))
 }
 
 #[cfg(test)]

@@ -12,13 +12,14 @@ mod relight;
 mod source;
 
 pub use acquire_material::{
-    Canvas, Evaluator, ExitGrid, Exitance, FIXED_SET, Layout, Light, LightImage, LitArea, Material, MaterialHeader,
-    Model, OffsetFactors, Precision, Quadrature, Responses, Sampled, Shape, SharedBasis, coded, legendre,
+    Canvas, Evaluator, ExitGrid, Exitance, FIXED_SET, ImagePlacement, Layout, Light, LightImage, LitArea, Material,
+    MaterialHeader, Model, OffsetFactors, Precision, Quadrature, Responses, Sampled, Shape, SharedBasis, coded,
+    legendre,
 };
 pub use exr_layers::{export_exr, write_exitance, write_png};
 pub use light_file::{parse_light, read_light_image};
 pub use npz::export_npz;
-pub use relight::{lit_area, relight};
+pub use relight::{lit_area, place_light, relight};
 pub(crate) use relight::{lit_area_of, splat, splat_entries};
 pub use source::Source;
 

@@ -1,9 +1,9 @@
 //! Relighting a matrix or a material: the exitance of the slab under a light.
 
-use super::{Exitance, LitArea, Quadrature, Shape, Source};
+use super::{Exitance, ImagePlacement, Light, LitArea, Quadrature, Shape, Source};
 use crate::progress::Progress;
 use crate::transport::RowBlock;
-use crate::{Error, Result};
+use crate::{Error, LightWarning, Result};
 use std::path::Path;
 
 /// The exitance under several lights at once, each given as the flux into every cell of `quadrature`.
@@ -37,6 +37,34 @@ pub fn relight(
             Ok(acquire_material::relight(material, quadrature, fluxes, &|rows| stage.advance(rows))?)
         }
     }
+}
+
+/// A light at its place, and what there is to say of it: an image without an extent that is stretched over the lit area.
+///
+/// # Errors
+/// [`Error::Setting`] of `extent_mm` or `tile`, which only images have.
+pub fn place_light(light: Light, area: &LitArea, placement: &ImagePlacement) -> Result<(Light, Vec<LightWarning>)> {
+    let Light::Image(image) = light else {
+        let of = |setting| {
+            let (expected, found) =
+                ("an image as light beside it".into(), "a built-in light, which has its own".into());
+            Err(Error::Setting { setting, expected, found })
+        };
+        return match placement {
+            ImagePlacement { extent_mm: Some(_), .. } => of("extent_mm"),
+            ImagePlacement { tile, .. } if *tile != [1, 1] => of("tile"),
+            _ => Ok((light, vec![])),
+        };
+    };
+    let stretch = image.stretch(area, placement.tile).filter(|_| placement.extent_mm.is_none());
+    let image = image.placed(area, placement)?;
+    let told = stretch.map(|s| LightWarning::LightStretched {
+        image_ratio: s.image_ratio,
+        area_ratio: s.area_ratio,
+        off_mm: s.off_mm,
+        limit_mm: s.limit_mm,
+    });
+    Ok((Light::Image(image), told.into_iter().collect()))
 }
 
 /// [`LitArea::of`], with the file in its error.

@@ -1,5 +1,6 @@
 //! Small line charts as SVG text. Colours come from the page's variables, so that charts follow light and dark.
 
+use super::labels::{self, PlacedLabel};
 use std::fmt::Write;
 
 /// One axis: its range, its scale, its title.
@@ -42,9 +43,23 @@ impl ChartAxis {
         t.clamp(0.0, 1.0)
     }
 
+    /// Whether a logarithmic axis is so short that its decades alone would be few ticks.
+    fn is_short(&self) -> bool {
+        self.log && self.max / self.min < 150.0
+    }
+
+    /// What stands at a tick.
+    fn tick_text(&self, v: f64) -> String {
+        if self.is_short() { super::text::significant(v, 1) } else { super::text::tick(v, self.log) }
+    }
+
     fn ticks(&self) -> Vec<f64> {
         if self.log {
             let (low, high) = (self.min.log10().round() as i32, self.max.log10().round() as i32);
+            if self.is_short() {
+                let between = (low..high).flat_map(|e| [1.0, 2.0, 5.0].map(|head| head * 10f64.powi(e)));
+                return between.chain([self.max]).collect();
+            }
             let every = ((high - low) / 6 + 1) as usize;
             return (low..=high).step_by(every).map(|e| 10f64.powi(e)).collect();
         }
@@ -70,6 +85,15 @@ pub(crate) fn nice_below(v: f64) -> f64 {
         } else {
             1.0
         }
+}
+
+/// The smallest of 1, 2, 5 times a power of ten that is not below `v`; 1 where that is not above zero.
+pub(crate) fn nice_above(v: f64) -> f64 {
+    let below = nice_below(v);
+    if !(v > 0.0 && v.is_finite()) || below >= v * (1.0 - 1e-9) {
+        return below;
+    }
+    [2.0, 2.5].into_iter().map(|next| below * next).find(|&next| nice_below(next) > 0.999 * next).unwrap_or(below)
 }
 
 /// A chart under construction.
@@ -101,6 +125,11 @@ impl Chart {
             LEFT + self.x.place(x) * (self.width - LEFT - RIGHT),
             self.height - BOTTOM - self.y.place(y) * (self.height - TOP - BOTTOM),
         ]
+    }
+
+    /// Where the axis of x begins and ends.
+    pub(crate) fn x_range(&self) -> (f64, f64) {
+        (self.x.min, self.x.max)
     }
 
     /// A line through the values, of CSS class `class`; it is broken where a logarithmic axis does not reach.
@@ -137,16 +166,35 @@ impl Chart {
         );
     }
 
-    /// Text at the value (x, y), moved by `shift` px; `anchor` is start, middle or end.
-    pub(crate) fn text(&mut self, at: (f64, f64), shift: [f64; 2], anchor: &str, text: &str) {
-        let p = self.at(at.0, at.1);
-        self.label(p[0] + shift[0], p[1] + shift[1], anchor, text);
+    /// Labels of values (x, y), beside them, none on another nor, where there is room, on one of `dots` or `lines`;
+    /// those that stand apart are joined to their dots.
+    pub(crate) fn labels(&mut self, labels: &[((f64, f64), String)], dots: &[(f64, f64)], lines: &[Vec<(f64, f64)>]) {
+        let at = |v: &(f64, f64)| self.at(v.0, v.1);
+        let wanted = labels.iter().map(|(v, text)| (at(v), text.clone())).collect();
+        // Lines are straight on the chart, whatever its axes: a dot every few px.
+        let between = |pair: &[(f64, f64)]| {
+            let (a, b) = (at(&pair[0]), at(&pair[1]));
+            let steps = ((b[0] - a[0]).hypot(b[1] - a[1]) / 4.0).ceil() as usize;
+            (0..=steps).map(move |k| [0, 1].map(|i| a[i] + (b[i] - a[i]) * k as f64 / steps.max(1) as f64))
+        };
+        let on_lines = lines.iter().flat_map(|line| line.windows(2)).flat_map(between);
+        let dots: Vec<[f64; 2]> = dots.iter().map(at).chain(on_lines).collect();
+        let within = [[LEFT, TOP], [self.width - RIGHT, self.height - BOTTOM]];
+        for PlacedLabel { dot, text, area } in labels::place(wanted, &dots, within) {
+            let near: [f64; 2] = std::array::from_fn(|a| dot[a].clamp(area[0][a], area[1][a]));
+            if (near[0] - dot[0]).hypot(near[1] - dot[1]) > 10.0 {
+                let [x, y] = near;
+                let _ = write!(self.body, "<path class=\"leader\" d=\"M{:.1} {:.1}L{x:.1} {y:.1}\"/>", dot[0], dot[1]);
+            }
+            self.label((area[0][0] + area[1][0]) / 2.0, area[1][1] - 3.0, "middle", &text);
+        }
     }
 
     /// The finished SVG; `label` says what it shows to those who cannot see it.
     pub(crate) fn finish(self, label: &str) -> String {
         format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"chart\" viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\">{}</svg>",
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"chart{}\" viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\">{}</svg>",
+            if self.width > 500.0 { " wide" } else { "" },
             self.width,
             self.height,
             super::text::escape(label),
@@ -166,13 +214,13 @@ impl Chart {
             let p = self.at(v, y.min)[0];
             let _ =
                 write!(self.body, "<line class=\"rule\" x1=\"{p:.1}\" y1=\"{TOP}\" x2=\"{p:.1}\" y2=\"{bottom}\"/>");
-            self.label(p, bottom + 16.0, "middle", &super::text::tick(v, x.log));
+            self.label(p, bottom + 16.0, "middle", &x.tick_text(v));
         }
         for v in y.ticks() {
             let p = self.at(x.min, v)[1];
             let _ =
                 write!(self.body, "<line class=\"rule\" x1=\"{LEFT}\" y1=\"{p:.1}\" x2=\"{right}\" y2=\"{p:.1}\"/>");
-            self.label(LEFT - 7.0, p + 4.0, "end", &super::text::tick(v, y.log));
+            self.label(LEFT - 7.0, p + 4.0, "end", &y.tick_text(v));
         }
         self.label((LEFT + right) / 2.0, self.height - 8.0, "middle", &x.title);
         let middle = (TOP + bottom) / 2.0;
@@ -193,8 +241,13 @@ mod tests {
         assert_eq!(ChartAxis::linear(-3.1, 3.1, "").ticks(), [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]);
         assert_eq!(ChartAxis::decades(0.003, 4.0, "").ticks(), [1e-3, 1e-2, 1e-1, 1.0, 10.0]);
         assert!(ChartAxis::linear(1.0, 1.0, "").ticks().len() > 1);
+        let short = ChartAxis::decades(0.02, 0.7, "");
+        let texts: Vec<String> = short.ticks().into_iter().map(|v| short.tick_text(v)).collect();
+        assert_eq!(texts, ["0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1"]);
         assert!(ChartAxis::decades(0.0, 0.0, "").ticks().len() > 1);
         assert_eq!((nice_below(7.3), nice_below(0.49), nice_below(0.5), nice_below(0.0)), (5.0, 0.2, 0.5, 1.0));
+        let above = [7.3, 0.2, 0.011, 0.21, 0.0].map(nice_above);
+        assert!(above.iter().zip([10.0, 0.2, 0.02, 0.5, 1.0]).all(|(a, b)| (a / b - 1.0).abs() < 1e-9), "{above:?}");
     }
 
     #[test]

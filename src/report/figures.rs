@@ -175,25 +175,22 @@ pub(super) fn drift_series(shots: &[ShotRecord], files: &mut Files) -> String {
     svg
 }
 
-/// Singular values on a logarithmic axis, the kept ones filled, and the noise level.
+/// Singular values on a logarithmic axis, the kept ones filled, and the noise of each.
 pub(super) fn singular_values(material: &MaterialSummary, files: &mut Files) -> String {
-    let shown = &material.singular_values[..material.singular_values.len().min(60)];
-    let top = shown.first().copied().unwrap_or(1.0);
+    let shown = &material.levels[..material.levels.len().min(60)];
+    let top = shown.first().map_or(1.0, |level| level.singular_value);
     // Values at rounding level say nothing and would stretch the axis.
-    let low = shown.iter().copied().chain(material.noise_level).filter(|v| *v > top * 1e-8).fold(top, f64::min);
+    let low = shown.iter().flat_map(|l| [l.singular_value, l.noise]).filter(|v| *v > top * 1e-8).fold(top, f64::min);
     let x = ChartAxis::linear(0.0, shown.len() as f64 + 1.0, "term");
     let mut chart = Chart::new(560.0, 300.0, x, ChartAxis::decades(low, top, "singular value"));
-    if let Some(noise) = material.noise_level {
-        chart.line([(0.0, noise), (shown.len() as f64 + 1.0, noise)], "noise");
-        chart.text((shown.len() as f64 + 1.0, noise), [-4.0, -6.0], "end", "noise");
-    }
+    chart.line(shown.iter().enumerate().map(|(i, level)| (i as f64 + 1.0, level.noise)), "noise");
     let values = |kept: bool| {
-        let all = shown.iter().enumerate().map(|(i, v)| (i as f64 + 1.0, *v));
-        all.filter(move |(i, _)| (*i <= material.terms as f64) == kept)
+        let all = shown.iter().enumerate().filter(move |(_, level)| level.kept == kept);
+        all.map(|(i, level)| (i as f64 + 1.0, level.singular_value))
     };
     chart.dots(values(true), 3.6, "kept");
     chart.dots(values(false), 3.0, "dropped");
-    let svg = chart.finish("Singular values of the factored rows and the noise level");
+    let svg = chart.finish("Singular values of the factored rows and their noise");
     keep(files, "singular-values.svg", &svg);
     svg
 }

@@ -6,12 +6,17 @@ use super::text::significant;
 use super::{Files, RowSurvey, color};
 use crate::Result;
 use crate::transport::MatrixHeader;
+use crate::words::plain;
 
 /// Both maps with their scales.
 pub(super) fn section(header: &MatrixHeader, survey: &RowSurvey, files: &mut Files) -> Result<String> {
     let mean = survey.mean_albedo.map_or_else(String::new, |mean| {
-        let channel =
-            |(name, [v, sd]): (&str, [f64; 2])| format!("{name} {} ± {}", significant(v, 4), significant(sd, 2));
+        // Two digits of the standard deviation, and the value to the same place.
+        let channel = |(name, [v, sd]): (&str, [f64; 2])| {
+            let sd = plain(sd, 2);
+            let places = sd.split_once('.').map_or(0, |(_, places)| places.len());
+            format!("{name} {v:.places$} ± {sd}")
+        };
         format!(
             "; mean of all rows {}",
             ["R", "G", "B"].into_iter().zip(mean).map(channel).collect::<Vec<_>>().join(", ")

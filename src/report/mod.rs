@@ -6,6 +6,7 @@
 pub(crate) mod chart;
 mod color;
 mod figures;
+mod labels;
 mod maps;
 mod page;
 mod picture;
@@ -15,6 +16,7 @@ pub(crate) mod text;
 
 pub use row_survey::{ComparedRow, RowSurvey};
 
+use crate::factor::TermLevel;
 use crate::material::MaterialHeader;
 use crate::pipeline::Overview;
 use crate::transport::MatrixHeader;
@@ -54,24 +56,25 @@ pub struct MaterialSummary {
     pub degree: Option<usize>,
     /// Size of the file.
     pub bytes_file: u64,
-    /// Singular values of the rows as they were factored, largest first.
-    pub singular_values: Vec<f64>,
-    /// The largest singular value that the measured noise alone would give.
-    pub noise_level: Option<f64>,
+    /// Size of the same coded, where that was made.
+    pub bytes_coded: Option<u64>,
+    /// Singular values among which terms were chosen, beside their noise.
+    pub levels: Vec<TermLevel>,
     /// One line on how terms and degree were chosen.
     pub choice: Option<String>,
 }
 
 impl MaterialSummary {
-    /// What `header` says, for a file of `bytes_file`; `choice` is a line on how terms and degree were chosen.
+    /// What `header` says, for a file of `bytes_file`; `choice` is a line on how terms and degree were chosen. What
+    /// only a factorization knows is empty.
     pub fn new(header: &MaterialHeader, bytes_file: u64, choice: Option<String>) -> Self {
         Self {
             model: header.model.to_string(),
             terms: header.terms,
             degree: header.degree,
             bytes_file,
-            singular_values: header.singular_values.clone(),
-            noise_level: Some(header.noise_level),
+            bytes_coded: None,
+            levels: Vec::new(),
             choice,
         }
     }

@@ -2,6 +2,7 @@
 
 use super::text::{bytes, escape, seconds, significant};
 use super::{Comparison, Files, ReportInput, figures, maps, row_pictures};
+use crate::progress::StageTime;
 use crate::words::count;
 use crate::{FactorWarning, FindingRecord, Result, Warning};
 use std::fmt::Write;
@@ -18,11 +19,11 @@ const MEASURES: [Measure; 19] = [
     ("coverage_2sigma", "entries within two standard deviations; 95.4 % is right", percent),
     ("coverage_2sigma_rows", "the rows' sums within two standard deviations", percent),
     ("coverage_2sigma_profile", "the same of the numbers of the mean row", percent),
-    ("albedo_bias", "relative error of the mean albedo, R G B", three),
-    ("albedo_bias_sd", "standard deviation of that error as the matrix says it, R G B", three),
-    ("drift_rms_px", "difference of the shots' drift, camera px", three),
-    ("position_rms_mm", "difference of the lit points' places, mm", three),
-    ("position_rms_px", "the same in camera px", three),
+    ("albedo_bias", "relative error of the mean albedo, R G B", percent),
+    ("albedo_bias_sd", "standard deviation of that error as the matrix says it, R G B", percent),
+    ("drift_rms_px", "difference of the shots' drift, camera px", length),
+    ("position_rms_mm", "difference of the lit points' places, mm", length),
+    ("position_rms_px", "the same in camera px", length),
     ("albedo_max", "largest albedo of a row, R G B; above 1 more leaves than arrives", three),
     ("albedo_mean", "mean albedo of the rows, R G B", three),
     ("albedo_violations", "rows with an albedo above 1", whole),
@@ -48,7 +49,7 @@ pub(super) fn html(input: &ReportInput, files: &mut Files) -> Result<String> {
     photograph(&mut out, input, files)?;
     drift(&mut out, input, files);
     if !input.survey.rows.is_empty() {
-        out.push_str("<h2>Rows of the matrix</h2><p class=\"lead\">What leaves around a lit point: as measured, as the material gives it back, the difference, and the difference over the standard deviation of the measurement (pure noise leaves no structure there). Dots are measurements with two standard deviations, lines the material, in the three channels. Grey was not measured.</p>");
+        out.push_str("<h2>Rows of the matrix</h2><p class=\"lead\">What leaves around a lit point: as measured, as the material gives it back, the difference of the two as a share of what was measured there, and over the standard deviation of the measurement (pure noise leaves no structure there, and few samples beyond 2 σ). Each kind of picture has one scale for all rows. In the cuts dots are measurements with two standard deviations, lines the material. Grey was not measured, or has no light.</p>");
         out.push_str(&row_pictures::section(input.matrix, &input.survey.rows, files)?);
         out.push_str("<h2>Over the slab</h2><p class=\"lead\">One cell per lit point.</p>");
         out.push_str(&maps::section(input.matrix, input.survey, files)?);
@@ -91,6 +92,13 @@ fn head(out: &mut String, input: &ReportInput) {
     }
     let degree = material.degree.map(|d| format!(", degree {d}")).unwrap_or_default();
     tile("model", material.model.clone(), format!("{}{degree}", count(material.terms, "term")));
+    if let Some(coded) = material.bytes_coded {
+        tile(
+            "coded",
+            bytes(coded),
+            format!("1/{:.0} of {}", material.bytes_file as f64 / coded as f64, bytes(material.bytes_file)),
+        );
+    }
     let window_mm = [0, 1].map(|a| m.window[a] as f64 * m.pitch_mm);
     tile("window", extent_mm(window_mm, 3), format!("cells of {} mm", significant(m.pitch_mm, 3)));
     tile("lit points", extent_mm(m.lit_pitch_mm, 2), "apart".to_owned());
@@ -169,13 +177,13 @@ fn drift(out: &mut String, input: &ReportInput, files: &mut Files) {
 
 fn factorization(out: &mut String, input: &ReportInput, files: &mut Files) {
     let material = input.material;
-    if material.singular_values.is_empty() {
+    if material.levels.is_empty() {
         return;
     }
     let choice = material.choice.as_deref().map(|c| format!("<p class=\"lead\">{}</p>", escape(c))).unwrap_or_default();
     let _ = write!(
         out,
-        "<h2>Singular values</h2>{choice}<figure class=\"single\">{}<ul class=\"legend\"><li><i style=\"background:var(--accent)\"></i>kept</li><li><i style=\"border:1.5px solid var(--soft);border-radius:50%\"></i>left out</li><li><i style=\"background:var(--second);height:3px;margin-bottom:3px\"></i>largest value that the measured noise alone would give</li></ul></figure>",
+        "<h2>Singular values</h2>{choice}<figure class=\"single\">{}<ul class=\"legend\"><li><i style=\"background:var(--accent)\"></i>kept</li><li><i style=\"border:1.5px solid var(--soft);border-radius:50%\"></i>left out</li><li><i style=\"background:var(--second);height:3px;margin-bottom:3px\"></i>what noise alone would give in the same directions</li></ul></figure>",
         figures::singular_values(material, files)
     );
 }
@@ -184,7 +192,7 @@ fn measures(out: &mut String, comparisons: &[Comparison]) {
     if comparisons.is_empty() {
         return;
     }
-    out.push_str("<h2>Measures</h2><table><tr><th>measure</th>");
+    out.push_str("<h2>Measures</h2><div class=\"scroll\"><table class=\"measures\"><tr><th>measure</th>");
     comparisons.iter().for_each(|c| {
         let _ = write!(out, "<th class=\"n\">{}</th>", escape(&c.title));
     });
@@ -198,22 +206,23 @@ fn measures(out: &mut String, comparisons: &[Comparison]) {
         }
         let _ = write!(out, "<tr><td><code>{}</code> <small>{what}</small></td>", escape(name));
         for c in comparisons {
-            let value = c.values.get(name).map(|v| v.iter().map(|v| format(*v)).collect::<Vec<_>>().join(" "));
-            let value = value.unwrap_or_else(|| "–".to_owned());
-            let _ = write!(out, "<td class=\"n\">{}</td>", escape(&value));
+            let value = |v: &f64| format!("<span>{}</span>", escape(&format(*v)));
+            let values = c.values.get(name).map(|v| v.iter().map(value).collect::<Vec<_>>().join(" "));
+            let _ = write!(out, "<td class=\"n\">{}</td>", values.unwrap_or_else(|| "–".to_owned()));
         }
         out.push_str("</tr>");
     }
-    out.push_str("</table>");
+    out.push_str("</table></div>");
 }
 
 fn timings(out: &mut String, input: &ReportInput) {
-    let longest = input.timings.iter().map(|t| t.secs).fold(0.0, f64::max);
+    let stages = whole_stages(input.timings);
+    let longest = stages.iter().map(|t| t.secs).fold(0.0, f64::max);
     if longest <= 0.0 {
         return;
     }
     out.push_str("<h2>Time per stage</h2><table>");
-    for t in input.timings {
+    for t in &stages {
         let share = 100.0 * t.secs / longest;
         let _ = write!(
             out,
@@ -223,6 +232,27 @@ fn timings(out: &mut String, input: &ReportInput) {
         );
     }
     out.push_str("</table>");
+}
+
+/// Stages whose parts have names as `factor: terms` as one each, its parts in brackets.
+fn whole_stages(timings: &[StageTime]) -> Vec<StageTime> {
+    let mut whole: Vec<(StageTime, Vec<String>)> = Vec::new();
+    for t in timings {
+        let (name, part) = t.stage.split_once(": ").map_or((t.stage.as_str(), None), |(name, part)| (name, Some(part)));
+        let part = part.map(|part| format!("{part} {}", seconds(t.secs)));
+        match whole.iter_mut().find(|(stage, _)| stage.stage == name) {
+            Some((stage, parts)) => {
+                stage.secs += t.secs;
+                parts.extend(part);
+            }
+            None => whole.push((StageTime { stage: name.to_owned(), secs: t.secs }, part.into_iter().collect())),
+        }
+    }
+    let named = |(stage, parts): (StageTime, Vec<String>)| match parts.is_empty() {
+        true => stage,
+        false => StageTime { stage: format!("{} ({})", stage.stage, parts.join(", ")), secs: stage.secs },
+    };
+    whole.into_iter().map(named).collect()
 }
 
 fn provenance(out: &mut String, input: &ReportInput) -> Result<()> {
@@ -250,6 +280,11 @@ fn percent(v: f64) -> String {
 
 fn decibel(v: f64) -> String {
     format!("{v:.1} dB")
+}
+
+/// A length to four places: places are known to less than that.
+fn length(v: f64) -> String {
+    if v > 0.0 && v < 5e-5 { "< 0.0001".to_owned() } else { format!("{v:.4}") }
 }
 
 fn size(v: f64) -> String {

@@ -104,8 +104,14 @@ fn material() -> MaterialSummary {
         terms: 5,
         degree: Some(3),
         bytes_file: 58_211,
-        singular_values: (0..25).map(|i| 40.0 * (-0.9 * f64::from(i)).exp() + 0.05).collect(),
-        noise_level: Some(0.6),
+        bytes_coded: Some(4_321),
+        levels: (0..25)
+            .map(|i| TermLevel {
+                singular_value: 40.0 * (-0.9 * f64::from(i)).exp() + 0.05,
+                noise: 0.6 - 0.01 * f64::from(i),
+                kept: i < 5,
+            })
+            .collect(),
         choice: Some("T = 5: the sixth singular value (0.49) is below the noise (0.60); P = 3".into()),
     }
 }
@@ -122,7 +128,7 @@ fn write_into(dir: &Path) {
         Comparison::new("matrix against truth", &serde_json::json!({"rel_rmse": 0.021, "psnr_db": 38.0})),
     ]
     .map(Result::unwrap);
-    let timings = [("read", 0.4), ("merge", 6.2), ("factor", 1.1)];
+    let timings = [("read", 0.4), ("merge", 6.2), ("factor: survey", 0.5), ("factor: terms", 1.1)];
     let timings = timings.map(|(stage, secs)| StageTime { stage: stage.into(), secs });
     let (material, overview, survey) = (material(), overview(&header), survey(&header));
     let input = ReportInput {
@@ -157,6 +163,7 @@ fn the_page_needs_nothing_but_itself() {
     }
     assert!(html.contains("</sub> of 12×12 points, 21×21 window; material 58.2 kB, 41.2 dB</h1>"));
     assert!(!html.contains("NaN") && !html.contains("inf"));
+    assert!(html.contains("<td>factor (survey 500 ms, terms 1.1 s)</td><td class=\"n\">1.6 s</td>"));
 }
 
 #[test]
@@ -164,7 +171,7 @@ fn every_picture_beside_the_page_is_in_it() {
     let dir = tempfile::tempdir().unwrap();
     write_into(dir.path());
     let html = std::fs::read_to_string(dir.path().join("report.html")).unwrap();
-    assert!(html.contains("mean of all rows R 0.7123 ± 0.012, G 0.5000 ± 0.0020, B 0.2500 ± 0.0017"), "albedo");
+    assert!(html.contains("mean of all rows R 0.712 ± 0.012, G 0.5000 ± 0.0020, B 0.2500 ± 0.0017"), "albedo");
     let mut pngs = 0;
     for entry in std::fs::read_dir(dir.path()).unwrap() {
         let path = entry.unwrap().path();

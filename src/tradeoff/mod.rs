@@ -3,15 +3,17 @@
 //! Every point of the table is a factorization that was run, saved, loaded and compared with the matrix: nothing is
 //! extrapolated.
 
+mod marks;
 mod page;
 
-use crate::evaluate::evaluate;
+use crate::evaluate::{NoiseLevel, evaluate, noise_level};
 use crate::factor::{Backend, FactorOptions, Factored, factor, regression_conditions};
 use crate::material::{self, Material, Model, Precision, Source, coded, legendre};
 use crate::output::ScratchFolder;
 use crate::progress::Progress;
 use crate::transport::{MatrixHeader, MatrixReader, MatrixWriter, Row};
 use crate::{Error, Result};
+use marks::{mark_pareto, mark_recommended};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -24,6 +26,8 @@ const TERMS: [usize; 8] = [1, 2, 4, 8, 15, 25, 40, 60];
 const DEGREES: [usize; 4] = [1, 3, 7, 15];
 /// Errors that coding may add, relative to the material.
 const CODED_ERRORS: [f64; 6] = [0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4];
+/// That of a coded default.
+const DEFAULT_ERROR: f64 = CODED_ERRORS[3];
 /// The published setting, on which back ends are compared.
 const PUBLISHED: (usize, usize) = (15, 7);
 /// Side of the block of lit points that a quick look takes.
@@ -74,6 +78,11 @@ pub struct TradePoint {
     pub relit_psnr_db: Option<f64>,
     /// Whether no other point has fewer bytes and a higher `psnr_db`.
     pub pareto: bool,
+    /// Whether it is what the program makes when nothing is asked: plain, and coded.
+    pub default: bool,
+    /// Whether it is the smallest of those whose `rel_rmse` and `log_rmse` are no more than those of the plain default
+    /// and of the noise together.
+    pub recommended: bool,
 }
 
 /// What was measured.
@@ -91,6 +100,8 @@ pub struct Tradeoff {
     pub matrix_bytes: u64,
     /// One plain read of the looked-at responses through the store, seconds.
     pub read_secs: f64,
+    /// What the noise of the looked-at responses has of the measures; `None` where the matrix has no variance.
+    pub noise: Option<NoiseLevel>,
     /// Every point, in the order in which they were run.
     pub measured: Vec<TradePoint>,
     /// Median and largest condition number of the colour fits of the published `tucker` setting, per degree from 0.
@@ -142,6 +153,7 @@ pub(crate) fn tradeoff_from(
         window: header.window,
         matrix_bytes: 4 * (header.rows() * header.row_len()) as u64,
         read_secs: start.elapsed().as_secs_f64(),
+        noise: noise_level(matrix)?,
         measured: Vec::new(),
         regression_conditions: Vec::new(),
     };
@@ -165,28 +177,39 @@ pub(crate) fn tradeoff_from(
         stage.advance(1);
     }
     mark_pareto(&mut out.measured);
+    mark_recommended(&mut out.measured, out.noise.as_ref());
     Ok(out)
 }
 
 /// One factorization to run.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Setting {
-    model: Model,
-    terms: usize,
+    /// `None`, as that of `terms`, is the program's own choice.
+    model: Option<Model>,
+    terms: Option<usize>,
     degree: Option<usize>,
     backend: Option<Backend>,
     /// Whether it is also stored in half precision and coded.
     stored: bool,
 }
 
-/// The table: every model over T (and P), every back end at the published setting.
+impl Setting {
+    /// What the program makes when nothing is asked.
+    const DEFAULT: Self = Self { model: None, terms: None, degree: None, backend: None, stored: true };
+
+    fn is_published(&self) -> bool {
+        (self.model, self.terms, self.degree) == (Some(Model::Tucker), Some(PUBLISHED.0), Some(PUBLISHED.1))
+    }
+}
+
+/// The table: the program's own choice, every model over T (and P), every back end at the published setting.
 fn settings(header: &MatrixHeader, quick: bool) -> Vec<Setting> {
     let most = header.rows().min(header.window_len());
     let terms: Vec<usize> = TERMS.into_iter().filter(|&t| t <= most && !(quick && [2, 60].contains(&t))).collect();
     let degrees: &[usize] = if quick { &DEGREES[1..3] } else { &DEGREES };
-    let mut all = Vec::new();
+    let mut all = vec![Setting::DEFAULT];
     for &t in &terms {
-        let of = |model, degree, stored| Setting { model, terms: t, degree, backend: None, stored };
+        let of = |model, degree, stored| Setting { model: Some(model), terms: Some(t), degree, backend: None, stored };
         all.push(of(Model::Joint, None, t >= 8));
         all.push(of(Model::Peers2006, None, t == PUBLISHED.0));
         all.extend(degrees.iter().map(|&p| of(Model::Tucker, Some(p), (t, p) == PUBLISHED)));
@@ -197,9 +220,10 @@ fn settings(header: &MatrixHeader, quick: bool) -> Vec<Setting> {
     }
     let terms = PUBLISHED.0.min(most);
     for backend in backends {
-        let of = |model, degree| Setting { model, terms, degree, backend: Some(backend), stored: false };
+        let (terms, backend) = (Some(terms), Some(backend));
+        let of = |model, degree| Setting { model: Some(model), terms, degree, backend, stored: false };
         all.push(of(Model::Tucker, Some(PUBLISHED.1)));
-        if backend != Backend::Deflation {
+        if backend != Some(Backend::Deflation) {
             all.push(of(Model::Joint, None));
         }
     }
@@ -225,22 +249,23 @@ struct Stored {
 impl Run<'_> {
     fn run(mut self, number: usize) -> Result<MeasuredSetting> {
         let (factored, secs, peak_bytes) = self.factor()?;
+        let default = self.setting == Setting::DEFAULT;
         self.setting.backend = Some(factored.backend);
-        let published = (self.setting.terms, self.setting.degree) == (PUBLISHED.0, Some(PUBLISHED.1));
-        let regression_conditions = match self.setting.model == Model::Tucker && published {
+        let regression_conditions = match self.setting.is_published() {
             true => regression_conditions(self.matrix, &factored.material, legendre::MOST_DEGREE)?,
             false => Vec::new(),
         };
-        let stored = self.store(&factored.material)?;
-        let points = stored.into_iter().map(|s| self.measure(s, secs, peak_bytes)).collect::<Result<_>>()?;
+        let stored = self.store(&factored.material, default)?;
+        let measured = |s| Ok(TradePoint { default, ..self.measure(s, secs, peak_bytes)? });
+        let points = stored.into_iter().map(measured).collect::<Result<_>>()?;
         Ok(MeasuredSetting { number, points, regression_conditions })
     }
 
     fn factor(&self) -> Result<(Factored, f64, Option<u64>)> {
         let Setting { model, terms, degree, backend, .. } = self.setting;
         let options = FactorOptions {
-            model: Some(model),
-            terms: Some(terms),
+            model,
+            terms,
             degree,
             backend,
             memory_bytes: self.options.memory_bytes,
@@ -252,7 +277,8 @@ impl Run<'_> {
         Ok((factored, start.elapsed().as_secs_f64(), peak_bytes()))
     }
 
-    fn store(&self, material: &Material) -> Result<Vec<Stored>> {
+    /// The files that are measured; of the default those that `run` writes.
+    fn store(&self, material: &Material, default: bool) -> Result<Vec<Stored>> {
         let mut all = vec![];
         let path = |name: String| self.folder.join(name);
         let f32_path = path("f32.safetensors".into());
@@ -261,12 +287,16 @@ impl Run<'_> {
         if !self.setting.stored {
             return Ok(all);
         }
-        if material.header.degree.is_none() {
+        if material.header.degree.is_none() && !default {
             let path = path("f16.safetensors".into());
             material::save(material, Precision::F16, &path)?;
             all.push(Stored { path, precision: Precision::F16, secs: 0.0 });
         }
-        let errors = if self.options.quick { &CODED_ERRORS[1..4] } else { &CODED_ERRORS[..] };
+        let errors = match (default, self.options.quick) {
+            (true, _) => &[DEFAULT_ERROR][..],
+            (false, true) => &CODED_ERRORS[1..4],
+            (false, false) => &CODED_ERRORS[..],
+        };
         for (k, &error) in errors.iter().enumerate() {
             let start = Instant::now();
             let quality = coded::Quality::AddedError(error);
@@ -305,19 +335,9 @@ impl Run<'_> {
             log_rmse: measures.log_rmse,
             relit_psnr_db: measures.relit_psnr_db,
             pareto: false,
+            default: false,
+            recommended: false,
         })
-    }
-}
-
-/// Marks the points that no other beats in both bytes and `psnr_db`.
-fn mark_pareto(points: &mut [TradePoint]) {
-    let quality = |p: &TradePoint| p.psnr_db.unwrap_or(f64::INFINITY);
-    let all: Vec<(u64, f64)> = points.iter().map(|p| (p.bytes, quality(p))).collect();
-    for (k, point) in points.iter_mut().enumerate() {
-        let (bytes, db) = all[k];
-        let beaten =
-            |(j, &(b, q)): (usize, &(u64, f64))| j != k && b <= bytes && q >= db && ((b, q) != (bytes, db) || j < k);
-        point.pareto = !all.iter().enumerate().any(beaten);
     }
 }
 
@@ -372,7 +392,7 @@ fn peak_bytes() -> Option<u64> {
 mod tests {
     use super::*;
 
-    fn point(bytes: u64, psnr_db: f64) -> TradePoint {
+    pub(super) fn point(bytes: u64, psnr_db: f64) -> TradePoint {
         TradePoint {
             model: Model::Joint,
             backend: Backend::Full,
@@ -389,13 +409,8 @@ mod tests {
             log_rmse: None,
             relit_psnr_db: None,
             pareto: false,
+            default: false,
+            recommended: false,
         }
-    }
-
-    #[test]
-    fn the_front_is_what_nothing_beats_in_bytes_and_decibels() {
-        let mut points = [point(10, 30.0), point(20, 29.0), point(20, 40.0), point(20, 40.0), point(5, 10.0)];
-        mark_pareto(&mut points);
-        assert_eq!(points.map(|p| p.pareto), [true, false, true, false, true]);
     }
 }

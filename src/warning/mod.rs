@@ -10,6 +10,7 @@ mod capture;
 mod check;
 mod consistency;
 mod factor;
+mod light;
 mod radiance;
 mod record;
 mod registration;
@@ -26,6 +27,7 @@ pub(crate) use capture::times;
 pub use check::CheckWarning;
 pub use consistency::ConsistencyWarning;
 pub use factor::FactorWarning;
+pub use light::LightWarning;
 pub use radiance::RadianceWarning;
 pub use record::{Bound, Culprit, Done, FindingRecord, Severity, Topic};
 pub use registration::{DriftJump, RegistrationWarning};
@@ -57,6 +59,8 @@ pub enum Warning {
     Response(ResponseWarning),
     /// Of a factorization.
     Factor(FactorWarning),
+    /// Of lighting a matrix or a material.
+    Light(LightWarning),
     /// Of the simulator.
     Simulate(SimulateWarning),
     /// Of importing a matrix from arrays.
@@ -113,6 +117,7 @@ join!(
     Registration(RegistrationWarning),
     Response(ResponseWarning),
     Factor(FactorWarning),
+    Light(LightWarning),
     Simulate(SimulateWarning),
     Arrays(ArraysWarning)
 );

@@ -50,6 +50,8 @@ pub enum Topic {
     Dots,
     /// The factored material.
     Material,
+    /// Light on a slab that is relit.
+    Relighting,
     /// The simulated slab.
     Simulation,
     /// A matrix that comes as arrays.
@@ -83,6 +85,7 @@ impl Topic {
             Self::Drift => "drift",
             Self::Dots => "dots",
             Self::Material => "material",
+            Self::Relighting => "relighting",
             Self::Simulation => "simulation",
             Self::Arrays => "arrays",
         }

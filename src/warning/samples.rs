@@ -111,6 +111,7 @@ const WRITTEN: &[&str] = &[
     r#"{"warning":"empty-rows","rows":1}"#,
     r#"{"warning":"shift-limited","rows":1,"limit":4}"#,
     r#"{"warning":"goal-missed","asked":"45 dB","found":"43.10 dB"}"#,
+    r#"{"warning":"light-stretched","image_ratio":1.5,"area_ratio":1.25,"off_mm":1.5,"limit_mm":0.5}"#,
     r#"{"warning":"refractive-index-differs","used":"wax","used_index":1.5,"other":"ink","other_index":1.25}"#,
     r#"{"warning":"diffusion-too-clear","medium":"wax","channel":"R","mean_free_path_mm":null,"exceeds":"window","length_mm":7.5}"#,
     r#"{"warning":"diffusion-too-dark","medium":"ink","channel":"B","reduced_scattering_per_mm":0.5,"absorption_per_mm":2.0}"#,

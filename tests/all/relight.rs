@@ -1,5 +1,6 @@
 //! Relighting: what a person expects to see of a slab under a light.
 
+use crate::common::acquire as program;
 use acquire::factor::{FactorOptions, factor};
 use acquire::material::{Exitance, Light, Source, lit_area, relight};
 use acquire::progress::Progress;
@@ -112,4 +113,63 @@ fn a_slope_of_albedo_is_seen_where_it_is_however_its_points_drifted() {
     let worst = seen.iter().map(|(at, e)| (e[0] / scale / value(at[0]) - 1.0).abs()).fold(0.0, f64::max);
     // Points are found to a thousandth of their moves, which change the albedo by 0.3 % at most.
     assert!(worst < 1e-4, "{worst}");
+}
+
+/// An even light of 8 × 8 pixels.
+fn even_light(path: &Path) {
+    exr::prelude::write_rgb_file(path, 8, 8, |_, _| (1.0_f32, 1.0_f32, 1.0_f32)).unwrap();
+}
+
+#[test]
+fn an_image_of_another_ratio_than_the_lit_area_is_told_unless_its_size_is_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (m, light, out) = (path("m.rd.zarr"), path("light.exr"), path("e.exr"));
+    matrix(Path::new(&m), |_| 1.0);
+    even_light(Path::new(&light));
+    let relit = |more: &[&str]| {
+        let (status, _, stderr) =
+            program(&[&["relight", &m, "--light", &light, "--out", &out, "--force"], more].concat());
+        assert_eq!(status, 0, "{stderr}");
+        let image = acquire::material::read_light_image(Path::new(&out)).unwrap();
+        (stderr, image.rgb.iter().map(|p| f64::from(p[1])).sum::<f64>() * PITCH_MM * PITCH_MM)
+    };
+    // 17 × 12 points, 1.2 × 0.8 mm apart, light 20.4 × 9.6 mm.
+    let (told, everywhere) = relit(&[]);
+    for words in ["warning: the image is 1.000 times as wide as high, the lit area 2.1", "--extent-mm WxH"] {
+        assert!(told.contains(words), "{told}");
+    }
+    assert!(!relit(&["--tile", "17x8"]).0.contains("warning"), "copies of 1.2 × 1.2 mm");
+    for more in [&["--extent-mm", "6x4"][..], &["--extent-mm", "6x4", "--tile", "3x2"]] {
+        let (told, flux) = relit(more);
+        assert!(!told.contains("warning"), "{told}");
+        // What leaves is as the area that is lit; the lattice's mean pitch differs from 1.2 × 0.8 mm by drift.
+        let share = flux / everywhere * 20.4 * 9.6 / 24.0;
+        assert!((share - 1.0).abs() < 0.02, "{more:?}: {share}");
+    }
+}
+
+#[test]
+fn sizes_and_copies_that_no_light_has_are_refused_as_they_are_typed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (m, light, out) = (path("m.rd.zarr"), path("light.exr"), path("e.exr"));
+    matrix(Path::new(&m), |_| 1.0);
+    even_light(Path::new(&light));
+    for (light, more, words) in [
+        (
+            light.as_str(),
+            ["--extent-mm", "0x4"],
+            "error: --extent-mm: expected finite sides above 0 mm, found 0 × 4 mm",
+        ),
+        (&light, ["--extent-mm", "6x-4"], "found 6 × -4 mm"),
+        (&light, ["--tile", "2x0"], "error: --tile: expected 1×1 to "),
+        (&light, ["--tile", "90x2"], "each as wide as an outgoing sample (0.4 mm) or wider, found 90×2"),
+        ("spot", ["--extent-mm", "6x4"], "error: --extent-mm: expected an image"),
+        ("stripes", ["--tile", "3x1"], "error: --tile: expected an image"),
+    ] {
+        let (status, _, stderr) = program(&[&["relight", &m, "--light", light, "--out", &out][..], &more].concat());
+        assert!(status == 1 && stderr.contains(words), "{more:?}: {stderr}");
+        assert!(!Path::new(&out).exists(), "{more:?}");
+    }
 }

@@ -2,6 +2,7 @@
 
 use crate::common;
 use crate::common::{acquire, capture};
+use acquire::material::Responses;
 use acquire::simulate::SimulateOptions;
 
 #[test]
@@ -14,9 +15,25 @@ fn a_capture_becomes_results_with_a_report_that_needs_no_network() {
     for line in ["material against matrix: rel_rmse ", "matrix against truth: rel_rmse ", "report:  "] {
         assert!(stderr.contains(line), "{stderr}");
     }
-    for name in ["matrix.rd.zarr/zarr.json", "material.safetensors", "material.exr", "material.npz"] {
+    for name in ["matrix.rd.zarr/zarr.json", "material.exr", "material.npz"] {
         assert!(out.join(name).is_file(), "{name}");
     }
+    let [plain, coded] = ["material.safetensors", "material.acq"].map(|name| {
+        let bytes = std::fs::metadata(out.join(name)).unwrap().len();
+        assert!(stderr.contains(&format!("{name}: {bytes} bytes, ")), "{stderr}");
+        acquire::material::load(&out.join(name)).unwrap()
+    });
+    let said = stderr.split_once(" off it in rel_rmse").unwrap().0.rsplit_once(' ').unwrap().1;
+    let (mut error, mut size) = (0.0, 0.0);
+    for i in 0..35 {
+        for (a, b) in Responses::new(&plain).row(i).iter().zip(Responses::new(&coded).row(i)) {
+            error += f64::from(a - b).powi(2);
+            size += f64::from(*a).powi(2);
+        }
+    }
+    // Five places are printed; the coder keeps to three thousandths.
+    let added = (error / size).sqrt();
+    assert!((said.parse::<f64>().unwrap() - added).abs() < 1e-5 && added <= 3e-3, "{said} {added}");
     let measures: serde_json::Value =
         serde_json::from_slice(&std::fs::read(out.join("measures.json")).unwrap()).unwrap();
     assert!(measures["matrix_against_truth"]["rel_rmse"].as_f64().unwrap() < 0.03);

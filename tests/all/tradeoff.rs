@@ -15,7 +15,7 @@ fn response(i: usize, d: [f64; 2], c: usize) -> f32 {
 #[ignore = "slow: 10 s"]
 fn every_point_is_measured_and_the_front_is_never_beaten() {
     let folder = tempfile::tempdir().unwrap();
-    let reader = write(&folder.path().join("m.rd.zarr"), [30, 26], [9, 9], |_, _| 0.0, 0.0, response).unwrap();
+    let reader = write(&folder.path().join("m.rd.zarr"), [30, 26], [9, 9], |_, _| 1e-8, 0.0, response).unwrap();
     let found = tradeoff(&reader, &TradeoffOptions { quick: true, memory_bytes: None }, &Progress::silent()).unwrap();
     assert_eq!((found.points_looked_at, found.points), ([24, 24], [30, 26]));
     for model in [Model::Joint, Model::Tucker, Model::Peers2006] {
@@ -37,14 +37,30 @@ fn every_point_is_measured_and_the_front_is_never_beaten() {
         let better = |q: &&acquire::tradeoff::TradePoint| q.bytes < p.bytes && q.psnr_db > p.psnr_db;
         assert!(!found.measured.iter().any(|q| better(&q)), "{p:?}");
     }
+    let defaults: Vec<Precision> = found.measured.iter().filter(|p| p.default).map(|p| p.precision).collect();
+    assert_eq!(defaults, [Precision::F32, Precision::Coded]);
+    let recommended: Vec<_> = found.measured.iter().filter(|p| p.recommended).collect();
+    let default = found.measured.iter().find(|p| p.default).unwrap();
+    assert!(recommended.len() == 1 && recommended[0].bytes <= default.bytes, "{recommended:?}");
+    // Of the 24 × 24 points in the middle, with a standard deviation of 1e-4 everywhere.
+    let middle = (0..780).filter(|i| (3..27).contains(&(i % 30)) && (1..25).contains(&(i / 30)));
+    let offsets = || (0..81).map(|k| [(k % 9) as f64 - 4.0, (k / 9) as f64 - 4.0]);
+    let entries = middle.flat_map(|i| offsets().flat_map(move |d| (0..3).map(move |c| f64::from(response(i, d, c)))));
+    let expected = (1e-8 / (entries.map(|r| r * r).sum::<f64>() / (576.0 * 243.0))).sqrt();
+    let noise = found.noise.unwrap();
+    assert!((noise.rel_rmse / expected - 1.0).abs() < 1e-5, "f32: {noise:?} {expected}");
     assert_eq!(found.regression_conditions.len(), 16);
     assert!(
         found.regression_conditions.windows(2).all(|w| w[1][0] >= 0.99 * w[0][0]),
         "conditions grow with the degree"
     );
+    assert!(found.measured.iter().all(|p| p.log_rmse.is_some()), "tails of every point, coded ones too");
     assert_eq!(csv(&found).lines().count(), found.measured.len() + 1);
     let page = html(&found);
-    assert_eq!(page.matches("<svg").count(), 2);
+    for words in ["default, plain", "default, coded", "recommended", "noise, "] {
+        assert!(page.contains(words), "{words}");
+    }
+    assert_eq!(page.matches("<svg").count(), 3);
     // Opens without a network: names of vocabularies are no addresses that anything is fetched from.
     assert!(!page.replace("http://www.w3.org/2000/svg", "").contains("http"));
 }

@@ -204,7 +204,7 @@ fn add_term(
                 let width = canvas.size[0];
                 for &index in indices {
                     let weight = rows.incident(job.plane, index, term) * material.entry(index)[job.flux];
-                    let first = core.from_lit(&layout, material.shift.get(index).copied().unwrap_or_default());
+                    let first = core.offset_from_lit(&layout, material.shift.get(index).copied().unwrap_or_default());
                     for share in quadrature.shares(index) {
                         let Some(flux) = fluxes[job.light].get(share.cell as usize) else { continue };
                         let at = [share.at as usize % width, share.at as usize / width];

@@ -86,7 +86,7 @@ impl Core {
     }
 
     /// How far its first sample lies from the lit point of a row shifted by `shift`, in samples.
-    pub(crate) fn from_lit(&self, layout: &Layout, shift: [i16; 2]) -> [isize; 2] {
+    pub(crate) fn offset_from_lit(&self, layout: &Layout, shift: [i16; 2]) -> [isize; 2] {
         let first = [self.x.start, self.y.start];
         std::array::from_fn(|a| first[a] as isize - (layout.extended[a] / 2) as isize + isize::from(shift[a]))
     }
@@ -146,7 +146,7 @@ mod tests {
             both.sort_unstable();
             assert_eq!(both, samples(shift));
             // Sample e of the common window is offset e − half + shift from the lit point.
-            let [x, y] = core.from_lit(&layout, shift);
+            let [x, y] = core.offset_from_lit(&layout, shift);
             let from = layout.index(shift, [(x + 3) as usize, (y + 2) as usize]);
             assert_eq!(from, Some(core.x.start + 13 * core.y.start));
         }

@@ -39,6 +39,7 @@ mod light;
 #[cfg(test)]
 mod naive;
 mod parallel;
+mod placement;
 mod quadrature;
 mod relight;
 mod response;
@@ -52,6 +53,7 @@ pub use exitance::{Canvas, Exitance, Shape};
 pub use file::Precision;
 pub use layout::Layout;
 pub use light::{FIXED_SET, Light, LightImage, linear_from_srgb, srgb_from_linear};
+pub use placement::{ImagePlacement, Stretch};
 pub use quadrature::{LitArea, Quadrature};
 pub use relight::relight;
 pub use response::Responses;

@@ -21,7 +21,7 @@ pub enum Light {
     Uniform,
     /// Unit flux into one lit point (x, y).
     Point([usize; 2]),
-    /// An image stretched over the lit area.
+    /// An image over the lit area, see [`LightImage::placed`].
     Image(LightImage),
 }
 
@@ -32,6 +32,8 @@ pub struct LightImage {
     pub size: [usize; 2],
     /// R, G, B of every pixel.
     pub rgb: Vec<[f32; 3]>,
+    /// Copies side by side along x and y, see [`LightImage::placed`].
+    pub(crate) copies: [usize; 2],
 }
 
 /// The fixed set of illuminations of `relit_psnr_db`.
@@ -81,15 +83,19 @@ impl Light {
 }
 
 impl LightImage {
+    /// An image of columns × rows, R, G and B of every pixel, once over the lit area.
+    pub fn new(size: [usize; 2], rgb: Vec<[f32; 3]>) -> Self {
+        Self { size, rgb, copies: [1, 1] }
+    }
+
     /// Mean over a part of the image, pixels counted by the share that lies in it; `from` and `to` are shares of its
     /// sides.
     fn mean(&self, from: Point, to: Point) -> [f64; 3] {
         let overlaps = |a: usize| {
-            let n = self.size[a];
-            let [low, high] = [from[a], to[a]].map(|v| (v * n as f64).clamp(0.0, n as f64));
-            let pixels = (low.floor() as usize).min(n - 1)..(high.ceil() as usize).clamp(1, n);
-            let share = |p: usize| (high.min(p as f64 + 1.0) - low.max(p as f64)).max(0.0) / (high - low).max(1e-300);
-            pixels.map(|p| (p, share(p))).collect::<Vec<_>>()
+            let all = (self.size[a] * self.copies[a]) as f64;
+            let [low, high] = [from[a], to[a]].map(|v| (v * all).clamp(0.0, all));
+            let side = (high - low).max(1e-300);
+            self.overlaps(a, low, high).map(|(p, part)| (p, part / side)).collect::<Vec<_>>()
         };
         let (columns, lines) = (overlaps(0), overlaps(1));
         let mut sum = [0.0; 3];
@@ -133,7 +139,7 @@ mod tests {
 
     #[test]
     fn an_image_on_the_lit_area_keeps_its_total_flux_whatever_the_outgoing_pitch() {
-        let image = LightImage { size: [7, 5], rgb: (0..35).map(|k| [k as f32, (k * k % 11) as f32, 1.0]).collect() };
+        let image = LightImage::new([7, 5], (0..35).map(|k| [k as f32, (k * k % 11) as f32, 1.0]).collect());
         let lit_mm: Vec<Point> = (0..12).map(|k| [(k % 4) as f64 * 0.5, (k / 4) as f64 * 2.0]).collect();
         for pitch_mm in [0.2, 0.5, 0.7, 3.0] {
             let shape = Shape { points: [4, 3], window: [3, 3], pitch_mm, lit_pitch_mm: [0.5, 2.0], lit_mm: &lit_mm };
@@ -150,7 +156,7 @@ mod tests {
 
     #[test]
     fn an_image_keeps_its_total_flux_on_any_grid() {
-        let image = LightImage { size: [7, 5], rgb: (0..35).map(|k| [k as f32, (k * k % 11) as f32, 1.0]).collect() };
+        let image = LightImage::new([7, 5], (0..35).map(|k| [k as f32, (k * k % 11) as f32, 1.0]).collect());
         let mean: Vec<f64> = (0..3).map(|c| image.rgb.iter().map(|p| f64::from(p[c])).sum::<f64>() / 35.0).collect();
         for points in [[7, 5], [3, 2], [20, 11], [1, 1]] {
             let flux = Light::Image(image.clone()).flux(&shape(points)).unwrap();
@@ -201,17 +207,17 @@ mod tests {
         let wide = cells([5, 3], [3.0, 0.5]);
         assert_eq!(Light::Uniform.flux(&wide).unwrap()[4], [1.5; 3], "flux is irradiance times the cell");
         assert_eq!(Light::Point([4, 1]).flux(&wide).unwrap()[9], [1.0; 3], "but a point has one");
-        let picture = LightImage { size: [2, 1], rgb: vec![[2.0, 4.0, 6.0], [8.0, 10.0, 12.0]] };
+        let picture = LightImage::new([2, 1], vec![[2.0, 4.0, 6.0], [8.0, 10.0, 12.0]]);
         let lit = Light::Image(picture).flux(&cells([2, 1], [3.0, 0.5])).unwrap();
         assert_eq!(lit, [[3.0, 6.0, 9.0], [12.0, 15.0, 18.0]], "a picture as the others");
     }
 
     #[test]
     fn the_mean_of_a_cell_counts_pixels_by_the_part_in_it() {
-        let image = LightImage {
-            size: [4, 2],
-            rgb: (0..8).map(|k| [k as f32, (k * k) as f32, if k == 5 { 16.0 } else { 0.0 }]).collect(),
-        };
+        let image = LightImage::new(
+            [4, 2],
+            (0..8).map(|k| [k as f32, (k * k) as f32, if k == 5 { 16.0 } else { 0.0 }]).collect(),
+        );
         let found = flux(&Light::Image(image.clone()));
         for cell in 0..15 {
             // A raster of 20 × 6 is finer than both grids: 4 × 2 of it in a cell, 5 × 3 in a pixel.

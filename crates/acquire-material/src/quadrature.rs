@@ -47,6 +47,18 @@ impl LitArea {
     pub fn place(&self, share: Point) -> Point {
         self.lattice.place([0, 1].map(|a| share[a] * self.points[a] as f64 - 0.5))
     }
+
+    /// Lengths of its two sides, mm.
+    pub fn sides_mm(&self) -> Point {
+        let corner = self.place([0.0, 0.0]);
+        [self.place([1.0, 0.0]), self.place([0.0, 1.0])].map(|p| (p[0] - corner[0]).hypot(p[1] - corner[1]))
+    }
+
+    /// An extent of this size around its middle, along the slab's axes: from and to along x and y, mm.
+    pub fn around_middle(&self, size_mm: Point) -> [[f64; 2]; 2] {
+        let middle = self.place([0.5, 0.5]);
+        [0, 1].map(|a| [-0.5, 0.5].map(|end| middle[a] + end * size_mm[a]))
+    }
 }
 
 /// A cell on which light falls.

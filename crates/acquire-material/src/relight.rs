@@ -136,7 +136,7 @@ mod tests {
         material.lit_mm =
             (0..1200).map(|k| [(k % 40) as f64 * 0.5 + 0.07 * (k as f64).sin(), (k / 40) as f64 * 0.5]).collect();
         // A few far from the others, which are one sample apart.
-        let shift = |k: usize| if k % 97 == 0 { [2, -2] } else { [-((k % 2) as i16), (k % 3 / 2) as i16] };
+        let shift = |k: usize| if k.is_multiple_of(97) { [2, -2] } else { [-((k % 2) as i16), (k % 3 / 2) as i16] };
         material.shift = (0..1200).map(shift).collect();
         let rows: Vec<f32> = (0..1200).flat_map(|i| material.evaluate_row(i)).collect();
         let grey: Vec<[f64; 3]> = (0..1200).map(|k| [(k % 7) as f64; 3]).collect();

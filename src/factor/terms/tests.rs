@@ -134,6 +134,13 @@ fn the_noise_chooses_the_terms_above_it_and_says_why() {
         "{}",
         found.choice
     );
+    // What the words say is what the report draws.
+    let level = &found.levels[3];
+    let words = format!("(number 4: {} < {})", plain(level.singular_value, 3), plain(level.noise, 3));
+    assert!(found.choice.contains(&words) && !level.kept, "{words} {}", found.choice);
+    assert_eq!(found.levels.iter().filter(|l| l.kept).count(), 3);
+    // The fourth value was made .4 before noise, which adds at most its own norm.
+    assert!(level.singular_value > 0.3 && level.noise < 0.6, "{level:?}");
     let few = made(&matrix, &FactorOptions { max_terms: 2, ..options(Model::Joint) });
     assert_eq!(few.material.header.terms, 2);
     let why = "terms 2: the most allowed, more singular values are above their noise";
