@@ -32,6 +32,9 @@ pub(crate) const REFUSED_COLOUR: f64 = 0.15;
 /// Light of a black shot over that of white where the sample lies: a projector's black has a thousandth, a bad one a
 /// fiftieth.
 pub(crate) const BRIGHTEST_BLACK: f64 = 0.1;
+/// A covered lens has less than this share of the light of the sample under a black projector: dark current has the
+/// more, the darker the room.
+pub(crate) const COVERED: f64 = 0.5;
 /// So many pixels of the white reference that differ from their surroundings are dust; more are a pattern, or something
 /// in the way.
 pub(crate) const UNEVEN_SHARE: f64 = 0.03;

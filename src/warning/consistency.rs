@@ -2,7 +2,7 @@
 //! figures.
 
 use super::bounds::{
-    BRIGHTEST_BLACK, DOUBT_SD, EVEN_REFUSED, OTHER_SIZE, REFUSED_COLOUR, REFUSED_LEVEL, REFUSED_LIGHT,
+    BRIGHTEST_BLACK, COVERED, DOUBT_SD, EVEN_REFUSED, OTHER_SIZE, REFUSED_COLOUR, REFUSED_LEVEL, REFUSED_LIGHT,
     REFUSED_PROJECTOR_PX, REFUSED_REMAINS, REFUSED_SLOPE, REFUSED_TIME, UNEVEN_SHARE,
 };
 use crate::words::count;
@@ -262,6 +262,13 @@ pub enum ConsistencyWarning {
         /// What it looks like.
         looks: String,
         /// Its light over that of the white reference, where the sample lies.
+        ratio: f64,
+    },
+    /// A shot of a covered lens has light.
+    DarkIsLit {
+        /// The shot.
+        shot: String,
+        /// Its light over that of the sample under a black projector, the median of all pixels.
         ratio: f64,
     },
     /// The black level is another one in the lattice's photographs than in the black shots.
@@ -546,6 +553,10 @@ impl fmt::Display for ConsistencyWarning {
                 "shot \"{shot}\" has {:.2} % of the white reference's light where the sample lies: {looks}",
                 100.0 * ratio
             ),
+            Self::DarkIsLit { shot, ratio } => write!(
+                f,
+                "shot \"{shot}\" of the covered lens has {ratio:.2} times the light of sample-black: the lens was not covered; hot photosites are looked for in sample-black"
+            ),
             Self::BlackMoves { shot, difference_dn } => write!(
                 f,
                 "the black level of shot \"{shot}\" is {difference_dn:+.1} DN from that of sample-black at all exposure times alike: the camera sets its black level (noise.black_dn) by itself"
@@ -665,6 +676,7 @@ super::record::catalogue!(ConsistencyWarning {
     Self::ReferenceLight { shot: name, ratio, .. } if *ratio > BRIGHTEST_BLACK => "reference-light", Warning, Light, Accepted,
         vec![shot(name)], bound("ratio", BRIGHTEST_BLACK, "");
     Self::ReferenceLight { shot: name, .. } => "reference-light", Warning, Light, Told, vec![shot(name)], None;
+    Self::DarkIsLit { shot: name, .. } => "dark-is-lit", Warning, Light, Replaced, vec![shot(name)], bound("ratio", COVERED, "");
     Self::BlackMoves { shot: name, .. } => "black-moves", Warning, Light, Told, vec![shot(name), field("noise.black_dn")], None;
     Self::MirroredSlab { shot: name } => "mirrored-slab", Warning, Registration, Accepted, vec![shot(name)], None;
     Self::BoardFlipped { shot: name, .. } => "board-flipped", Warning, Registration, Accepted, vec![shot(name)], None;

@@ -75,6 +75,7 @@ const WRITTEN: &[&str] = &[
     r#"{"warning":"light-on-sample","shot":"sample-black","at_px":[90.5,21.5],"share":0.0625,"share_sd":0.0078125,"places":2}"#,
     r#"{"warning":"reference-light","shot":"sample-black","looks":"it is lit","ratio":0.5}"#,
     r#"{"warning":"reference-light","shot":"sample-black","looks":"it has no light","ratio":0.0}"#,
+    r#"{"warning":"dark-is-lit","shot":"dark","ratio":0.75}"#,
     r#"{"warning":"black-moves","shot":"s","difference_dn":81.5}"#,
     r#"{"warning":"white-changed","shot":"s","level":0.75,"level_sd":0.01,"used":true}"#,
     r#"{"warning":"white-changed","shot":"s","level":0.96875,"level_sd":0.001,"used":false}"#,
