@@ -142,6 +142,8 @@ pub enum Pattern {
     ReferenceBlack,
     /// The sample in place, projector black: ambient light, the projector's black level.
     SampleBlack,
+    /// The lens is covered: what the sensor says of no light.
+    Dark,
     /// One bit of the Gray code, on the white reference or on the sample in its frame.
     GrayCode {
         /// The projector axis that it encodes.
@@ -321,6 +323,7 @@ mod tests {
                 shot("board", Pattern::Board),
                 shot("code", Pattern::GrayCode { axis: Axis::Y, bit: 15, inverse: true, on: Surface::Frame }),
                 shot("dots", Pattern::Lattice { dots: vec![[4, 0], [0, 2]] }),
+                shot("cap", Pattern::Dark),
             ],
         }
     }

@@ -297,6 +297,9 @@ typed!(Simulate => SimulateOptions {
     /// Project the Gray code on the sample in its frame instead of the white reference.
     #[arg(long, help_heading = "Projector")]
     gray_on_frame: bool,
+    /// A shot with the lens covered, at the exposures of the lattice shots.
+    #[arg(long, help_heading = "Capture")]
+    dark_shot: bool,
     /// Irradiance of a black projector pixel over that of a white one. 1/5000: more would saturate the longest of
     /// five exposures all over the sample.
     #[arg(long, value_name = "RATIO", default_value_t = SimulateOptions::default().projector_black, help_heading = "Projector")]

@@ -71,6 +71,7 @@ fn steps(plan: &Plan) -> Vec<Step> {
             Pattern::GrayCode { on: Surface::Frame, .. } => ("The sample in its frame", "stripes"),
             Pattern::SampleBlack => ("The sample in its frame", "black"),
             Pattern::Lattice { .. } => ("The sample stays", "dots"),
+            Pattern::Dark => ("The lens is covered", "black"),
         };
         match steps.last_mut() {
             Some(s) if s.object == object && s.what == what && s.secs == shot.exposures_secs => s.last = k + 1,

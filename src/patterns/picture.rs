@@ -27,7 +27,7 @@ impl ProjectorPicture {
             Pattern::Board | Pattern::CalibrationBoard | Pattern::Frame | Pattern::ReferenceWhite => {
                 Self::even(size_px, 255)
             }
-            Pattern::ReferenceBlack | Pattern::SampleBlack => Self::even(size_px, 0),
+            Pattern::ReferenceBlack | Pattern::SampleBlack | Pattern::Dark => Self::even(size_px, 0),
             Pattern::GrayCode { axis, bit, inverse, .. } => {
                 let mut picture = Self::even(size_px, 0);
                 for (k, pixel) in picture.pixels.iter_mut().enumerate() {

@@ -8,7 +8,7 @@ use crate::radiance::{Exposure, FileNoise, HotPixel, Sensor, find_hot_pixels, me
 /// Rows that are looked at together, with one more above and below.
 const ROWS: usize = 64;
 
-/// The hot photosites in the longest exposure of the dark sample, in order of row, column, channel; none where nothing
+/// The hot photosites in the longest exposure of a covered lens, else of the dark sample, in order of row, column, channel; none where nothing
 /// is averaged.
 ///
 /// Left out of every photograph alike, they bias no mean: which are left out depends on no photograph's own light.
@@ -16,7 +16,8 @@ const ROWS: usize = 64;
 /// # Errors
 /// Those of decoding.
 pub(super) fn find(capture: &Capture, noise: &Noise, working: Working) -> Result<Vec<HotPixel>> {
-    let dark = capture.shots(|p| matches!(p, Pattern::SampleBlack)).into_iter().next();
+    let first = |of: fn(&Pattern) -> bool| capture.shots(of).into_iter().next();
+    let dark = first(|p| matches!(p, Pattern::Dark)).or_else(|| first(|p| matches!(p, Pattern::SampleBlack)));
     let Some(longest) = dark.filter(|_| working.factor > 1).and_then(|shot| capture.brackets[shot].last()) else {
         return Ok(vec![]);
     };

@@ -1,5 +1,6 @@
 //! How far the pattern of a lattice shot has moved: from dots on the frame, or without any from the dots on the sample.
 
+use super::BuildOptions;
 use super::dots_seen::radius_of_half;
 use super::looks::looks;
 use super::scene::{STILL, Scene, overlap, square};
@@ -8,10 +9,10 @@ use crate::geometry::Point;
 use crate::radiance::{Bracket, Radiance};
 use crate::registration::{
     CameraMotion, DepthOfMedium, DotShape, Drift, Located, Parallax, Registration, RimFit, RimPlace, RimSegment,
-    SampleDots, camera_motion, fit_rim, locate_rim, measure_drift, median, rim_segments,
+    SampleDots, camera_motion, fit_rim, flip_of_board, locate_rim, measure_drift, median, rim_segments,
 };
 use crate::warning::bounds::OTHER_SIZE;
-use crate::{ConsistencyWarning, Error, Result};
+use crate::{ConsistencyWarning, Error, Result, Warning};
 use rayon::prelude::*;
 
 /// Shots that are decoded beforehand to learn how deep the dots on the sample are seen.
@@ -60,11 +61,17 @@ impl Movements {
     }
 
     /// What the sample's rim says of board, frame and slab.
-    pub(super) fn slab(&self, scene: &Scene<'_>) -> Vec<ConsistencyWarning> {
-        let Some(rim) = self.rim else { return vec![] };
-        let mut warnings = Vec::new();
+    ///
+    /// # Errors
+    /// [`Error::Contradiction`].
+    pub(super) fn slab(&self, scene: &Scene<'_>, options: &BuildOptions) -> Result<Vec<Warning>> {
+        if let Some(flipped) = flipped_board(scene) {
+            return Ok(vec![options.refuse(flipped)?]);
+        }
+        let Some(rim) = self.rim else { return Ok(vec![]) };
+        let mut warnings: Vec<Warning> = Vec::new();
         if (rim.scale - 1.0).abs() > OTHER_SIZE.max(RIM_SIGMA * rim.scale_sd) {
-            warnings.push(ConsistencyWarning::SlabSize { scale: rim.scale, sd: rim.scale_sd });
+            warnings.push(ConsistencyWarning::SlabSize { scale: rim.scale, sd: rim.scale_sd }.into());
         }
         let size_mm = scene.capture.manifest.slab.size_mm;
         let view = &scene.registration.view;
@@ -76,9 +83,9 @@ impl Movements {
         if (0..2).any(|a| offset_mm[a].abs() > (OTHER_SIZE * size_mm[a]).max(RIM_SIGMA * sd_mm)) {
             let shots = scene.capture.shots(|p| matches!(p, Pattern::Frame | Pattern::Board));
             let shot = shots.first().map_or_else(String::new, |&s| scene.photographs.name(s).to_owned());
-            warnings.push(ConsistencyWarning::SlabElsewhere { shot, offset_mm, sd_mm });
+            warnings.push(ConsistencyWarning::SlabElsewhere { shot, offset_mm, sd_mm }.into());
         }
-        warnings
+        Ok(warnings)
     }
 
     /// How the camera's picture has moved; `None` where sample and frame are too dark to tell.
@@ -120,6 +127,23 @@ impl Movements {
             }
         }
     }
+}
+
+/// Photographs of the board that are mirrored or turned, where no marks on the frame stand in for it.
+fn flipped_board(scene: &Scene<'_>) -> Option<ConsistencyWarning> {
+    let board = scene.capture.rig.board.as_ref()?;
+    if !scene.capture.shots(|p| matches!(p, Pattern::Frame)).is_empty() {
+        return None;
+    }
+    let shot = *scene.capture.shots(|p| matches!(p, Pattern::Board)).first()?;
+    let slab = (scene.capture.manifest.slab.size_mm, &scene.references.ambient);
+    let found = flip_of_board(&scene.registration.view, board, scene.capture.rig.camera.size_px, slab)?;
+    Some(ConsistencyWarning::BoardFlipped {
+        shot: scene.photographs.name(shot).to_owned(),
+        looks: found.looks.to_owned(),
+        off_px: found.off_px,
+        as_it_is_px: found.as_it_is_px,
+    })
 }
 
 /// Decides it, and learns what the sample's dots need.

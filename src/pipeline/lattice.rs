@@ -4,6 +4,7 @@ use super::Prepared;
 use super::dots_seen::DotSeen;
 use super::flicker::{Flicker, Steadied};
 use super::reference_dots::DotsShow;
+use super::remains::{Sought, Spots};
 use super::resume::{Resumed, TakenOver};
 use super::scene::{STILL, Scene, grown, on_slab, overlap};
 use super::sink::RowSink;
@@ -32,6 +33,8 @@ pub(super) struct ShotResult {
     pub(super) dots_show: DotsShow,
     /// Where each of its dots was seen.
     pub(super) seen: Vec<DotSeen>,
+    /// Its light at its own dots and at those of the patterns beside.
+    pub(super) spots: Spots,
 }
 
 /// One dot of a shot, measured.
@@ -206,7 +209,11 @@ fn extract_shot(
         rects.push(grown(rect, scene.drift_search_px() as usize, size_px));
     }
     rects.extend(movements.rim_rects());
+    let rims_end = rects.len();
+    let sought = Sought::of(scene, shot);
+    rects.extend(sought.rects());
     let mut references_seen = scene.photographs.decode(shot, &rects)?;
+    let elsewhere = references_seen.split_off(rims_end);
     let mut windows = references_seen.split_off(references);
     let rims = windows.split_off(dots.len());
     let camera = (believed == Camera::Measured).then(|| movements.camera_motion(scene, &rims)).flatten();
@@ -218,12 +225,13 @@ fn extract_shot(
     let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
     let seen = search.look(scene, shot, registration, drift, &windows);
 
-    let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance, lamp, dots_show, seen };
     // What all samples of a row have in common: the lamp, and the response curve's own error.
     let common_variance = flicker_variance + scene.photographs.sensor.curve().map_or(0.0, Curve::relative_variance);
     let mut weights = cell_weights(scene, windows.first().map_or(Sampling::WHOLE, Bracket::sampling));
     let centers: Vec<Point> =
         dots.iter().map(|&d| scene.nominal_mm(d)).map(|p| [p[0] + moved[0], p[1] + moved[1]]).collect();
+    let spots = sought.look(scene, registration, moved, (&centers, &windows), &elsewhere);
+    let mut result = ShotResult { lit: vec![], drift, camera, flicker_variance, lamp, dots_show, seen, spots };
     let grids: Vec<WindowGrid> =
         centers.iter().map(|&c| WindowGrid::new(&manifest.window, c, &registration.view)).collect();
     let picture = |(grid, bracket): (&WindowGrid, &Bracket)| {

@@ -24,6 +24,7 @@ mod recorded;
 mod reference_dots;
 mod references;
 mod register;
+mod remains;
 mod resolution;
 mod resume;
 mod saved;
@@ -382,7 +383,7 @@ fn prepare<T>(
     let mut findings: Vec<Warning> =
         light.flicker.judge(scene, radiometry.warnings.iter().any(times_are_off), options)?.into_iter().collect();
     let movements = Movements::prepare(scene)?;
-    findings.extend(movements.slab(scene).into_iter().map(Warning::from));
+    findings.extend(movements.slab(scene, options)?);
     findings.extend(stray_warnings);
     findings.extend(references.warnings.iter().cloned());
     let at = Instant::now();
@@ -401,6 +402,10 @@ fn build_rows(
     let Prepared { scene, registered, light, .. } = prepared;
     let (mut shots, taken_over) = lattice::extract(prepared, rows, progress)?;
     let mut seen = dots_seen::judge(scene, &shots, options)?;
+    if let Some(remains) = remains::judge(&shots, options)? {
+        // Its light draws the dots aside.
+        seen = vec![remains];
+    }
     seen.extend(prepared.findings.iter().cloned());
     let crosstalk = match options.keep_crosstalk {
         true => None,

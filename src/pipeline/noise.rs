@@ -112,7 +112,9 @@ fn estimate(capture: &Capture, saturation_dn: Option<f64>) -> Result<std::result
         None => black_level(&reader.dark_levels(saturation.0)?),
     };
     let Some(black) = black else {
-        return Ok(Err("neither reference-black nor sample-black has two unsaturated exposures".into()));
+        return Ok(
+            Err("neither reference-black nor sample-black nor a dark shot has two unsaturated exposures".into()),
+        );
     };
     let width = Tiles::of(capture.rig.camera.size_px).width();
     let grid = |(a, b): &(&Photograph, &Photograph)| {
@@ -258,9 +260,13 @@ impl Reader<'_> {
         Ok(largest.map(f64::from_bits))
     }
 
-    /// Mean code values of the black shots' exposures, those without saturated photosites.
+    /// Mean code values of the exposures of a covered lens, else of the black shots: those without saturated photosites.
     fn dark_levels(&self, saturation_dn: f64) -> Result<Vec<DarkLevels>> {
-        let shots = self.capture.shots(|p| matches!(p, Pattern::ReferenceBlack | Pattern::SampleBlack));
+        let mut shots = self.capture.shots(|p| matches!(p, Pattern::Dark));
+        // Light of a room may be in no proportion to time.
+        if shots.iter().all(|&s| self.capture.brackets[s].len() < 2) {
+            shots = self.capture.shots(|p| matches!(p, Pattern::ReferenceBlack | Pattern::SampleBlack | Pattern::Dark));
+        }
         let level = |p: &Photograph| {
             let (sum, n, high) = sums(&self.decode(p)?.0, saturation_dn);
             // A few hot photosites may saturate: they are left out, and weigh nothing.

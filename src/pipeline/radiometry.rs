@@ -39,6 +39,9 @@ pub(super) struct Radiometry {
 /// give flicker to a tenth of itself.
 const LATTICE_SHOTS_PER_LOOK: usize = 16;
 const LOOKS: [usize; 2] = [8, 16];
+/// Shots of the Gray code that are looked at: with board and white reference alone, a lamp that flickers by chance alike
+/// in both is taken for a wrong time.
+const GRAY_SHOTS: usize = 6;
 /// Gray-code bits of each axis whose light sums are looked at, finest first: their stripes have most edges.
 const BITS_PER_AXIS: usize = 6;
 /// Pixels of a light sum, half of them on edges.
@@ -169,6 +172,7 @@ fn choose_shots(capture: &Capture, settings: &Settings) -> Vec<usize> {
     let looks = (lattice.len() / LATTICE_SHOTS_PER_LOOK).clamp(LOOKS[0], LOOKS[1]);
     let mut chosen: BTreeSet<usize> = evenly(&lattice, looks).collect();
     chosen.extend(capture.shots(|p| matches!(p, Pattern::Board | Pattern::ReferenceWhite | Pattern::SampleBlack)));
+    chosen.extend(evenly(&capture.shots(|p| matches!(p, Pattern::GrayCode { .. })), GRAY_SHOTS));
     let of = |shot: usize| capture.brackets[shot].iter().map(|p| settings.index(p));
     let mut seen: BTreeSet<usize> = chosen.iter().flat_map(|&s| of(s)).collect();
     for shot in 0..capture.brackets.len() {

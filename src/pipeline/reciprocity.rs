@@ -529,7 +529,7 @@ mod tests {
             pairs.lag(&seen)
         };
         assert_eq!(lag(0.0), None);
-        let Some(ConsistencyWarning::PatternRemains { share, sd }) = lag(0.1) else { panic!("a tenth is found") };
+        let Some(ConsistencyWarning::PatternRemains { share, sd, .. }) = lag(0.1) else { panic!("a tenth is found") };
         // The pairs' own per cent.
         assert!((share - 0.1).abs() < 0.01 && sd < 0.005, "{share} ± {sd}");
     }

@@ -13,7 +13,7 @@ use crate::progress::Progress;
 use crate::radiance::{HotPixel, Radiance, find_hot_pixels, mend};
 use crate::registration::{Registration, median};
 use crate::response::Irradiance;
-use crate::warning::bounds::{BRIGHTEST_BLACK, REFUSED_LEVEL, UNEVEN_SHARE};
+use crate::warning::bounds::{BRIGHTEST_BLACK, COVERED, REFUSED_LEVEL, UNEVEN_SHARE};
 use crate::{ConsistencyWarning, Error, Result, Warning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -102,7 +102,9 @@ pub(super) fn references(
     let lamp = LampBetween::measure(photographs, &white, &black, flicker_sd, options)?;
     let (lamp, changed) = lamp.unzip();
     warnings.extend(changed.flatten());
-    let hot = find_hot_pixels(&ambient);
+    let dark = dark(photographs, &ambient)?;
+    warnings.extend(dark.as_ref().err().cloned());
+    let hot = find_hot_pixels(dark.as_ref().ok().and_then(Option::as_ref).unwrap_or(&ambient));
     mend(&mut white, &hot);
     let cell_px = registered.registration.px_per_mm() * photographs.capture.manifest.window.pitch_mm;
     let frame_share = frame_shares(&reference_px(photographs, registered), cell_px.max(2.0), &ambient, &black);
@@ -229,6 +231,27 @@ fn exchanged(
         return Ok(Some(finding.into()));
     }
     Ok(None)
+}
+
+/// A covered lens has less light than [`COVERED`] or so many standard deviations.
+const COVERED_SIGMA: f64 = 10.0;
+
+/// What the sensor shows of no light, where a shot of a covered lens is there; a finding where it was not covered.
+fn dark(photographs: &Photographs<'_>, ambient: &Radiance) -> Result<std::result::Result<Option<Radiance>, Warning>> {
+    let Some(&shot) = photographs.capture.shots(|p| matches!(p, Pattern::Dark)).first() else { return Ok(Ok(None)) };
+    let dark = photographs.merge_whole(shot)?;
+    let middle = |values: Vec<f32>| {
+        let mut some: Vec<f64> = values.iter().step_by(SUM_STEP).map(|v| f64::from(*v)).collect();
+        let count = some.len().max(1) as f64;
+        (median(&mut some), count)
+    };
+    let (light, count) = middle(dark.luminance());
+    let sd = (middle(dark.luminance_variance()).0 / count).sqrt();
+    let ratio = light / middle(ambient.luminance()).0.max(f64::MIN_POSITIVE);
+    if ratio < COVERED || light < COVERED_SIGMA * sd {
+        return Ok(Ok(Some(dark)));
+    }
+    Ok(Err(ConsistencyWarning::DarkIsLit { shot: photographs.name(shot).to_owned(), ratio }.into()))
 }
 
 /// A pixel of the white reference that differs by more than this from what Gray-code patterns and their inverses add up

@@ -195,6 +195,8 @@ pub struct SimulateOptions {
     pub without_board: bool,
     /// Project the Gray code on the sample in its frame instead of the white reference.
     pub gray_on_frame: bool,
+    /// A shot with the lens covered, at the exposures of the lattice shots.
+    pub dark_shot: bool,
     /// Irradiance of a black projector pixel over that of a white one. 1/5000: more would saturate the longest of
     /// five exposures all over the sample.
     pub projector_black: f64,
@@ -280,6 +282,7 @@ impl Default for SimulateOptions {
             projector_black: 2e-4,
             projector_distortion: 0.0,
             gray_on_frame: false,
+            dark_shot: false,
             frame_marks: false,
             calibration_boards: 0,
             without_board: false,

@@ -34,6 +34,9 @@ impl ShotList {
         if options.without_board {
             patterns.remove(0);
         }
+        if options.dark_shot {
+            patterns.push(("dark".to_owned(), Pattern::Dark));
+        }
         if options.frame_marks {
             patterns.insert(0, ("frame".to_owned(), Pattern::Frame));
         }

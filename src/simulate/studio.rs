@@ -244,6 +244,7 @@ impl Studio {
                 })
             }
             Pattern::SampleBlack | Pattern::Frame | Pattern::Lattice { .. } => self.dark_sample.clone(),
+            Pattern::Dark => self.pixels.picture(|_| GAUSS_1, |_| [0.0; 3]),
         }
     }
 

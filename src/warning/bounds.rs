@@ -7,9 +7,10 @@ pub(crate) const EXPOSURE_TOLERANCE: f64 = 0.07;
 pub(crate) const SAME_EXPOSURE: f64 = 0.1;
 /// A rig's figure is doubted when it is off by so many standard deviations.
 pub(crate) const DOUBT_SD: f64 = 5.0;
-/// A measured time is worth a word when it differs by more than this and by more than so many standard deviations.
+/// A measured time is worth a word when it differs by more than this and by more than so many standard deviations: of
+/// ten times of a capture, one is off by more than four by chance in 1,600 captures.
 pub(crate) const TIME_TOLERANCE: f64 = 0.005;
-pub(crate) const TIME_SIGMA: f64 = 3.0;
+pub(crate) const TIME_SIGMA: f64 = 4.0;
 /// A time that is off by a third of a stop (ln 2 / 3) is the next setting, and none that a camera rounded (1/30 for
 /// 1/32 is 6 %; shutters are off by an eighth of a stop).
 pub(crate) const REFUSED_TIME: f64 = 0.231;
@@ -18,6 +19,8 @@ pub(crate) const REFUSED_TIME: f64 = 0.231;
 pub(crate) const REFUSED_SLOPE: f64 = 0.1;
 /// From this offset of all dots on, projector px, rows would be off by more than any stated uncertainty.
 pub(crate) const REFUSED_PROJECTOR_PX: f64 = 0.5;
+/// Light of another pattern that is a larger share of a dot's: the matrix's error is then several times what it states.
+pub(crate) const REFUSED_REMAINS: f64 = 0.03;
 /// The white reference's level over the Gray code's that is off by more is refused: no lamp drifts so far in a session.
 pub(crate) const REFUSED_LEVEL: f64 = 0.1;
 /// Reference dots whose light is off by more than this, ln, from what the references say: exposure times as cameras
@@ -29,6 +32,9 @@ pub(crate) const REFUSED_COLOUR: f64 = 0.15;
 /// Light of a black shot over that of white where the sample lies: a projector's black has a thousandth, a bad one a
 /// fiftieth.
 pub(crate) const BRIGHTEST_BLACK: f64 = 0.1;
+/// A covered lens has less than this share of the light of the sample under a black projector: dark current has the
+/// more, the darker the room.
+pub(crate) const COVERED: f64 = 0.5;
 /// So many pixels of the white reference that differ from their surroundings are dust; more are a pattern, or something
 /// in the way.
 pub(crate) const UNEVEN_SHARE: f64 = 0.03;

@@ -2,8 +2,8 @@
 //! figures.
 
 use super::bounds::{
-    BRIGHTEST_BLACK, DOUBT_SD, EVEN_REFUSED, OTHER_SIZE, REFUSED_COLOUR, REFUSED_LEVEL, REFUSED_LIGHT,
-    REFUSED_PROJECTOR_PX, REFUSED_SLOPE, REFUSED_TIME, UNEVEN_SHARE,
+    BRIGHTEST_BLACK, COVERED, DOUBT_SD, EVEN_REFUSED, OTHER_SIZE, REFUSED_COLOUR, REFUSED_LEVEL, REFUSED_LIGHT,
+    REFUSED_PROJECTOR_PX, REFUSED_REMAINS, REFUSED_SLOPE, REFUSED_TIME, UNEVEN_SHARE,
 };
 use crate::words::count;
 use serde::{Deserialize, Serialize};
@@ -198,6 +198,17 @@ pub enum ConsistencyWarning {
         /// What shows the axes: the shot of board or frame.
         shot: String,
     },
+    /// The sample's rim is where the board would put the slab, were its photographs mirrored or turned.
+    BoardFlipped {
+        /// The board's shot.
+        shot: String,
+        /// What they are: "mirrored left to right".
+        looks: String,
+        /// How far the rim then is from its place, the median of its pieces, camera px.
+        off_px: f64,
+        /// The same for the photographs as they are; `None` where the rim is not seen near it.
+        as_it_is_px: Option<f64>,
+    },
     /// The sample's rim is beside where board or frame put the slab.
     SlabElsewhere {
         /// The shot of board or frame.
@@ -253,6 +264,13 @@ pub enum ConsistencyWarning {
         /// Its light over that of the white reference, where the sample lies.
         ratio: f64,
     },
+    /// A shot of a covered lens has light.
+    DarkIsLit {
+        /// The shot.
+        shot: String,
+        /// Its light over that of the sample under a black projector, the median of all pixels.
+        ratio: f64,
+    },
     /// The black level is another one in the lattice's photographs than in the black shots.
     BlackMoves {
         /// The lattice shot that was looked at.
@@ -274,12 +292,16 @@ pub enum ConsistencyWarning {
         /// How many shots are off.
         shots: usize,
     },
-    /// Every lattice shot has some of the light of the one before: a projector or a camera that lags.
+    /// Every lattice shot has some of the light of another: a projector or a camera that lags.
     PatternRemains {
-        /// Light in the place of the dot before, over that of the shot's own dots.
+        /// Of the pattern so many shots later; below 0 of one before.
+        later: isize,
+        /// Light in the places of its dots, over that of these dots in their own shots.
         share: f64,
         /// Standard deviation of that.
         sd: f64,
+        /// The channel that has it alone: 0 to 2 for R, G, B.
+        channel: Option<usize>,
     },
     /// The second white reference is brighter or darker than the first.
     WhiteChanged {
@@ -481,6 +503,14 @@ impl fmt::Display for ConsistencyWarning {
                 f,
                 "the slab's axes are mirrored in the picture of shot \"{shot}\": x to the right must go with y down, as the camera sees the sample; the board is turned by 90°, or its corners or marks are listed in another order"
             ),
+            Self::BoardFlipped { shot, looks, off_px, as_it_is_px } => write!(
+                f,
+                "the photographs of shot \"{shot}\" are {looks}: undone, they put the slab within {off_px:.2} px of the sample's rim, {}",
+                match as_it_is_px {
+                    Some(off) => format!("as they are {off:.2} px from it"),
+                    None => "as they are farther from it than it is looked for".to_owned(),
+                }
+            ),
             Self::SlabElsewhere { shot, offset_mm: [x, y], sd_mm } => write!(
                 f,
                 "the sample's rim is ({x:+.2}, {y:+.2}) mm (± {sd_mm:.2}) from where shot \"{shot}\" puts the slab: board.origin_mm is wrong, the photograph of the board is turned or mirrored, or the sample lies elsewhere"
@@ -523,6 +553,10 @@ impl fmt::Display for ConsistencyWarning {
                 "shot \"{shot}\" has {:.2} % of the white reference's light where the sample lies: {looks}",
                 100.0 * ratio
             ),
+            Self::DarkIsLit { shot, ratio } => write!(
+                f,
+                "shot \"{shot}\" of the covered lens has {ratio:.2} times the light of sample-black: the lens was not covered; hot photosites are looked for in sample-black"
+            ),
             Self::BlackMoves { shot, difference_dn } => write!(
                 f,
                 "the black level of shot \"{shot}\" is {difference_dn:+.1} DN from that of sample-black at all exposure times alike: the camera sets its black level (noise.black_dn) by itself"
@@ -535,11 +569,21 @@ impl fmt::Display for ConsistencyWarning {
                 )?;
                 if *shots > 1 { write!(f, "; so in {}", count(shots - 1, "other shot")) } else { Ok(()) }
             }
-            Self::PatternRemains { share, sd } => write!(
+            Self::PatternRemains { later, share, sd, channel } => write!(
                 f,
-                "every lattice shot has at least {:.1} % (± {:.1} %) of a dot's light where the pattern before had its dots: the projector lags, or the shutter opens too early",
+                "the lattice shots have {:.1} % (± {:.1} %) of a dot's light{} where {}",
                 100.0 * share,
-                100.0 * sd
+                100.0 * sd,
+                channel.map_or_else(String::new, |c| format!(" in channel {} alone", ["R", "G", "B"][c.min(2)])),
+                match later {
+                    ..=-2 => format!(
+                        "the pattern {} before has its dots: the projector lags",
+                        count(later.unsigned_abs(), "shot")
+                    ),
+                    -1 | 0 =>
+                        "the pattern before has its dots: the projector lags, or the shutter opens too early".to_owned(),
+                    1.. => "the next pattern has its dots: the shutter closes too late".to_owned(),
+                }
             ),
             Self::WhiteLevel { shot, level, level_sd } => write!(
                 f,
@@ -617,7 +661,9 @@ super::record::catalogue!(ConsistencyWarning {
     Self::ChannelGains { gain_sd, .. } => "channel-gains", Warning, Light, Told, vec![field("noise")],
         bound("gains", DOUBT_SD * 2f64.sqrt() * gain_sd, "DN per electron");
     Self::ShotLight { shot: name, .. } => "shot-light", Warning, Light, Told, vec![shot(name)], None;
-    Self::PatternRemains { .. } => "pattern-remains", Warning, Dots, Accepted, vec![part("projector")], None;
+    Self::PatternRemains { share, .. } if *share >= REFUSED_REMAINS => "pattern-remains", Warning, Dots, Accepted,
+        vec![part("projector")], bound("share", REFUSED_REMAINS, "");
+    Self::PatternRemains { .. } => "pattern-remains", Warning, Dots, Told, vec![part("projector")], None;
     Self::LampDrifts { .. } => "lamp-drifts", Warning, Light, Corrected, vec![part("lamp")], None;
     Self::LatticeColour { .. } => "lattice-colour", Warning, Light, Accepted, vec![part("lattice's colour")],
         bound("levels", REFUSED_COLOUR, "");
@@ -630,8 +676,10 @@ super::record::catalogue!(ConsistencyWarning {
     Self::ReferenceLight { shot: name, ratio, .. } if *ratio > BRIGHTEST_BLACK => "reference-light", Warning, Light, Accepted,
         vec![shot(name)], bound("ratio", BRIGHTEST_BLACK, "");
     Self::ReferenceLight { shot: name, .. } => "reference-light", Warning, Light, Told, vec![shot(name)], None;
+    Self::DarkIsLit { shot: name, .. } => "dark-is-lit", Warning, Light, Replaced, vec![shot(name)], bound("ratio", COVERED, "");
     Self::BlackMoves { shot: name, .. } => "black-moves", Warning, Light, Told, vec![shot(name), field("noise.black_dn")], None;
     Self::MirroredSlab { shot: name } => "mirrored-slab", Warning, Registration, Accepted, vec![shot(name)], None;
+    Self::BoardFlipped { shot: name, .. } => "board-flipped", Warning, Registration, Accepted, vec![shot(name)], None;
     Self::SlabElsewhere { shot: name, .. } => "slab-elsewhere", Note, Registration, Told,
         vec![shot(name), field("board.origin_mm")], bound("offset_mm / slab.size_mm", OTHER_SIZE, "");
     Self::SlabSize { .. } => "slab-size", Warning, Registration, Told, vec![field("board.square_mm"), field("slab.size_mm")],

@@ -2,10 +2,13 @@
 
 use crate::common;
 use crate::common::compare;
+use acquire::capture::{Capture, Manifest, Pattern, Samples};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{CameraCurve, FileFormat, SensorKind, SimulateOptions, SlabMaterial};
-use acquire::{Error, RadianceWarning, Warning};
+use acquire::simulate::{
+    CameraCurve, ExposureTime, FileFormat, PhotographWriter, SensorKind, SimulateOptions, SlabMaterial,
+};
+use acquire::{ConsistencyWarning, Error, RadianceWarning, Warning};
 use std::path::Path;
 
 fn build(dir: &Path) -> acquire::Result<(std::path::PathBuf, Vec<Warning>)> {
@@ -124,4 +127,82 @@ fn noise_of(options: &SimulateOptions) -> f64 {
         _ => None,
     });
     gain.unwrap_or_else(|| panic!("{warnings:?}"))
+}
+
+/// A small capture with a shot of the covered lens.
+fn with_dark_shot() -> (tempfile::TempDir, std::path::PathBuf) {
+    let options = SimulateOptions {
+        grid: [5, 4],
+        window: [11, 7],
+        hot_pixels: 3e-4,
+        ambient: 2e-4,
+        dark_shot: true,
+        rig_without_noise: true,
+        ..common::bench()
+    };
+    common::capture(&options)
+}
+
+fn estimated_black(warnings: &[Warning]) -> f64 {
+    let black = warnings.iter().find_map(|w| match w {
+        Warning::Radiance(RadianceWarning::NoiseEstimated { black_dn, .. }) => Some(*black_dn),
+        _ => None,
+    });
+    black.unwrap_or_else(|| panic!("{warnings:?}"))
+}
+
+/// Adds light to all exposures of some shots alike.
+fn add_light(capture: &Capture, kind: fn(&Pattern) -> bool, dn: u16) {
+    for photograph in capture.shots(kind).iter().flat_map(|&s| &capture.brackets[s]) {
+        let pixels = photograph.decode().unwrap();
+        let Samples::U16(mut codes) = pixels.samples else { panic!("16-bit photographs") };
+        codes.iter_mut().for_each(|code| *code += dn);
+        let time =
+            ExposureTime { numerator: (photograph.exposure_secs * 1e9).round() as u32, denominator: 1_000_000_000 };
+        let mut writer = PhotographWriter::new(FileFormat::Png, [pixels.width, pixels.height]);
+        writer.write(&photograph.path, &codes, time, 0).unwrap();
+    }
+}
+
+#[test]
+fn a_covered_lens_tells_black_and_hot_photosites_under_light_that_does_not_grow_with_time() {
+    let (_folder, dir) = with_dark_shot();
+    let warnings = build(&dir).unwrap().1;
+    let lit = |warnings: &[Warning]| {
+        warnings.iter().any(|w| matches!(w, Warning::Consistency(ConsistencyWarning::DarkIsLit { .. })))
+    };
+    // Means of many pixels are relied upon to 0.02 DN each.
+    assert!((estimated_black(&warnings) - 512.0).abs() < 0.1 && !lit(&warnings), "{warnings:?}");
+    let hot = |w: &Warning| matches!(w, Warning::Radiance(RadianceWarning::HotPixels { .. }));
+    assert!(warnings.iter().any(hot), "{warnings:?}");
+    // A lamp that shines only while the shutter opens adds as much to a short exposure as to a long one.
+    let capture = Capture::open(&dir, None).unwrap();
+    add_light(&capture, |p| matches!(p, Pattern::ReferenceBlack | Pattern::SampleBlack), 40);
+    assert!((estimated_black(&build_again(&dir)) - 512.0).abs() < 0.1);
+    // Without the dark shot it is taken for the sensor's.
+    let mut manifest = Manifest::read(&dir).unwrap();
+    manifest.shots.retain(|s| s.pattern != Pattern::Dark);
+    manifest.write(&dir).unwrap();
+    assert!((estimated_black(&build_again(&dir)) - 552.0).abs() < 1.0);
+}
+
+/// The warnings of a capture that has been changed, whatever else is wrong with it.
+fn build_again(dir: &Path) -> Vec<Warning> {
+    let all = ["ambient-changed", "lattice-light", "photograph-disagrees"];
+    let options = BuildOptions { accept: all.map(str::to_owned).to_vec(), ..BuildOptions::default() };
+    let out = dir.with_extension("again.rd.zarr");
+    let _ = std::fs::remove_dir_all(&out);
+    build_matrix(dir, &options, &out, &Progress::silent()).unwrap().warnings
+}
+
+#[test]
+fn a_dark_shot_whose_lens_was_not_covered_is_told() {
+    let (_folder, dir) = with_dark_shot();
+    let capture = Capture::open(&dir, None).unwrap();
+    let of = |kind: fn(&Pattern) -> bool| &capture.brackets[capture.shots(kind)[0]];
+    let (dark, black) = (of(|p| matches!(p, Pattern::Dark)), of(|p| matches!(p, Pattern::SampleBlack)));
+    dark.iter().zip(black).for_each(|(to, from)| drop(std::fs::copy(&from.path, &to.path).unwrap()));
+    let warnings = build(&dir).unwrap().1;
+    let lit = |w: &Warning| matches!(w, Warning::Consistency(ConsistencyWarning::DarkIsLit { shot, ratio }) if shot == "dark" && *ratio == 1.0);
+    assert!(warnings.iter().any(lit), "{warnings:?}");
 }

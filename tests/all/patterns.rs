@@ -64,7 +64,7 @@ fn the_written_pictures_light_every_point_once_inside_the_projector_and_apart() 
             Pattern::Board | Pattern::CalibrationBoard | Pattern::Frame | Pattern::ReferenceWhite => {
                 assert_eq!(white, width * height);
             }
-            Pattern::ReferenceBlack | Pattern::SampleBlack => assert_eq!(white, 0),
+            Pattern::ReferenceBlack | Pattern::SampleBlack | Pattern::Dark => assert_eq!(white, 0),
             Pattern::GrayCode { .. } => assert!(white > 0 && white < width * height),
             Pattern::Lattice { dots } => {
                 // So many white pixels in whole dots: none is cut off, none lies on another.

@@ -104,10 +104,11 @@ impl Capture {
         self.chosen_shots(&selection.of, selection.which).into_iter().flat_map(exposures).collect()
     }
 
-    /// The shot of the same kind before this one, or after it.
-    pub(crate) fn beside(&self, shot: usize, after: bool) -> Option<usize> {
+    /// The shot of the same kind so many before this one, or after it.
+    pub(crate) fn beside(&self, shot: usize, after: bool, shots: usize) -> Option<usize> {
         let alike = |&k: &usize| self.shots[k].kind == self.shots[shot].kind;
-        if after { (shot + 1..self.shots.len()).find(alike) } else { (0..shot).rev().find(alike) }
+        let nth = shots - 1;
+        if after { (shot + 1..self.shots.len()).filter(alike).nth(nth) } else { (0..shot).rev().filter(alike).nth(nth) }
     }
 
     /// DN above black; where it is saturated, what the shorter exposures of the shot say.

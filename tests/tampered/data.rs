@@ -201,11 +201,15 @@ pub(crate) enum Operation {
         which: Which,
         share: Option<f64>,
     },
-    /// The light of the shot before (`ahead`: after): all of it, or a share.
+    /// The light of the shot before (`ahead`: after; `shots` before or after): all of it, or a share, of one channel
+    /// alone where one is named.
     Delay {
         share: f64,
         #[serde(default)]
         ahead: bool,
+        #[serde(default = "one")]
+        shots: usize,
+        channel: Option<usize>,
     },
     /// Changes places with the photographs of another shot of the same kind.
     Exchange {
@@ -274,6 +278,10 @@ pub(crate) enum Operation {
         add: Option<[i64; 2]>,
         mirror: Option<usize>,
     },
+}
+
+fn one() -> usize {
+    1
 }
 
 /// A change of one field: `capture.grid.points` or `rig.noise.black_dn`.

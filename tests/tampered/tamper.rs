@@ -40,12 +40,13 @@ pub(crate) fn tamper(capture: &mut Capture, mistake: &Mistake) -> Touched {
 fn make(capture: &mut Capture, step: &Step, generator: &mut Pcg64) -> Vec<Place> {
     let mut chosen = capture.chosen(&step.on);
     match &step.operation {
-        &Operation::Delay { share, ahead } => {
-            chosen.retain(|&(shot, _)| capture.beside(shot, ahead).is_some());
+        &Operation::Delay { share, ahead, shots, channel } => {
+            chosen.retain(|&(shot, _)| capture.beside(shot, ahead, shots).is_some());
             // Each finds the one beside it as it was.
             let order: Vec<Place> = if ahead { chosen.clone() } else { chosen.iter().rev().copied().collect() };
             for place in order {
-                delay(capture, place, (share, ahead), &chosen, generator);
+                let source = capture.beside(place.0, ahead, shots).unwrap();
+                delay(capture, (place, source), (share, channel), &chosen, generator);
             }
         }
         Operation::Exchange { with } => {
@@ -103,12 +104,20 @@ fn make(capture: &mut Capture, step: &Step, generator: &mut Pcg64) -> Vec<Place>
 
 /// The light of the shot beside this one. Where that stays as it is there are two of one pattern, each with noise of
 /// its own.
-fn delay(capture: &Capture, place: Place, (share, ahead): (f64, bool), chosen: &[Place], generator: &mut Pcg64) {
-    let shot = capture.beside(place.0, ahead).unwrap();
+fn delay(
+    capture: &Capture,
+    (place, shot): (Place, usize),
+    (share, channel): (f64, Option<usize>),
+    chosen: &[Place],
+    generator: &mut Pcg64,
+) {
     let source = (shot, place.1.min(capture.shots[shot].photographs.len() - 1));
     if share < 1.0 {
         let (here, there) = (capture.light(place), capture.light(source));
-        let parts = here.iter().zip(&there).map(|(h, t)| (vec![(1.0 - share, *h), (share, *t)], 0.0));
+        let parts = here.iter().zip(&there).enumerate().map(|(k, (h, t))| match channel {
+            Some(c) if c != k % 3 => (vec![(1.0, *h)], 0.0),
+            _ => (vec![(1.0 - share, *h), (share, *t)], 0.0),
+        });
         return optics::write_light(capture, place, parts, generator);
     }
     let (from, mut to) = (capture.read(source), capture.read(place));

@@ -64,7 +64,7 @@ impl Compared {
         let least: Vec<f64> = values.iter().map(|v| v.least).collect();
         let of_least = || found(least, LEAST_VALUES);
         let (share, sd) = of_far.or_else(of_all).or_else(of_least)?;
-        Some(ConsistencyWarning::PatternRemains { share, sd })
+        Some(ConsistencyWarning::PatternRemains { later: -1, share, sd, channel: None })
     }
 
     /// How many times as far as the dots' cores their tails are seen beside their places: from pairs that lie across
