@@ -142,7 +142,7 @@ impl MatrixWriter {
     /// Writes the store and renames it into place. Rows never put are invalid throughout.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Internal`] when the header holds what [`MatrixReader::open`] would refuse.
+    /// [`Error::Io`]; [`Error::Internal`] when the header holds what [`super::MatrixReader::open`] would refuse.
     pub fn finish(self) -> Result<()> {
         self.finish_from(&|rows| self.rows.block(rows).map_err(Error::io("read", &self.path)))
     }
