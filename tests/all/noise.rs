@@ -201,7 +201,9 @@ fn a_dark_shot_whose_lens_was_not_covered_is_told() {
     let capture = Capture::open(&dir, None).unwrap();
     let of = |kind: fn(&Pattern) -> bool| &capture.brackets[capture.shots(kind)[0]];
     let (dark, black) = (of(|p| matches!(p, Pattern::Dark)), of(|p| matches!(p, Pattern::SampleBlack)));
-    dark.iter().zip(black).for_each(|(to, from)| drop(std::fs::copy(&from.path, &to.path).unwrap()));
+    for (to, from) in dark.iter().zip(black) {
+        std::fs::copy(&from.path, &to.path).unwrap();
+    }
     let warnings = build(&dir).unwrap().1;
     let lit = |w: &Warning| matches!(w, Warning::Consistency(ConsistencyWarning::DarkIsLit { shot, ratio }) if shot == "dark" && *ratio == 1.0);
     assert!(warnings.iter().any(lit), "{warnings:?}");
