@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -27,26 +28,23 @@ TIMED, FEWER = 15, (16, 4, 1)
 LESS_NOISE = 4
 
 
-def settings(factored) -> list[tuple[str, str, Path]]:
+def settings(factored: Callable[..., Path]) -> Iterator[tuple[str, str, Path]]:
     """Series, name and file of every material; ``factored(**how)`` makes a file.
 
     ``tucker`` (P = 7), ``peers2006`` in as many bytes, ``joint`` with maps, plain and coded.
     """
-    made = []
     for terms in TUCKER_TERMS:
         paper = factored(model="tucker", terms=terms, degree=DEGREE)
-        most = acquire.Material.load(paper).bytes_f32
-        made.append(("tucker", f"tucker, T = {terms}, P = {DEGREE}", paper))
-        peers = factored(model="peers2006", max_bytes=most)
-        made.append(("peers2006", f"peers2006, T = {_terms(peers)}", peers))
+        yield "tucker", f"tucker, T = {terms}, P = {DEGREE}", paper
+        peers = factored(model="peers2006", max_bytes=acquire.Material.load(paper).bytes_f32)
+        yield "peers2006", f"peers2006, T = {_terms(peers)}", peers
     for terms in JOINT_TERMS:
-        made.append(("joint", f"joint, T = {terms}", factored(model="joint", terms=terms, maps=True)))
+        yield "joint", f"joint, T = {terms}", factored(model="joint", terms=terms, maps=True)
     for terms in (JOINT_TERMS[0], JOINT_TERMS[-1]):
-        made.append(("joint, coded", f"joint, T = {terms}, coded", factored(model="joint", terms=terms, maps=True, precision="coded")))
-    return made
+        yield "joint, coded", f"joint, T = {terms}, coded", factored(model="joint", terms=terms, maps=True, precision="coded")
 
 
-def figure_3(out: Path, stage, matrix: Path, factored) -> dict:
+def figure_3(out: Path, stage, matrix: Path, factored: Callable[..., Path]) -> dict:
     """The chessboard in a spot, with the random numbers of the matrix's own picture; then one material with fewer paths."""
     reference = stage.render(matrix, "spot")
     models = []
