@@ -2,6 +2,8 @@
 # make test: set-up, then the tests; CI=true adds the slow ones, formatting, lints and documentation.
 # SLOW=1 adds the slow tests only.
 # make python: the Python module's tests, in virtual environments under target/python; part of make test when CI=true.
+# make figures: Figures 1 to 3 of docs/rendering.md, in results/figures; FIGURES="--figure 3 --points 32 --width 160 --spp 64": only that one, quicker.
+# Needs what make python needs, LLVM 16 or later (Debian: libllvm19), and from PyPI Mitsuba, scikit-image, xatlas, flip-evaluator and Pillow.
 # make mutants: small faults that no test notices (docs/testing.md); some hours, for a night. MUTANTS=src/evaluate: only there; STEP=4: every fourth.
 
 CARGO ?= cargo
@@ -12,7 +14,7 @@ ACQUIRE = $(TARGET)/release/acquire
 # With the Python module in CI only: its dependencies would build much of the program's a second time.
 WORKSPACE = --workspace $(if $(filter true,$(CI)),,--exclude acquire-python)
 
-.PHONY: demo test check build python mutants setup
+.PHONY: demo test check build python figures mutants setup
 
 demo: build
 	rm -rf $(DEMO)
@@ -29,6 +31,10 @@ test: setup
 python: $(if $(filter true,$(CI)),setup,build)
 	@scripts/setup.sh python
 	$(if $(filter true,$(CI)),FEATURES=opencv) scripts/test_python.sh
+
+figures:
+	@scripts/setup.sh python
+	scripts/python_figures.sh $(FIGURES)
 
 check: setup
 	$(CARGO) fmt --all --check

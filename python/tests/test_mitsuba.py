@@ -43,12 +43,14 @@ def corner(material):
     return lit.reshape(-1, 2).mean(0) - shares[inside].max() * half
 
 
-def mesh(name, places, uv, faces):
-    made = mi.Mesh(name, len(places), len(faces), has_vertex_texcoords=uv is not None)
+def mesh(name, places, uv, faces, normals=None):
+    made = mi.Mesh(name, len(places), len(faces), has_vertex_texcoords=uv is not None, has_vertex_normals=normals is not None)
     values = mi.traverse(made)
     values["vertex_positions"] = np.ravel(places).astype(np.float32)
     if uv is not None:
         values["vertex_texcoords"] = np.ravel(uv).astype(np.float32)
+    if normals is not None:
+        values["vertex_normals"] = np.ravel(normals).astype(np.float32)
     values["faces"] = np.ravel(faces).astype(np.uint32)
     values.update()
     return made
@@ -326,7 +328,7 @@ def test_what_a_scene_lacks_is_told_in_a_sentence(material, slab, tmp_path):
         render([[0, 0]] * 4)
     with pytest.raises(acquire.InputError, match="material is larger than the mesh; raise mm_per_uv"):
         render(upright, mm_per_uv=1.0)
-    with pytest.warns(UserWarning, match="% of its area has inverted UVs"):
+    with pytest.warns(UserWarning, match=r"\d\.\d % of its area has inverted UVs, .* mirror image of the material"):
         render([[0, 0], [1, 0], [1, 1], [1, 0.1]], mm_per_uv=50.0)
     with pytest.warns(UserWarning, match="shows .* mm of"):
         render(upright, mm_per_uv=3.5)
@@ -347,6 +349,66 @@ def test_what_a_scene_lacks_is_told_in_a_sentence(material, slab, tmp_path):
     ):
         with pytest.raises(RuntimeError, match=words):
             render(upright, **wrong)
+
+
+def ball(path, inwards=False, normals=None, n=12):
+    """A closed ball of radius 8 mm around (0, 0, 8) with UVs 0…1, 20 mm a unit; ``normals``: of its vertices, times that away from its middle."""
+    v, u = (w.ravel() for w in np.meshgrid(np.linspace(0.02, 0.98, n), np.linspace(0, 1, 2 * n), indexing="ij"))
+    away = np.stack([np.sin(np.pi * v) * np.cos(2 * np.pi * u), np.sin(np.pi * v) * np.sin(2 * np.pi * u), np.cos(np.pi * v)], -1)
+    first = (np.arange(n - 1)[:, None] * 2 * n + np.arange(2 * n - 1)).ravel()
+    faces = np.concatenate([np.stack([first, first + 2 * n, first + 2 * n + 1], -1), np.stack([first, first + 2 * n + 1, first + 1], -1)])
+    faces = faces[:, ::-1] if inwards else faces
+    mesh("ball", 8 * away + [0, 0, 8], np.stack([u, v], -1), faces, None if normals is None else normals * away).write_ply(str(path))
+    return str(path)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "scalar_rgb"])
+def test_a_shape_that_would_be_black_because_it_looks_inwards_is_refused(slab, tmp_path, variant):
+    acquire.mitsuba.use(variant)
+    sky = {"type": "constant"}
+
+    def loaded(shape, sensor, **more):
+        made = scene(shape, slab, sensor, [sky], mm_per_uv=20.0, wrap="mirror")
+        made["slab"] |= more
+        return mi.load_dict(made)
+
+    sensor = looking_at([0, 0], 12, pixels=4)
+    sensor["to_world"] = mi.ScalarTransform4f().look_at([30, 9, 20], [0, 0, 8], [0, 0, 1]) @ mi.ScalarTransform4f().scale([6, 6, 1])
+    inwards = ball(tmp_path / "inwards.ply", inwards=True)
+    with pytest.raises(acquire.InputError, match=r"shape slab: of \d+ places .*, \d+ are on its inside: .* set flip_normals in Mitsuba"):
+        acquire.mitsuba.render(loaded(inwards, sensor), spp=4)
+    # Mitsuba's own call has the same sentence.
+    with pytest.raises((acquire.InputError, RuntimeError)) as told:
+        mi.render(loaded(inwards, sensor), spp=4)
+    assert "flip_normals" in str(told.value) + str(told.value.__cause__)
+    # What it advises is what helps.
+    picture = np.array(acquire.mitsuba.render(loaded(inwards, sensor, flip_normals=True), spp=4))
+    assert (picture.mean((0, 1)) > 0.05).all()
+    against = ball(tmp_path / "against.ply", normals=-1)
+    with pytest.raises(acquire.InputError, match=r"shape slab: of \d+ places .*, \d+ have vertex normals that point to the inside; set face_normals"):
+        acquire.mitsuba.render(loaded(against, sensor), spp=4)
+    for shape, more in ((against, dict(face_normals=True)), (ball(tmp_path / "right.ply", normals=1), {})):
+        assert (np.array(acquire.mitsuba.render(loaded(shape, sensor, **more), spp=4)).mean((0, 1)) > 0.05).all()
+    # From within a room its walls look inwards, as they should.
+    within = looking_at([0, 0], 1, pixels=4)
+    within["to_world"] = mi.ScalarTransform4f().look_at([0, 0, 8], [8, 0, 8], [0, 0, 1])
+    acquire.mitsuba.render(loaded(inwards, within), spp=1)
+
+
+def test_a_bake_of_a_mesh_that_looks_inwards_is_refused(slab, tmp_path):
+    def baked(shape, **more):
+        made = scene(shape, slab, looking_at([0, 0], 1), [{"type": "constant"}], mm_per_uv=20.0, wrap="mirror")
+        del made["sensor"]
+        made["slab"] |= more
+        return acquire.mitsuba.bake(mi.load_dict(made), spp=4, size=24)
+
+    inwards, against = ball(tmp_path / "inwards.ply", inwards=True), ball(tmp_path / "against.ply", normals=-1)
+    with pytest.raises(acquire.InputError, match=r"shape slab: of \d+ texels, \d+ are dark and \d+ have the mesh itself before them: .* set flip_normals"):
+        baked(inwards)
+    with pytest.raises(acquire.InputError, match=r"shape slab: of \d+ texels, \d+ have vertex normals against their faces: set face_normals"):
+        baked(against)
+    assert baked(inwards, flip_normals=True).exitance.mean() > 0.1
+    assert baked(against, face_normals=True).exitance.mean() > 0.1
 
 
 def test_an_llvm_that_would_abort_is_refused_before_it_does(tmp_path, monkeypatch):
@@ -458,7 +520,7 @@ def test_a_bake_that_cannot_be_is_refused(baked_plate, even_slab, tmp_path):
     shape = plate(tmp_path / "plate.ply", material)
     with pytest.raises(acquire.InputError, match="expected UVs from 0 to 1"):
         acquire.mitsuba.bake(mi.load_dict(scene(shape, file, looking_at([0, 0], 1), [EVEN])))
-    with pytest.raises(acquire.InputError, match="found clamp"):
+    with pytest.raises(acquire.InputError, match="bake: expected the wrap repeat, mirror or none, found clamp"):
         quad = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
         mesh("quad", quad, np.array(quad)[:, :2], [[0, 1, 2], [0, 2, 3]]).write_ply(str(tmp_path / "quad.ply"))
         acquire.mitsuba.bake(mi.load_dict(scene(str(tmp_path / "quad.ply"), file, looking_at([0, 0], 1), [EVEN], wrap="clamp", mm_per_uv=30.0)))

@@ -69,6 +69,26 @@ def test_the_numpy_of_the_materials_page_evaluates_any_material(truth, tmp_path,
         np.testing.assert_allclose(names["row"](*loaded, i), expected, rtol=1e-4, atol=1e-5 * expected.max())
 
 
+@pytest.mark.parametrize("how", [dict(model="joint", terms=6, maps=True), dict(model="tucker", terms=4, degree=3), dict(model="peers2006", terms=3)], ids=lambda h: h["model"])
+def test_the_exr_reader_of_the_materials_page_gives_rows_and_where_they_lie(truth, tmp_path, how):
+    pytest.importorskip("OpenEXR")
+    names = {}
+    exec(compile(next(block for block in page("materials.md") if "OpenEXR" in block), "docs/materials.md", "exec"), names)
+    material = acquire.factor(truth, **how)
+    material.export(tmp_path / "m.exr")
+    parts = names["load"](tmp_path / "m.exr")
+    pitch, (w, h), (columns, _) = material.info["pitch_mm"], material.info["window"], material.info["points"]
+    for i in (0, 7, 45, 79):
+        dx, dy, found = names["row"](parts, i % columns, i // columns)
+        on_window = np.zeros((h, w, 3))
+        k, j = (np.rint(d / pitch).astype(int) + n // 2 for d, n in ((dx, w), (dy, h)))
+        inside = [(0 <= at) & (at < n) for at, n in ((j, h), (k, w))]
+        on_window[np.ix_(j[inside[0]], k[inside[1]])] = found[np.ix_(*inside)]
+        expected = material.row(i)
+        # f32 maps, and colours by powers of an intensity, which cancel: 3e-7 of the peak measured.
+        np.testing.assert_allclose(on_window, expected, atol=1e-5 * expected.max())
+
+
 def test_the_python_page_s_code_runs(tmp_path, monkeypatch, truth):
     monkeypatch.chdir(tmp_path)
     names = {}

@@ -144,7 +144,7 @@ def test_the_figures_are_made_by_one_command(truth, tmp_path, monkeypatch):
         acquire.mitsuba.find_llvm()
     except acquire.InputError as missing:
         pytest.skip(str(missing))
-    words = f"figures --out {tmp_path / 'figures'} --chessboard {truth} --marble {truth} --width 48 --spp 8"
+    words = f"figures --out {tmp_path / 'figures'} --chessboard {truth} --chessboard4 {truth} --marble {truth} --width 48 --spp 8"
     monkeypatch.setattr("sys.argv", words.split())
     main()
     measured = json.loads((tmp_path / "figures/figure-2.json").read_text())["figure_2"]
@@ -152,5 +152,47 @@ def test_the_figures_are_made_by_one_command(truth, tmp_path, monkeypatch):
     assert [m["name"] for m in measured] == names
     # With the matrix's own random numbers a model is nearer to its picture than the matrix with others.
     assert all(m["psnr_db"] > measured[0]["psnr_db"] and m["flip"] < measured[0]["flip"] for m in measured[1:])
-    for name in ("figure-1.png", "figure-2.png"):
+    for name in ("figure-1.png", "figure-2.png", "figure-3.png"):
         assert (tmp_path / "figures" / name).stat().st_size > 10_000
+    found = json.loads((tmp_path / "figures/figure-3.json").read_text())["figure_3"]
+    by_name = {m["name"]: m for m in found["models"]}
+    # More terms are more bytes and a nearer picture; coded is smaller and, its maps quantized, no nearer.
+    eight, most, coded = (by_name[f"joint, T = {t}"] for t in ("8", "30", "30, coded"))
+    assert eight["bytes"] < most["bytes"] and eight["psnr_db"] < most["psnr_db"]
+    assert coded["bytes"] < most["bytes"] / 4 and coded["psnr_db"] < most["psnr_db"]
+    for terms in (5, 10, 15, 20):
+        of_tucker, of_peers = [m for m in found["models"] if m["series"] in ("tucker", "peers2006")][terms // 5 * 2 - 2 : terms // 5 * 2]
+        assert of_tucker["terms"] == terms and of_peers["bytes"] <= of_tucker["bytes"]
+    # With random numbers of its own a picture is further away, and the further the fewer its paths.
+    errors = [t["psnr_db"] for t in found["times"]]
+    assert errors == sorted(errors) and errors[-1] < by_name[found["timed"]]["psnr_db"]
+    assert [t["spp"] for t in found["times"]] == [1, 2, 8]
+
+
+def test_figure_3_has_each_model_where_its_bytes_and_decibels_are(tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    from xml.etree import ElementTree
+
+    from acquire.figures._trade import LOOKS, draw
+
+    models = [{"series": s, "name": f"{s}, T = {t}", "terms": t, "bytes": 1000 * 4**k * (t + 1), "psnr_db": 40.0 + 3 * k + t} for k, s in enumerate(LOOKS) for t in (8, 15)]
+    times = [{"spp": n, "processor_secs": 0.1 * n, "psnr_db": 20.0 + n} for n in (4, 16)]
+    drawing = draw({"models": models, "timed": "joint, T = 15", "times": times})
+    drawing.save_svg(tmp_path / "3.svg")
+    drawing.save_png(tmp_path / "3.png")
+    marks = [p for p in ElementTree.parse(tmp_path / "3.svg").iter() if p.tag.endswith("polygon")]
+    middle = lambda p: np.array([[float(v) for v in xy.split(",")] for xy in p.get("points").split()]).mean(0)  # noqa: E731
+    with image.open(tmp_path / "3.png") as opened:
+        picture = np.asarray(opened.convert("RGB")).astype(int)
+    assert picture.shape == (350, 760, 3)
+    for series, (_, colour) in LOOKS.items():
+        places = [middle(p) for p in marks if p.get("fill") == colour]
+        # Two on the left, one in the legend; of the timed model two on the right.
+        assert len(places) == (5 if series == "joint" else 3)
+        few, many = [m for m in models if m["series"] == series]
+        step = places[1] - places[0]
+        # 404 px for the range of bytes and a fifth of it more; the PNG has the mark at the same place.
+        assert step[0] == pytest.approx(np.log(many["bytes"] / few["bytes"]) / np.log(64 * 16 / 9) / 1.2 * 406, abs=1.0)
+        assert step[1] < -30
+        x, y = places[0].round().astype(int)
+        assert (abs(picture[y, x] - [int(colour[k : k + 2], 16) for k in (1, 3, 5)]) < 8).all()

@@ -42,6 +42,14 @@ def flip(picture: np.ndarray, reference: np.ndarray) -> float:
     return float(flip_evaluator.evaluate(srgb(reference), srgb(picture), "LDR")[1])
 
 
+def flip_if_there(picture: np.ndarray, reference: np.ndarray) -> float | None:
+    """:func:`flip`, or ``None`` where ``flip-evaluator`` is not installed: it has no wheel for every system."""
+    try:
+        return flip(picture, reference)
+    except ModuleNotFoundError:
+        return None
+
+
 def labelled(picture: np.ndarray, text: str) -> np.ndarray:
     """With a text at its top."""
     image = _image(picture)

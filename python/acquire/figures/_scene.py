@@ -21,10 +21,21 @@ class Stage:
         self.path, self.width, self.spp = path, width, spp
         self.mm_per_uv = statue(path)
 
-    def render(self, file: Path, light: str, *, near: bool = False, seed: int = 0) -> np.ndarray:
-        """A linear picture, (1.5 width, width, 3), of the statue made of a material or matrix."""
+    def render(self, file: Path, light: str, *, near: bool = False, seed: int = 0, spp: int | None = None) -> np.ndarray:
+        """A linear picture, (1.5 width, width, 3), of the statue made of a material or matrix.
+
+        :param spp: paths for a pixel; default: the stage's.
+        """
+        return self.picture(self.scene(file, light, near=near), seed=seed, spp=spp)
+
+    def picture(self, scene: mi.Scene, *, seed: int = 0, spp: int | None = None) -> np.ndarray:
+        """A linear picture of a scene of this stage."""
+        return np.array(acquire.mitsuba.render(scene, spp=spp or self.spp, seed=seed))
+
+    def scene(self, file: Path, light: str, *, near: bool = False) -> mi.Scene:
+        """The statue made of a material or matrix, on its floor under a light."""
         slab = {"type": "acquire_slab", "filename": str(file), "mm_per_uv": self.mm_per_uv, "wrap": "mirror"}
-        loaded = mi.load_dict(
+        return mi.load_dict(
             {
                 "type": "scene",
                 "integrator": {"type": "acquire_path", "max_depth": 6},
@@ -38,7 +49,6 @@ class Stage:
             }
             | _LIGHTS[light]
         )
-        return np.array(acquire.mitsuba.render(loaded, spp=self.spp, seed=seed))
 
     def _sensor(self, near: bool) -> dict:
         eye, aim, fov = ([90, -22, 78], [0, 0, 62], 26) if near else ([170, -40, 70], [0, 0, 38], 22)

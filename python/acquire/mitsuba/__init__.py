@@ -42,11 +42,11 @@ def render(scene: mi.Scene, **options: Any) -> mi.TensorXf:
     ``mi.render`` alone raises the same in a JIT variant as the cause of a ``RuntimeError``.
 
     :param options: those of ``mi.render``: ``spp``, ``seed``, ``sensor``, ``integrator``.
-    :raises InputError: no shapes, none of this material, no UVs, a material larger than its mesh.
+    :raises InputError: no shapes, none of this material, no UVs, a material larger than its mesh, a shape that the camera sees from inside.
     """
     from ._checks import slabs_of
 
-    slabs_of(scene)
+    slabs_of(scene, options.get("sensor", 0))
     return mi.render(scene, **options)
 
 

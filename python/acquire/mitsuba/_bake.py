@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import InputError, Material
-from ._checks import slabs_of
+from ._checks import check_baked_sides, slabs_of
 from ._export import write_all
 
 #: Texels that a pitch has when no size is given, and the most of a side.
@@ -54,7 +54,7 @@ def bake(
     :param size: texels of a side; default: two for each sample of the material, at most 4096.
     :param spp: paths for each texel.
     :param force: replace an earlier bake.
-    :raises InputError: no such mesh, UVs that leave 0…1 or overlap, a JIT variant missing, the wrap ``clamp``, a folder that is not of an earlier bake.
+    :raises InputError: no such mesh, UVs that leave 0…1 or overlap, a JIT variant missing, the wrap ``clamp``, faces or vertex normals that look inwards, a folder that is not of an earlier bake.
     """
     if not dr.is_jit_v(mi.Float):
         raise InputError(f"bake: expected a JIT variant such as llvm_ad_rgb, found {mi.variant()}", "Setting")
@@ -66,6 +66,7 @@ def bake(
         raise InputError(f"bake: expected a material, found the matrix {slab.filename}: factor it first", "Setting")
     size = size or min(MOST_TEXELS, int(np.ceil(TEXELS_A_PITCH * slab.mm_per_uv / slab.factors.pitch_mm)))
     found, covered = _irradiance(scene, mesh, size, spp, seed)
+    check_baked_sides(scene, mesh, covered, covered & ~found.any(-1))
     reach = int(np.ceil(np.hypot(*slab.factors.window) / 2 * slab.factors.pitch_mm / slab.mm_per_uv * size)) + 1
     irradiance = _spread(found, covered, reach)
     exitance, albedo = (_relit(slab, image) for image in (irradiance, np.ones_like(irradiance)))

@@ -17,7 +17,7 @@ _LEAST_COAT, _MOST_COAT = 0.1, 0.9
 def _balance(pdf: mi.Float, other: mi.Float) -> mi.Float:
     """Weight of multiple importance sampling, power heuristic."""
     a, b = pdf * pdf, other * other
-    return dr.select(a > 0, a / (a + b), 0)
+    return a / dr.maximum(a + b, 1e-30)  # both 0 where nothing is: a scalar variant must not divide by that
 
 
 def _pick(condition, yes, no):
@@ -66,7 +66,7 @@ def make_integrator(base: type) -> type:
             self.slabs: list | None = None
 
         def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
-            self.slabs = slabs_of(scene)
+            self.slabs = slabs_of(scene, sensor)
             return base.render(self, scene, sensor, seed, spp, develop, evaluate)
 
         def sample(self, scene, sampler, ray, medium=None, active=True):
