@@ -505,10 +505,10 @@ impl fmt::Display for ConsistencyWarning {
             ),
             Self::BoardFlipped { shot, looks, off_px, as_it_is_px } => write!(
                 f,
-                "the photographs of shot \"{shot}\" are {looks}: undone, they put the slab within {off_px:.2} px of the sample's rim, {}",
+                "the photographs of shot \"{shot}\" are {looks}: with that undone the slab lies {off_px:.2} px from the sample's rim, as they are {}",
                 match as_it_is_px {
-                    Some(off) => format!("as they are {off:.2} px from it"),
-                    None => "as they are farther from it than it is looked for".to_owned(),
+                    Some(off) => format!("{off:.2} px"),
+                    None => "so far that no rim is found".to_owned(),
                 }
             ),
             Self::SlabElsewhere { shot, offset_mm: [x, y], sd_mm } => write!(
