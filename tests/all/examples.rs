@@ -235,7 +235,9 @@ fn make_room(folder: &Path, words: &[String]) {
     };
     let default = ending.zip(words.get(1)).filter(|_| out.is_none());
     let default = default.map(|(ending, from)| format!("{}.{ending}", from.split('.').next().unwrap_or_default()));
-    for name in [out, simulated, default.as_ref()].into_iter().flatten() {
+    // relight writes a picture beside its file.
+    let beside = out.filter(|_| words[0] == "relight").map(|out| out.replace(".exr", ".png"));
+    for name in [out, simulated, default.as_ref(), beside.as_ref()].into_iter().flatten() {
         let path = folder.join(name);
         let _ = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
     }
