@@ -11,7 +11,7 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Examples:
   acquire tradeoff slab.rd.zarr                        every model, back end, T, P and precision
-  acquire tradeoff slab.rd.zarr --quick                a block of 24 × 24 lit points, under a minute
+  acquire tradeoff slab.rd.zarr --quick                a block of 24 × 24 lit points, a minute or two
   acquire tradeoff slab.rd.zarr --quick --json | jq '.measured[] | select(.pareto)'
 
 Writes tradeoff.html (opens offline), tradeoff.csv and tradeoff.json into a folder; prints the front (the settings that no other

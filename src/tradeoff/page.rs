@@ -193,8 +193,7 @@ fn error_bytes(t: &Tradeoff, measure: &PlottedMeasure, noise: Option<f64>) -> St
         lines.push(vec![(low, noise), (high, noise)]);
         chart.line(lines[1].iter().copied(), "noise");
         // Where files are small no point is so near to the matrix.
-        let words = t.noise.map_or_else(String::new, |n| format!("noise, {:.1} dB", n.psnr_db));
-        labels.insert(0, ((low, noise), words));
+        labels.insert(0, ((low, noise), format!("noise, {}", plain(noise, 2))));
     }
     chart.labels(&labels, &points.iter().map(at).collect::<Vec<_>>(), &lines);
     chart.finish(measure.label)
