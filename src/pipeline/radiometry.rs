@@ -39,8 +39,8 @@ pub(super) struct Radiometry {
 /// give flicker to a tenth of itself.
 const LATTICE_SHOTS_PER_LOOK: usize = 16;
 const LOOKS: [usize; 2] = [8, 16];
-/// Shots of the Gray code that are looked at: with board and white reference alone, a lamp that flickers by chance alike
-/// in both is taken for a wrong time.
+/// Shots of the Gray code that are looked at. Some exposure times are those of the board and the white reference alone:
+/// flicker that by chance changes both stacks alike would look like a wrong time.
 const GRAY_SHOTS: usize = 6;
 /// Gray-code bits of each axis whose light sums are looked at, finest first: their stripes have most edges.
 const BITS_PER_AXIS: usize = 6;

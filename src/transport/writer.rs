@@ -110,7 +110,7 @@ impl MatrixWriter {
     /// The row that was put last at `index`.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Internal`] when there is none.
+    /// [`Error::Io`]; [`Error::Internal`] when no row was put at `index`.
     pub fn row(&self, index: usize) -> Result<Row> {
         self.rows.row(index, &self.path)
     }

@@ -179,7 +179,7 @@ fn a_covered_lens_tells_black_and_hot_photosites_under_light_that_does_not_grow_
     let capture = Capture::open(&dir, None).unwrap();
     add_light(&capture, |p| matches!(p, Pattern::ReferenceBlack | Pattern::SampleBlack), 40);
     assert!((estimated_black(&build_again(&dir)) - 512.0).abs() < 0.1);
-    // Without the dark shot it is taken for the sensor's.
+    // Without the dark shot the light of that lamp is taken for part of the sensor's black level.
     let mut manifest = Manifest::read(&dir).unwrap();
     manifest.shots.retain(|s| s.pattern != Pattern::Dark);
     manifest.write(&dir).unwrap();

@@ -85,6 +85,11 @@ impl Core {
         self.x.len() * self.y.len()
     }
 
+    /// Whether sample `e` of a common window of `width` columns is in it.
+    pub(crate) fn contains(&self, width: usize, e: usize) -> bool {
+        self.y.contains(&(e / width.max(1))) && self.x.contains(&(e % width.max(1)))
+    }
+
     /// How far its first sample lies from the lit point of a row shifted by `shift`, in samples.
     pub(crate) fn offset_from_lit(&self, layout: &Layout, shift: [i16; 2]) -> [isize; 2] {
         let first = [self.x.start, self.y.start];

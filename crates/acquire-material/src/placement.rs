@@ -29,7 +29,7 @@ impl Default for ImagePlacement {
 }
 
 impl ImagePlacement {
-    /// Sides of the extent, mm, or of the lit area where there is none.
+    /// Width and height of the extent, or of the lit area where no extent is given, mm.
     ///
     /// # Errors
     /// [`Error::Option`] for an extent that is not finite or has no area, and for copies that are none or narrower than

@@ -16,8 +16,9 @@ const BLOCK: usize = 1 << 20;
 ///
 /// Where the material has an exit map, it multiplies what leaves at each sample of the canvas: the light that enters
 /// between lit points leaves through the surface as it is where it leaves. Rows without light are not evaluated. The
-/// rows of a material without a colour polynomial are added by convolution where that is faster, as far as their shifted
-/// windows have a part in common: what they leave between samples that differ by more than 15 decades is rounding. `done` is told of rows as they are added.
+/// rows of a material without a colour polynomial are added by convolution where that is faster, as far as their
+/// shifted windows have a part in common: what they leave between samples that differ by more than 15 decades is
+/// rounding. `done` is told of rows as they are added.
 ///
 /// # Errors
 /// [`crate::Error::Internal`].
@@ -33,11 +34,12 @@ pub fn relight(
     let lit: Vec<usize> = (0..shape.rows()).filter(|&i| quadrature.is_lit(i, fluxes)).collect();
     done(shape.rows() - lit.len());
     let (core, convolved, others) = parts(material, lit, quadrature, fluxes);
+    let whole = Responses::entering(material, None);
     if let Some(core) = core {
-        convolve(&mut out, &Responses::new(material), &core, &convolved, quadrature, fluxes)?;
+        convolve(&mut out, &whole, &core, &convolved, quadrature, fluxes)?;
         add(&mut out, &Responses::entering(material, Some(core)), &convolved, quadrature, fluxes, done);
     }
-    add(&mut out, &Responses::entering(material, None), &others, quadrature, fluxes, done);
+    add(&mut out, &whole, &others, quadrature, fluxes, done);
     if material.header.exit_grid.is_some() {
         out.iter_mut().for_each(|image| leave(material, image));
     }

@@ -149,10 +149,7 @@ impl<'a> Responses<'a> {
         let (h, layout) = (&material.header, material.header.layout());
         let (samples, terms) = (layout.len(), h.terms);
         let factors = material.offset_factors.all();
-        let outside = |e: &usize| {
-            core.as_ref()
-                .is_none_or(|c| !c.y.contains(&(e / layout.extended[0])) || !c.x.contains(&(e % layout.extended[0])))
-        };
+        let outside = |e: &usize| core.as_ref().is_none_or(|core| !core.contains(layout.extended[0], *e));
         let kept: Vec<usize> = (0..samples).filter(outside).collect();
         let maps = (0..h.offset_planes).map(|plane| {
             let factors = &factors[plane * terms * samples..][..terms * samples];
