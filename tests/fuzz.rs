@@ -31,13 +31,7 @@ const READERS: [Reader; 8] = [
 
 fn read_photograph(path: &Path) {
     let _ = CameraSettings::read(path);
-    let photograph = Photograph {
-        path: path.to_path_buf(),
-        shot: "s".into(),
-        exposure_secs: 0.1,
-        effective_secs: 0.1,
-        reduction: None,
-    };
+    let photograph = Photograph::new(path, "s", 0.1);
     let _ = photograph.size_px();
     if let Ok(pixels) = photograph.decode() {
         assert_eq!(pixels.samples.len(), 3 * pixels.width * pixels.height);

@@ -3,7 +3,7 @@
 use super::exif::{self, ExifExposure, ExposureFrom};
 use super::manifest::{LEAST_SECS, MOST_SECS};
 use super::together::{self, Taken};
-use super::{CameraSettings, Manifest, Pattern, Photograph, ResponseCurve, Rig};
+use super::{CameraSettings, Kept, Manifest, Pattern, Photograph, ResponseCurve, Rig};
 use crate::warning::bounds::EXPOSURE_TOLERANCE;
 use crate::{CaptureWarning, Error, Result, geometry::Point};
 use rayon::prelude::*;
@@ -77,10 +77,11 @@ impl Capture {
         // Told with its values.
         let mut told = found.iter().any(|w| matches!(w, CaptureWarning::SettingChanges { setting, .. } if ["ISO", "f-number"].contains(&setting.as_str())));
         warnings.extend(found);
-        let mut brackets = Vec::new();
+        let (mut brackets, kept) = (Vec::new(), Kept::default());
         for (mut shot_heads, mut found) in heads {
             gather(&mut warnings, &mut found);
             for head in &mut shot_heads {
+                head.photograph.kept = kept.clone();
                 let factor = relative_sensitivity(&head.exif, &first);
                 head.photograph.effective_secs = head.photograph.exposure_secs * factor;
                 let field = "exposure time · ISO / f-number²";
@@ -98,6 +99,11 @@ impl Capture {
     /// Indices of the shots of a kind, in the manifest's order.
     pub fn shots(&self, of: impl Fn(&Pattern) -> bool) -> Vec<usize> {
         (0..self.manifest.shots.len()).filter(|&s| of(&self.manifest.shots[s].pattern)).collect()
+    }
+
+    /// Where its photographs are kept.
+    pub(crate) fn kept(&self) -> Kept {
+        self.brackets.iter().flatten().next().map(|p| p.kept.clone()).unwrap_or_default()
     }
 
     /// The path of `capture.toml`.
@@ -178,8 +184,7 @@ fn read_heads(
     let mut heads = Vec::new();
     for entry in &shot.photographs {
         let path = dir.join(&entry.file);
-        let mut photograph =
-            Photograph { path, shot: shot.name.clone(), exposure_secs: 0.0, effective_secs: 0.0, reduction: None };
+        let mut photograph = Photograph::new(path, &shot.name, 0.0);
         let (found, bits) = photograph.head()?;
         if found != size_px {
             return Err(Error::PhotographSize { path: photograph.path, expected: size_px, found });

@@ -6,6 +6,7 @@ mod exr_file;
 mod folder;
 mod jpeg;
 mod jpeg_scan;
+mod kept;
 mod manifest;
 mod photograph;
 #[cfg(feature = "raw")]
@@ -25,6 +26,7 @@ pub(crate) use exr_file::decode_exr_bytes;
 pub use folder::Capture;
 pub use jpeg::compression_variance;
 pub(crate) use jpeg_scan::check_jpeg_end;
+pub use kept::Kept;
 pub use manifest::{
     Axis, FORMAT, Grid, Manifest, Pattern, PhotographEntry, ReferenceDots, Shot, Slab, Surface, Window,
 };

@@ -2,6 +2,7 @@
 
 use super::exr_file::exr_size;
 use super::jpeg_scan::check_jpeg;
+use super::kept::Kept;
 #[cfg(feature = "raw")]
 pub(super) use super::raw;
 use super::reduction::{PhotographRows, Reduction};
@@ -26,16 +27,39 @@ pub struct Photograph {
     pub effective_secs: f64,
     /// What becomes of its pixels as they are decoded; `None`: they stay.
     pub reduction: Option<Reduction>,
+    /// Where its pixels stay once they were decoded.
+    #[serde(skip)]
+    pub kept: Kept,
 }
 
 impl Photograph {
+    /// A file as it is, exposed for so many seconds.
+    pub fn new(path: impl Into<PathBuf>, shot: impl Into<String>, exposure_secs: f64) -> Self {
+        Self {
+            path: path.into(),
+            shot: shot.into(),
+            exposure_secs,
+            effective_secs: exposure_secs,
+            reduction: None,
+            kept: Kept::default(),
+        }
+    }
+
     /// Reads the head; rows follow as they are asked for.
     ///
     /// # Errors
     /// [`Error::MissingPhotograph`], [`Error::BrokenPhotograph`] (an unknown format or layout).
     pub fn open(&self) -> Result<PhotographRows<'_>> {
+        if let Some(pixels) = self.kept.get(&self.path, self.factor()) {
+            return Ok(PhotographRows::of_memory(self, pixels));
+        }
         let reader = RowReader::open(&self.path).map_err(|e| self.unreadable(e))?;
         PhotographRows::new(self, reader.map_err(|reason| self.broken(reason))?)
+    }
+
+    /// Pixels along a side of the blocks that become one.
+    pub(super) fn factor(&self) -> usize {
+        self.reduction.as_ref().map_or(1, |by| by.factor)
     }
 
     /// All of it. Grey is repeated in three channels, alpha is dropped.
@@ -54,16 +78,11 @@ impl Photograph {
     /// The code values in each of `rects`, which must lie in the picture of `size_px`, and where in its pixel each
     /// channel was measured.
     ///
-    /// With `to_the_end` the file is read to its end, and damage behind the last of them found.
+    /// The file is read to its end: damage behind the last of them is found.
     ///
     /// # Errors
     /// Those of [`Self::decode`]; [`Error::BrokenPhotograph`] when the file holds another size than its head said.
-    pub fn decode_parts(
-        &self,
-        rects: &[Rect],
-        size_px: [usize; 2],
-        to_the_end: bool,
-    ) -> Result<(Vec<Samples>, Sampling)> {
+    pub fn decode_parts(&self, rects: &[Rect], size_px: [usize; 2]) -> Result<(Vec<Samples>, Sampling)> {
         let mut rows = self.open()?;
         rows.check_size(size_px)?;
         let first = rects.iter().map(|r| r.y).min().unwrap_or(0);
@@ -82,9 +101,7 @@ impl Photograph {
                 part.extend(&row, 3 * rect.x..3 * (rect.x + rect.width));
             }
         }
-        if to_the_end {
-            rows.finish()?;
-        }
+        rows.finish()?;
         Ok((parts, rows.sampling()))
     }
 

@@ -2,8 +2,9 @@
 //!
 //! Code values must be in proportion to light: means of a curve's code values are not those of light.
 
-use super::rows::RowReader;
-use super::{Camera, Capture, Photograph, Samples, Sampling};
+use super::kept::Room;
+use super::rows::{PAST_THE_END, RowReader};
+use super::{Camera, Capture, Photograph, Pixels, Samples, Sampling};
 use crate::{Error, Result};
 use std::sync::Arc;
 
@@ -39,29 +40,61 @@ mod shared {
 /// The rows of a photograph, reduced as it says, from the first to the last.
 pub struct PhotographRows<'a> {
     photograph: &'a Photograph,
-    reader: RowReader,
-    blocks: Option<Blocks>,
+    source: Source,
     size_px: [usize; 2],
     /// Rows that were taken.
     taken: usize,
+    /// What is to be kept of it: all rows that were taken.
+    record: Option<Record>,
+}
+
+enum Source {
+    File { reader: RowReader, blocks: Option<Blocks> },
+    Memory(Arc<Pixels>),
+}
+
+struct Record {
+    room: Room,
+    samples: Samples,
 }
 
 impl<'a> PhotographRows<'a> {
     pub(super) fn new(photograph: &'a Photograph, mut reader: RowReader) -> Result<Self> {
         let blocks =
             photograph.reduction.as_ref().filter(|by| by.factor > 1).map(|by| Blocks::new(by, reader.size_px[0]));
-        let size_px = reader.size_px.map(|s| s / blocks.as_ref().map_or(1, |b| b.factor));
-        // What is in memory as a whole is reduced at once: other exposures are read beside it.
-        let mut reduced = Samples::F32(vec![]);
-        if let (true, Some(mut blocks)) = (reader.is_whole(), blocks.clone()) {
-            for _ in 0..size_px[1] {
-                blocks.line(&mut reader, &mut reduced).map_err(|reason| photograph.broken(reason))?;
-            }
-            let sampling = blocks.sampling(reader.sampling);
-            let reader = RowReader::whole(size_px, reduced, sampling);
-            return Ok(Self { photograph, reader, blocks: None, size_px, taken: 0 });
+        let [width, height] = reader.size_px.map(|s| s / blocks.as_ref().map_or(1, |b| b.factor));
+        // Means are of four bytes; of others it is not known yet, and floating point is seldom.
+        let bytes = 3 * width * height * if blocks.is_some() { 4 } else { 2 };
+        let room = photograph.kept.room(bytes);
+        if !reader.is_whole() {
+            let record = room.map(|room| Record { room, samples: Samples::U8(vec![]) });
+            let source = Source::File { reader, blocks };
+            return Ok(Self { photograph, source, size_px: [width, height], taken: 0, record });
         }
-        Ok(Self { photograph, reader, blocks, size_px, taken: 0 })
+        // What is in memory as a whole is reduced at once: other exposures are read beside it.
+        let mut samples = Samples::F32(vec![]);
+        let sampling = match blocks {
+            None => {
+                samples = reader.take_samples();
+                reader.sampling
+            }
+            Some(mut blocks) => {
+                for _ in 0..height {
+                    blocks.line(&mut reader, &mut samples).map_err(|reason| photograph.broken(reason))?;
+                }
+                blocks.sampling(reader.sampling)
+            }
+        };
+        let pixels = Arc::new(Pixels { width, height, samples, sampling });
+        if let Some(room) = room {
+            room.put(&photograph.path, photograph.factor(), pixels.clone());
+        }
+        Ok(Self::of_memory(photograph, pixels))
+    }
+
+    pub(super) fn of_memory(photograph: &'a Photograph, pixels: Arc<Pixels>) -> Self {
+        let size_px = [pixels.width, pixels.height];
+        Self { photograph, source: Source::Memory(pixels), size_px, taken: 0, record: None }
     }
 
     /// Columns and rows.
@@ -71,7 +104,10 @@ impl<'a> PhotographRows<'a> {
 
     /// Where in its pixel each channel was measured.
     pub fn sampling(&self) -> Sampling {
-        self.blocks.as_ref().map_or(self.reader.sampling, |b| b.sampling(self.reader.sampling))
+        match &self.source {
+            Source::File { reader, blocks } => blocks.as_ref().map_or(reader.sampling, |b| b.sampling(reader.sampling)),
+            Source::Memory(pixels) => pixels.sampling,
+        }
     }
 
     /// Refuses a photograph that is not of this size.
@@ -91,15 +127,29 @@ impl<'a> PhotographRows<'a> {
     /// # Errors
     /// [`Error::BrokenPhotograph`].
     pub fn read(&mut self, rows: usize, out: &mut Samples) -> Result<()> {
+        let first = self.taken;
         self.taken += rows;
-        let done = match &mut self.blocks {
-            None => self.reader.read(rows, out),
-            Some(blocks) => {
+        let done = match &mut self.source {
+            Source::File { reader, blocks: None } => reader.read(rows, out),
+            Source::File { reader, blocks: Some(blocks) } => {
                 out.refill_f32(|_| ());
-                (0..rows).try_for_each(|_| blocks.line(&mut self.reader, out))
+                (0..rows).try_for_each(|_| blocks.line(reader, out))
+            }
+            Source::Memory(pixels) => {
+                let line = 3 * pixels.width;
+                out.clear();
+                match self.taken <= pixels.height {
+                    true => out.extend(&pixels.samples, line * first..line * self.taken),
+                    false => return Err(self.broken(PAST_THE_END.into())),
+                }
+                Ok(())
             }
         };
-        done.map_err(|reason| self.broken(reason))
+        done.map_err(|reason| self.broken(reason))?;
+        if let Some(record) = &mut self.record {
+            record.samples.extend(out, 0..out.len());
+        }
+        Ok(())
     }
 
     /// Leaves out the next `rows` rows, which must be there.
@@ -107,12 +157,23 @@ impl<'a> PhotographRows<'a> {
     /// # Errors
     /// [`Error::BrokenPhotograph`].
     pub fn skip(&mut self, rows: usize) -> Result<()> {
+        let Source::File { reader, blocks } = &mut self.source else {
+            self.taken += rows;
+            return Ok(());
+        };
+        // Where skipping saves no decoding, what is skipped may as well be kept.
+        if self.record.is_some() && !reader.skips() {
+            let mut row = Samples::U8(vec![]);
+            return (0..rows).try_for_each(|_| self.read(1, &mut row));
+        }
+        self.record = None;
         self.taken += rows;
-        let factor = self.blocks.as_ref().map_or(1, |b| b.factor);
-        if let Some(blocks) = &mut self.blocks {
+        let factor = blocks.as_ref().map_or(1, |b| b.factor);
+        if let Some(blocks) = blocks {
             blocks.taken += factor * rows;
         }
-        self.reader.skip(factor * rows).map_err(|reason| self.broken(reason))
+        let done = reader.skip(factor * rows);
+        done.map_err(|reason| self.broken(reason))
     }
 
     /// Reads what is left of the file: damage shows in its decoding.
@@ -120,14 +181,25 @@ impl<'a> PhotographRows<'a> {
     /// # Errors
     /// [`Error::BrokenPhotograph`].
     pub fn finish(&mut self) -> Result<()> {
-        let factor = self.blocks.as_ref().map_or(1, |b| b.factor);
-        let left = self.reader.size_px[1] - factor * self.taken;
+        if self.record.is_some() {
+            let left = self.size_px[1] - self.taken;
+            self.skip(left)?;
+        }
+        let Source::File { reader, blocks } = &mut self.source else { return Ok(()) };
+        let left = reader.size_px[1] - blocks.as_ref().map_or(1, |b| b.factor) * self.taken;
         let mut row = Samples::U8(vec![]);
         let mut end = || {
-            (0..left).try_for_each(|_| self.reader.read(1, &mut row))?;
-            self.reader.finish()
+            (0..left).try_for_each(|_| reader.read(1, &mut row))?;
+            reader.finish()
         };
-        end().map_err(|reason| self.broken(reason))
+        end().map_err(|reason| self.photograph.broken(reason))?;
+        if let Some(Record { room, samples }) = self.record.take() {
+            let ([width, height], sampling) = (self.size_px, self.sampling());
+            let pixels = Arc::new(Pixels { width, height, samples, sampling });
+            room.put(&self.photograph.path, self.photograph.factor(), pixels.clone());
+            self.source = Source::Memory(pixels);
+        }
+        Ok(())
     }
 
     fn broken(&self, reason: String) -> Error {
@@ -290,8 +362,7 @@ mod tests {
         let Samples::U16(codes) = &samples else { panic!("16 bits") };
         let [width, height] = size_px.map(|s| s as u32);
         image::ImageBuffer::<image::Rgb<u16>, _>::from_raw(width, height, codes.clone()).unwrap().save(&path).unwrap();
-        let photograph =
-            Photograph { path, shot: "s".into(), exposure_secs: 1.0, effective_secs: 1.0, reduction: Some(by) };
+        let photograph = Photograph { reduction: Some(by), ..Photograph::new(path, "s", 1.0) };
         let found = photograph.decode().unwrap();
         let whole = RowReader::whole(size_px, samples, Sampling::WHOLE);
         let mut rows = PhotographRows::new(&photograph, whole).unwrap();

@@ -24,6 +24,9 @@ pub(super) struct RowReader {
     taken: usize,
 }
 
+/// What is wrong when rows are missing.
+pub(super) const PAST_THE_END: &str = "the file ends before the image does";
+
 enum Source {
     Png(Box<png::Reader<BufReader<File>>>, Vec<u8>),
     Tiff(Box<TiffBands>),
@@ -90,6 +93,16 @@ impl RowReader {
         matches!(self.source, Source::Whole)
     }
 
+    /// All code values of what is in memory as a whole.
+    pub(super) fn take_samples(&mut self) -> Samples {
+        std::mem::replace(&mut self.band, Samples::U8(vec![]))
+    }
+
+    /// Whether rows that are left out need not be decoded.
+    pub(super) fn skips(&self) -> bool {
+        matches!(self.source, Source::Tiff(_))
+    }
+
     /// Puts the next `rows` rows, which must be there, into `out` in the place of what it holds.
     ///
     /// # Errors
@@ -148,11 +161,11 @@ impl RowReader {
         match &mut self.source {
             Source::Png(reader, row) => {
                 let there = reader.read_row(row).map_err(|e| e.to_string())?;
-                there.ok_or("the file ends before the image does")?;
+                there.ok_or(PAST_THE_END)?;
                 of_png(row, reader.output_color_type(), &mut self.band)
             }
             Source::Tiff(bands) => bands.read(&mut self.band),
-            Source::Whole => Err("the file ends before the image does".into()),
+            Source::Whole => Err(PAST_THE_END.into()),
         }
     }
 

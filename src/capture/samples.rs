@@ -75,6 +75,15 @@ impl Samples {
         }
     }
 
+    /// Bytes that they take.
+    pub(super) fn bytes(&self) -> usize {
+        match self {
+            Self::U8(v) => v.len(),
+            Self::U16(v) => 2 * v.len(),
+            Self::F32(v) => 4 * v.len(),
+        }
+    }
+
     /// Shows `see` each code value.
     pub(crate) fn for_each(&self, mut see: impl FnMut(f64)) {
         match self {

@@ -24,13 +24,7 @@ pub(super) fn read(dir: &Path, manifest: &Manifest, rig: &Rig) -> Vec<Head> {
         .map(|(shot, entry)| {
             let path = dir.join(&entry.file);
             let name = &manifest.shots[shot].name;
-            let photograph = Photograph {
-                path: path.clone(),
-                shot: name.clone(),
-                exposure_secs: 0.0,
-                effective_secs: 0.0,
-                reduction: None,
-            };
+            let photograph = Photograph::new(&path, name, 0.0);
             let settings = CameraSettings::read(&path).ok().flatten();
             let exposure_secs = entry.exposure_secs.or(settings.as_ref().and_then(|s| s.exposure_secs));
             let mut finding = look(&photograph, &entry.file, rig.camera.size_px);

@@ -122,14 +122,7 @@ fn walk(folder: &Path, depth: usize, files: &mut Vec<PathBuf>, ignored: &mut usi
 }
 
 fn size_px(path: &Path) -> Option<[usize; 2]> {
-    let photograph = Photograph {
-        path: path.to_path_buf(),
-        shot: String::new(),
-        exposure_secs: 0.0,
-        effective_secs: 0.0,
-        reduction: None,
-    };
-    photograph.size_px().ok()
+    Photograph::new(path, "", 0.0).size_px().ok()
 }
 
 fn ending(path: &Path) -> String {

@@ -3,6 +3,7 @@
 use super::Working;
 use crate::Result;
 use crate::capture::{Capture, Noise, Pattern, Rect, Reduction, Samples};
+use crate::progress::Progress;
 use crate::radiance::{Exposure, FileNoise, HotPixel, Sensor, find_hot_pixels, merge};
 
 /// Rows that are looked at together, with one more above and below.
@@ -15,13 +16,14 @@ const ROWS: usize = 64;
 ///
 /// # Errors
 /// Those of decoding.
-pub(super) fn find(capture: &Capture, noise: &Noise, working: Working) -> Result<Vec<HotPixel>> {
+pub(super) fn find(capture: &Capture, noise: &Noise, working: Working, progress: &Progress) -> Result<Vec<HotPixel>> {
     let first = |of: fn(&Pattern) -> bool| capture.shots(of).into_iter().next();
     let dark = first(|p| matches!(p, Pattern::Dark)).or_else(|| first(|p| matches!(p, Pattern::SampleBlack)));
     let Some(longest) = dark.filter(|_| working.factor > 1).and_then(|shot| capture.brackets[shot].last()) else {
         return Ok(vec![]);
     };
     let [width, height] = capture.rig.camera.size_px;
+    let stage = progress.stage("hot pixels", height);
     let sensor = Sensor::with_curve(noise, None, FileNoise::default());
     let mut rows = longest.open()?;
     rows.check_size([width, height])?;
@@ -31,6 +33,7 @@ pub(super) fn find(capture: &Capture, noise: &Noise, working: Working) -> Result
     while read < height {
         let n = ROWS.min(height - read);
         rows.read(n, &mut next)?;
+        stage.advance(n);
         band.extend(&next, 0..next.len());
         read += n;
         let rect = Rect { x: 0, y: first, width, height: read - first };
@@ -78,7 +81,8 @@ mod tests {
         picture.save(&path).unwrap();
         capture.brackets[0].iter_mut().for_each(|p| p.path = path.clone());
         let noise = capture.rig.noise.clone().unwrap();
-        let find = |factor| find(&capture, &noise, Working { factor, px_per_sample: None }).unwrap();
+        let find =
+            |factor| find(&capture, &noise, Working { factor, px_per_sample: None }, &Progress::silent()).unwrap();
         let found = find(3);
         assert_eq!(found.iter().map(|h| h.at).collect::<Vec<_>>(), sites);
         assert!(found.iter().all(|h| h.excess.is_none() == (h.at[0] == 30)), "{found:?}");

@@ -169,13 +169,7 @@ mod tests {
     use crate::capture::Pattern;
 
     fn photograph(secs: f64) -> Photograph {
-        Photograph {
-            path: "a.png".into(),
-            shot: "white".into(),
-            exposure_secs: 9.0,
-            effective_secs: secs,
-            reduction: None,
-        }
+        Photograph { effective_secs: secs, ..Photograph::new("a.png", "white", 9.0) }
     }
 
     #[test]

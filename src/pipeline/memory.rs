@@ -22,13 +22,47 @@ const CODES_PER_PX: u64 = 12;
 /// The tiles in which noise is looked for, of two photographs, and decoders' buffers.
 const THREAD: u64 = 40 << 20;
 
+/// Of photographs that several stages read: of 24 megapixels 113 in blocks of 9 × 9, of 0.5 megapixels 134 as they are.
+const KEPT: u64 = 384 << 20;
+
+/// Lets photographs be kept while the working resolution is not known; where memory is bounded, none.
+pub(super) fn keep_before(capture: &Capture, memory_bytes: Option<u64>) {
+    capture.kept().allow(if memory_bytes.is_none() { KEPT as usize } else { 0 });
+}
+
+/// Threads that fit into `memory_bytes`, of `threads`; photographs are kept in what is left.
+///
+/// # Errors
+/// Those of [`threads`].
+pub(super) fn share(
+    capture: &Capture,
+    working: Working,
+    memory_bytes: Option<u64>,
+    most_threads: usize,
+) -> Result<usize> {
+    let (threads, left) = match memory_bytes {
+        None => (most_threads, KEPT),
+        Some(bytes) => {
+            let (threads, need) = (threads(capture, working, bytes, most_threads)?, Need::of(capture, working));
+            (threads, (bytes - need.shared - threads as u64 * need.thread).min(KEPT))
+        }
+    };
+    let kept = capture.kept();
+    if working.factor > 1 {
+        // As they were taken nobody reads them again.
+        kept.forget();
+    }
+    kept.allow(left as usize);
+    Ok(threads)
+}
+
 /// Threads that fit into `memory_bytes`, of `threads`.
 ///
 /// An upper bound: windows are taken for the whole picture.
 ///
 /// # Errors
 /// [`Error::Setting`] with the least memory in which one works.
-pub(super) fn threads(capture: &Capture, working: Working, memory_bytes: u64, threads: usize) -> Result<usize> {
+fn threads(capture: &Capture, working: Working, memory_bytes: u64, threads: usize) -> Result<usize> {
     let need = Need::of(capture, working);
     let fits = memory_bytes.saturating_sub(need.shared) / need.thread;
     if fits == 0 {

@@ -264,8 +264,13 @@ fn with_prepared<T: Send>(
 ) -> Result<(T, Vec<Warning>)> {
     let found = || -> Result<_> {
         let start = Instant::now();
+        memory::keep_before(capture, options.memory_bytes);
+        let stage = progress.stage("noise", 2);
         let mut noise = noise::find(capture)?;
+        stage.advance(1);
         noise.warnings.extend(noise::black_moves(capture, &noise.noise)?);
+        stage.advance(1);
+        drop(stage);
         let working = resolution::choose(capture, &noise.noise, options, progress)?;
         Ok((noise, working, start))
     };
@@ -283,8 +288,10 @@ fn in_memory<T: Send>(
     working: Working,
     work: impl FnOnce() -> Result<T> + Send,
 ) -> Result<T> {
-    let Some(memory_bytes) = options.memory_bytes else { return work() };
-    let threads = memory::threads(capture, working, memory_bytes, rayon::current_num_threads())?;
+    let threads = memory::share(capture, working, options.memory_bytes, rayon::current_num_threads())?;
+    if threads == rayon::current_num_threads() {
+        return work();
+    }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(Error::internal)?;
     pool.install(work)
 }
@@ -300,7 +307,7 @@ fn at_resolution<T>(
 ) -> Result<(T, Vec<Warning>)> {
     let full = capture;
     // From here on the camera is one of that resolution.
-    let defects = defects::find(capture, &noise.noise, working)?;
+    let defects = defects::find(capture, &noise.noise, working, progress)?;
     let capture = &capture.reduced(&defects::reduction(working.factor, &noise.noise, &defects));
     let radiometry = radiometry::calibrate(capture, &noise.noise, options, progress)
         .map_err(|error| likeliest::in_noise(&noise.warnings, error))?;
@@ -377,8 +384,10 @@ fn prepare<T>(
     let (stray, stray_warnings) = stray::measure(&first, options, progress)?;
     let cell_px = first.cell_px;
     references.doubt_ambient(stray.even.unwrap_or(0.0), cell_px);
+    let stage = progress.stage("lamp", 2);
     let scene = &Scene::new(photographs, registered, &references);
     let light = LightCorrections { stray, flicker: Flicker::measure(scene, radiometry.flicker_sd)? };
+    stage.advance(1);
     let times_are_off = |w: &Warning| matches!(w, Warning::Radiance(RadianceWarning::ExposureRatios { .. }));
     let mut findings: Vec<Warning> =
         light.flicker.judge(scene, radiometry.warnings.iter().any(times_are_off), options)?.into_iter().collect();
@@ -388,6 +397,8 @@ fn prepare<T>(
     findings.extend(references.warnings.iter().cloned());
     let at = Instant::now();
     let search = dots_seen::DotSearch::new(scene)?;
+    stage.advance(1);
+    drop(stage);
     then(&Prepared { scene, registered, light, movements, search, findings, at })
 }
 

@@ -32,8 +32,10 @@ impl FoundNoise {
     }
 }
 
-/// Gray-code shots whose stripes are widest that are taken, of the patterns and of the inverses: two pairs of each.
+/// Gray-code shots whose stripes are widest that are taken, of the patterns and of the inverses: two pairs of each; of
+/// pictures so large that tiles of them are looked at, one pair.
 const SHOTS: usize = 4;
+const LARGE_SHOTS: usize = 2;
 /// Lattice shots whose longest exposure is searched for clipped photosites.
 const BRIGHT_SHOTS: usize = 6;
 /// A rig's figure is doubted when it is off by [`DOUBT_SD`] standard deviations and by so much: gain and read noise, of
@@ -160,6 +162,11 @@ impl Tiles {
         rows.iter().flat_map(|y| columns.iter().map(move |x| of(x, y))).collect()
     }
 
+    /// Whether there is more along both axes.
+    fn are_part(&self) -> bool {
+        self.0.iter().all(|ranges| ranges.len() > 1)
+    }
+
     fn width(&self) -> usize {
         self.0[0].iter().map(Range::len).sum()
     }
@@ -202,7 +209,7 @@ impl Reader<'_> {
     /// The tiles of a photograph that are looked at, side by side, in units of `unit_dn`.
     fn decode(&self, photograph: &Photograph) -> Result<(Samples, Sampling)> {
         let tiles = Tiles::of(self.capture.rig.camera.size_px);
-        let (parts, sampling) = photograph.decode_parts(&tiles.rects(), self.capture.rig.camera.size_px, false)?;
+        let (parts, sampling) = photograph.decode_parts(&tiles.rects(), self.capture.rig.camera.size_px)?;
         let mut samples = tiles.together(&parts);
         self.to_unit(&mut samples);
         Ok((samples, sampling))
@@ -228,7 +235,7 @@ impl Reader<'_> {
             self.to_unit(&mut row);
             see(&row);
         }
-        Ok(())
+        rows.finish()
     }
 
     /// The longest exposures of the board, of the white reference and of some lattice shots.
@@ -276,7 +283,7 @@ impl Reader<'_> {
             let levels = self.capture.brackets[s].par_iter().map(level).collect::<Result<Vec<_>>>()?;
             Ok(levels.into_iter().flatten().collect())
         };
-        shots.into_iter().map(bracket).collect()
+        shots.into_par_iter().map(bracket).collect()
     }
 
     /// How often each code value occurs in each channel of the brightest photographs. What is marked as saturated
@@ -312,7 +319,7 @@ fn pairs(capture: &Capture) -> Vec<(&Photograph, &Photograph)> {
         }
         // The widest stripes first, the two axes in turn.
         shots.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
-        shots.truncate(SHOTS);
+        shots.truncate(if Tiles::of(capture.rig.camera.size_px).are_part() { LARGE_SHOTS } else { SHOTS });
         for two in shots.as_chunks::<2>().0 {
             let [first, second] = two.map(|(.., s)| &capture.brackets[s]);
             for a in first {
@@ -399,13 +406,13 @@ pub(super) fn black_moves(capture: &Capture, noise: &Noise) -> Result<Option<War
     else {
         return Ok(None);
     };
-    let mut differences: Vec<f64> = Vec::new();
-    for p in &capture.brackets[shot] {
+    let difference = |p: &Photograph| {
         let same = |b: &&Photograph| (b.effective_secs / p.effective_secs - 1.0).abs() < 0.01;
-        if let Some(b) = capture.brackets[black].iter().find(same) {
-            differences.push(darkest(p)? - darkest(b)?);
-        }
-    }
+        let beside = capture.brackets[black].iter().find(same)?;
+        let (own, dark) = rayon::join(|| darkest(p), || darkest(beside));
+        Some(own.and_then(|own| Ok(own - dark?)))
+    };
+    let differences: Vec<f64> = capture.brackets[shot].par_iter().filter_map(difference).collect::<Result<_>>()?;
     let least = BLACK_MOVES * (noise.saturation_dn - noise.black_dn);
     let (Some(&first), Some(&last)) = (differences.first(), differences.last()) else { return Ok(None) };
     // The shortest exposure has hardly any of the lattice's own stray light; at the longest that only adds.

@@ -161,6 +161,11 @@ impl<'a> Photographs<'a> {
         Ok(brackets)
     }
 
+    /// No stage reads this shot again.
+    pub(super) fn done_with(&self, shot: usize) {
+        self.brackets[shot].iter().for_each(|p| p.kept.forget_file(&p.path));
+    }
+
     /// Places of a shot's bracket that are not left out.
     fn kept(&self, shot: usize) -> Result<Vec<usize>> {
         let strangers = self.strangers.lock().map_err(Error::internal)?;

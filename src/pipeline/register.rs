@@ -342,7 +342,9 @@ fn bit_pairs(photographs: &Photographs<'_>, codes: &[usize], stage: &Stage<'_>) 
                 let shot = shots.into_iter().flatten().next().unwrap_or(codes[0]);
                 return Err(photographs.failed(shot)("each bit of the Gray code needs its inverse".into()));
             };
+            let shots = [pattern, inverse];
             let (pattern, inverse) = (photographs.merge_whole(pattern)?, photographs.merge_whole(inverse)?);
+            shots.iter().for_each(|&s| photographs.done_with(s));
             let used = pattern.used.as_chunks::<3>().0.iter().zip(inverse.used.as_chunks::<3>().0);
             let valid = used.map(|(a, b)| !a.contains(&0) && !b.contains(&0)).collect();
             let pair = BitPair { axis, bit, pattern: pattern.luminance(), inverse: inverse.luminance(), valid };

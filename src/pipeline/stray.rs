@@ -9,6 +9,7 @@ use crate::progress::Progress;
 use crate::radiance::{Radiance, StrayLight, evenly};
 use crate::warning::bounds::EVEN_REFUSED;
 use crate::{ConsistencyWarning, Result, Warning};
+use rayon::prelude::*;
 
 /// Lattice shots that are looked at.
 const SHOTS: usize = 4;
@@ -44,7 +45,7 @@ pub(super) fn measure(
         Ok(picture)
     };
     let shots: Vec<usize> = evenly(&lattice, SHOTS).collect();
-    let pictures: Vec<Radiance> = shots.iter().map(|&s| picture(s)).collect::<Result<_>>()?;
+    let pictures: Vec<Radiance> = shots.par_iter().map(|&s| picture(s)).collect::<Result<_>>()?;
     let mut warnings = Vec::new();
     if let Some(spots) = light_spots::find(&pictures, &dark) {
         spots.leave_out(&mut dark, scene.capture.rig.camera.size_px);

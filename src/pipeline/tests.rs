@@ -26,13 +26,7 @@ pub(super) fn capture(shots: &[(Pattern, &[f64])]) -> Capture {
         white_reference: WhiteReference { reflectance: [0.91, 0.74, 0.52], relative_sd: 0.0 },
     };
     let name = |k: usize| format!("shot {k}");
-    let photograph = |k: usize, secs: f64| Photograph {
-        path: format!("{k}-{secs}.png").into(),
-        shot: name(k),
-        exposure_secs: secs,
-        effective_secs: secs,
-        reduction: None,
-    };
+    let photograph = |k: usize, secs: f64| Photograph::new(format!("{k}-{secs}.png"), name(k), secs);
     let of = |(k, (pattern, _)): (usize, &(Pattern, &[f64]))| Shot {
         name: name(k),
         pattern: pattern.clone(),

@@ -32,14 +32,19 @@ pub fn find_hot_pixels(dark: &Radiance) -> Vec<HotPixel> {
         for x in 1..r.width.saturating_sub(1) {
             for c in 0..3 {
                 let k = 3 * (y * r.width + x) + c;
+                // Most photosites end here.
+                let row = dark.value[k - 3].max(dark.value[k + 3]);
+                if dark.used[k] > 0 && dark.value[k] <= row {
+                    continue;
+                }
                 let mut around = NEIGHBOURS.map(|d| dark.value[beside(k, d, r.width)]);
+                let largest = around.iter().copied().fold(f32::MIN, f32::max);
+                if dark.used[k] > 0 && dark.value[k] <= largest {
+                    continue;
+                }
                 let measured = NEIGHBOURS.iter().filter(|&&d| dark.used[beside(k, d, r.width)] > 0).count();
                 // Where all around saturates too there is light.
                 if measured < 7 {
-                    continue;
-                }
-                // Most photosites end here.
-                if dark.used[k] > 0 && dark.value[k] <= around[0].max(around[1]) {
                     continue;
                 }
                 around.sort_by(f32::total_cmp);

@@ -76,6 +76,7 @@ pub fn decode_spread(photographs: &[Photograph], size_px: [usize; 2], most_px: u
             rows.skip(step - step / 2 - 1)?;
             samples.extend(&row, 0..row.len());
         }
+        rows.finish()?;
         bracket.sampling = rows.sampling();
         bracket.exposures.push(Exposure { samples, secs: photograph.effective_secs });
     }
@@ -91,7 +92,7 @@ pub fn decode_shot(photographs: &[Photograph], rects: &[Rect], size_px: [usize; 
     let mut brackets: Vec<Bracket> =
         rects.iter().map(|&rect| Bracket { rect, exposures: vec![], sampling: Sampling::WHOLE }).collect();
     for photograph in photographs {
-        let (parts, sampling) = photograph.decode_parts(rects, size_px, true)?;
+        let (parts, sampling) = photograph.decode_parts(rects, size_px)?;
         for (bracket, samples) in brackets.iter_mut().zip(parts) {
             bracket.sampling = sampling;
             bracket.exposures.push(Exposure { samples, secs: photograph.effective_secs });
@@ -226,7 +227,7 @@ mod tests {
         picture.save(&path).unwrap();
         // What counts is the exposure at the first photograph's aperture and ISO, four times the shutter's here.
         let secs = f64::from(add);
-        Photograph { path, shot: "lattice-3".into(), exposure_secs: secs, effective_secs: 4.0 * secs, reduction: None }
+        Photograph { effective_secs: 4.0 * secs, ..Photograph::new(path, "lattice-3", secs) }
     }
 
     #[test]

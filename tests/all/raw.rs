@@ -62,13 +62,7 @@ fn write_dng(path: &Path, pattern: [u8; 4], codes: &[u16]) {
 }
 
 fn photograph(path: &Path) -> Photograph {
-    Photograph {
-        path: path.to_path_buf(),
-        shot: "raw".into(),
-        exposure_secs: 1.0,
-        effective_secs: 1.0,
-        reduction: None,
-    }
+    Photograph::new(path, "raw", 1.0)
 }
 
 #[test]

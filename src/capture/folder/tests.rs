@@ -22,8 +22,7 @@ fn light_goes_with_the_iso_speed_and_with_the_inverse_square_of_the_f_number() {
 }
 
 fn head(name: &str, effective_secs: f64) -> Head {
-    let photograph =
-        Photograph { path: name.into(), shot: "s".into(), exposure_secs: 2.0, effective_secs, reduction: None };
+    let photograph = Photograph { effective_secs, ..Photograph::new(name, "s", 2.0) };
     Head { name: name.into(), photograph, bits: 16, exif: ExifExposure::default(), settings: None }
 }
 
