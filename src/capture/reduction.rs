@@ -1,6 +1,6 @@
 //! Photographs of fewer, larger pixels: means of blocks, as a camera of that resolution would have taken them.
 //!
-//! Code values must be in proportion to light: means of a curve's code values are not those of light.
+//! Means are of light: code values that are a curve of it are made linear first.
 
 use super::kept::Room;
 use super::rows::{PAST_THE_END, RowReader};
@@ -18,6 +18,25 @@ pub struct Reduction {
     /// Photosites that are left out of the means of all photographs alike: they measure something else than light.
     #[serde(default, with = "shared")]
     pub left_out: Arc<[Photosite]>,
+    /// What makes whole code values linear; `None` where they are in proportion to light.
+    #[serde(skip)]
+    pub light: Option<Arc<LightOfCodes>>,
+}
+
+/// Linear values (DN, the pedestal included) of whole code values, R G B for each.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LightOfCodes {
+    /// 3 · 256 of them.
+    pub of_u8: Vec<f32>,
+    /// 3 · 65,536 of them.
+    pub of_u16: Vec<f32>,
+}
+
+impl Reduction {
+    /// Blocks of `factor` pixels a side, of which no photosite is left out.
+    pub fn new(factor: usize, saturation_dn: f64, light: Option<Arc<LightOfCodes>>) -> Self {
+        Self { factor, saturation_dn, left_out: Arc::default(), light }
+    }
 }
 
 /// Row, column and channel of a photosite; in this order.
@@ -222,6 +241,7 @@ struct Blocks {
     /// Of each block and channel, pixels of the line that are left out.
     missing: Vec<u32>,
     left_out: Arc<[Photosite]>,
+    light: Option<Arc<LightOfCodes>>,
     /// Rows that were read.
     taken: usize,
 }
@@ -233,7 +253,8 @@ impl Blocks {
         let (whole, float, full) = (vec![0; n], vec![0.0; n], vec![0; n]);
         let saturation_dn = by.saturation_dn as f32;
         let (row, missing, left_out) = (Samples::U8(vec![]), vec![0; 3 * across], by.left_out.clone());
-        Self { factor: by.factor, saturation_dn, across, row, whole, float, full, missing, left_out, taken: 0 }
+        let (factor, light) = (by.factor, by.light.clone());
+        Self { factor, saturation_dn, across, row, whole, float, full, missing, left_out, light, taken: 0 }
     }
 
     fn sampling(&self, of_pixels: Sampling) -> Sampling {
@@ -258,16 +279,14 @@ impl Blocks {
             reader.read(1, &mut self.row)?;
             self.leave_out();
             self.taken += 1;
-            let (whole, full) = (&mut self.whole, &mut self.full);
-            match &self.row {
-                Samples::U8(v) => add_whole(v, whole, full, least),
-                Samples::U16(v) => add_whole(v, whole, full, least),
-                Samples::F32(v) => {
-                    for ((sum, full), &code) in self.float.iter_mut().zip(full.iter_mut()).zip(v) {
-                        *sum += code;
-                        *full += u32::from(code >= self.saturation_dn);
-                    }
-                }
+            let (whole, float, full, saturation) =
+                (&mut self.whole, &mut self.float, &mut self.full, self.saturation_dn);
+            match (&self.row, &self.light) {
+                (Samples::U8(v), None) => add_whole(v, whole, full, least),
+                (Samples::U16(v), None) => add_whole(v, whole, full, least),
+                (Samples::U8(v), Some(light)) => add_light(looked_up(v, &light.of_u8), float, full, saturation),
+                (Samples::U16(v), Some(light)) => add_light(looked_up(v, &light.of_u16), float, full, saturation),
+                (Samples::F32(v), _) => add_light(v.iter().copied(), float, full, saturation),
             }
         }
         let means = (0..3 * self.across).map(|k| self.mean(k / 3, k % 3)).collect();
@@ -276,7 +295,8 @@ impl Blocks {
         Ok(())
     }
 
-    /// Makes the row's photosites that are left out zero, which adds to no sum and saturates nothing, and counts them.
+    /// Makes the row's photosites that are left out zero, which adds to no sum (a curve begins at no light) and
+    /// saturates nothing, and counts them.
     fn leave_out(&mut self) {
         let row = self.taken as u32;
         let first = self.left_out.partition_point(|site| site[0] < row);
@@ -316,6 +336,18 @@ fn add_whole<T: Copy + Into<u32>>(row: &[T], sums: &mut [u32], full: &mut [u32],
         *sum += code.into();
         *full += u32::from(code.into() >= least);
     }
+}
+
+/// Values that are in proportion to light.
+fn add_light(row: impl Iterator<Item = f32>, sums: &mut [f32], full: &mut [u32], saturation_dn: f32) {
+    for ((sum, full), value) in sums.iter_mut().zip(full).zip(row) {
+        *sum += value;
+        *full += u32::from(value >= saturation_dn);
+    }
+}
+
+fn looked_up<T: Copy + Into<usize>>(row: &[T], table: &[f32]) -> impl Iterator<Item = f32> {
+    row.iter().zip([0, 1, 2].into_iter().cycle()).map(|(&code, c)| table[3 * code.into() + c])
 }
 
 impl Camera {
@@ -389,11 +421,7 @@ mod tests {
         for (x, y) in [(4, 2), (5, 2), (4, 3), (5, 3)] {
             values[3 * (y * 7 + x) + 2] = 4000 + x as u16;
         }
-        let found = reduced(
-            [7, 5],
-            Samples::U16(values),
-            Reduction { factor: 2, saturation_dn: 4000.0, left_out: Arc::default() },
-        );
+        let found = reduced([7, 5], Samples::U16(values), Reduction::new(2, 4000.0, None));
         assert_eq!((found.width, found.height, found.sampling), (3, 2, Sampling::WHOLE));
         let Samples::F32(found) = found.samples else { panic!("means are not whole") };
         for k in 0..18 {
@@ -417,7 +445,7 @@ mod tests {
             values[3 * (y * 7 + x) + c] = 4000;
         }
         let left_out: Arc<[Photosite]> = Arc::from([[1, 4, 0], [2, 1, 1], [3, 0, 2], [3, 6, 2], [4, 0, 0]]);
-        let found = reduced([7, 5], Samples::U16(values), Reduction { factor: 2, saturation_dn: 4000.0, left_out });
+        let found = reduced([7, 5], Samples::U16(values), Reduction { left_out, ..Reduction::new(2, 4000.0, None) });
         let Samples::F32(found) = found.samples else { panic!("means are not whole") };
         for k in 0..18 {
             let (x, y, c) = (k / 3 % 3, k / 9, k % 3);

@@ -13,7 +13,7 @@ mod text;
 pub use crate::warning::{Severity, Topic};
 pub use text::table;
 
-use crate::capture::{self, Capture, Manifest, Pattern, Reduction, ResponseCurve, Rig, Taken};
+use crate::capture::{self, Capture, Manifest, Pattern, Reduction, Rig, Taken};
 use crate::pipeline::{BuildOptions, BuildReport, BuildSecs, try_build};
 use crate::progress::Progress;
 use crate::radiance::Sensor;
@@ -231,17 +231,16 @@ impl CheckReport {
     ) -> Result<()> {
         let stage = progress.stage("light", 3);
         // Photographs are averaged as the registration did. Without one, they are averaged to about [`LOOK_PX`] pixels
-        // a side, if code values are linear in light: only then is their mean the mean of the light.
+        // a side.
         let longer = sample.rig.camera.size_px.into_iter().max().unwrap_or(0);
-        let linear = sample.rig.camera.response_curve == ResponseCurve::Linear;
-        let factor = tried.map_or(if linear { (longer / LOOK_PX).max(1) } else { 1 }, |t| t.working.factor);
+        let factor = tried.map_or((longer / LOOK_PX).max(1), |t| t.working.factor);
         // What code values mean may itself have to be found by the build: guessed, all might look black.
         let of_rig = || Some(Sensor::of_capture(sample).ok()?.averaged(factor));
         let sensor = tried.map(|t| t.sensor.clone()).or_else(of_rig);
         let Some(sensor) = sensor else { return Ok(()) };
         let saturation_dn =
             tried.map(|t| &t.noise).or(sample.rig.noise.as_ref()).map_or(f64::INFINITY, |n| n.saturation_dn);
-        let reduced = sample.reduced(&Reduction { factor, saturation_dn, left_out: Default::default() });
+        let reduced = sample.reduced(&Reduction::new(factor, saturation_dn, sensor.light_of_codes()));
         let pictures = Pictures::new(&reduced, sensor);
         self.findings.extend(pictures.stills(tried)?.into_iter().map(Warning::from));
         stage.advance(1);

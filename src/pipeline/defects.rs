@@ -4,7 +4,7 @@ use super::Working;
 use crate::Result;
 use crate::capture::{Capture, Noise, Pattern, Rect, Reduction, Samples};
 use crate::progress::Progress;
-use crate::radiance::{Exposure, FileNoise, HotPixel, Sensor, find_hot_pixels, merge};
+use crate::radiance::{Exposure, HotPixel, Sensor, find_hot_pixels, merge};
 
 /// Rows that are looked at together, with one more above and below.
 const ROWS: usize = 64;
@@ -16,7 +16,7 @@ const ROWS: usize = 64;
 ///
 /// # Errors
 /// Those of decoding.
-pub(super) fn find(capture: &Capture, noise: &Noise, working: Working, progress: &Progress) -> Result<Vec<HotPixel>> {
+pub(super) fn find(capture: &Capture, sensor: &Sensor, working: Working, progress: &Progress) -> Result<Vec<HotPixel>> {
     let first = |of: fn(&Pattern) -> bool| capture.shots(of).into_iter().next();
     let dark = first(|p| matches!(p, Pattern::Dark)).or_else(|| first(|p| matches!(p, Pattern::SampleBlack)));
     let Some(longest) = dark.filter(|_| working.factor > 1).and_then(|shot| capture.brackets[shot].last()) else {
@@ -24,7 +24,6 @@ pub(super) fn find(capture: &Capture, noise: &Noise, working: Working, progress:
     };
     let [width, height] = capture.rig.camera.size_px;
     let stage = progress.stage("hot pixels", height);
-    let sensor = Sensor::with_curve(noise, None, FileNoise::default());
     let mut rows = longest.open()?;
     rows.check_size([width, height])?;
     let (mut band, mut next) = (Samples::U8(vec![]), Samples::U8(vec![]));
@@ -39,7 +38,7 @@ pub(super) fn find(capture: &Capture, noise: &Noise, working: Working, progress:
         let rect = Rect { x: 0, y: first, width, height: read - first };
         let exposure =
             Exposure { samples: std::mem::replace(&mut band, Samples::U8(vec![])), secs: longest.effective_secs };
-        let seen = merge(std::slice::from_ref(&exposure), rect, &sensor);
+        let seen = merge(std::slice::from_ref(&exposure), rect, sensor);
         found.extend(find_hot_pixels(&seen));
         // The last row has no neighbours yet: it is looked at with the next ones, and the row above it is one.
         first = read.saturating_sub(2);
@@ -49,15 +48,16 @@ pub(super) fn find(capture: &Capture, noise: &Noise, working: Working, progress:
 }
 
 /// By blocks of `factor` pixels a side, of which saturated photosites and `defects` are left out.
-pub(super) fn reduction(factor: usize, noise: &Noise, defects: &[HotPixel]) -> Reduction {
+pub(super) fn reduction(factor: usize, noise: &Noise, sensor: &Sensor, defects: &[HotPixel]) -> Reduction {
     let left_out = defects.iter().map(|h| [h.at[1], h.at[0], h.at[2]].map(|v| v as u32)).collect();
-    Reduction { factor, saturation_dn: noise.saturation_dn, left_out }
+    Reduction { left_out, ..Reduction::new(factor, noise.saturation_dn, sensor.light_of_codes()) }
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::tests::capture;
     use super::*;
+    use crate::radiance::FileNoise;
 
     #[test]
     fn hot_photosites_are_found_once_in_whichever_rows_they_lie() {
@@ -81,8 +81,9 @@ mod tests {
         picture.save(&path).unwrap();
         capture.brackets[0].iter_mut().for_each(|p| p.path = path.clone());
         let noise = capture.rig.noise.clone().unwrap();
+        let sensor = Sensor::with_curve(&noise, None, FileNoise::default());
         let find =
-            |factor| find(&capture, &noise, Working { factor, px_per_sample: None }, &Progress::silent()).unwrap();
+            |factor| find(&capture, &sensor, Working { factor, px_per_sample: None }, &Progress::silent()).unwrap();
         let found = find(3);
         assert_eq!(found.iter().map(|h| h.at).collect::<Vec<_>>(), sites);
         assert!(found.iter().all(|h| h.excess.is_none() == (h.at[0] == 30)), "{found:?}");

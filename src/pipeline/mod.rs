@@ -33,7 +33,7 @@ mod sink;
 mod strangers;
 mod stray;
 
-use crate::capture::{Capture, ExposureFrom, Noise, read_checksums};
+use crate::capture::{Capture, ExposureFrom, Noise, ResponseCurve, read_checksums};
 use crate::geometry::Point;
 use crate::progress::Progress;
 use crate::radiance::{Radiance, Sensor};
@@ -271,14 +271,57 @@ fn with_prepared<T: Send>(
         noise.warnings.extend(noise::black_moves(capture, &noise.noise)?);
         stage.advance(1);
         drop(stage);
-        let working = resolution::choose(capture, &noise.noise, options, progress)?;
-        Ok((noise, working, start))
+        let sensor = match early_radiometry(capture, &noise, options, progress)? {
+            Some(radiometry) => ReadBy::Radiometry(radiometry),
+            None => ReadBy::Sensor(radiometry::sensor_of_rig(capture, &noise.noise)?),
+        };
+        let working = resolution::choose(capture, &noise.noise, &sensor.sensor(), options, progress)?;
+        Ok(Found { noise, working, sensor, start })
     };
     let done = found().and_then(|found| {
-        let working = found.1;
+        let working = found.working;
         in_memory(capture, options, working, || at_resolution(capture, options, found, judged, then, progress))
     });
     done.map_err(|error| likeliest::in_files(capture, error))
+}
+
+/// What is found in photographs as they are.
+struct Found {
+    noise: noise::FoundNoise,
+    working: Working,
+    sensor: ReadBy,
+    start: Instant,
+}
+
+/// What makes code values light before they are averaged: what the rig says, or where that is still to be estimated,
+/// radiometry.
+enum ReadBy {
+    Sensor(Sensor),
+    Radiometry(radiometry::Radiometry),
+}
+
+impl ReadBy {
+    fn sensor(&self) -> Sensor {
+        match self {
+            Self::Sensor(sensor) => sensor.clone(),
+            Self::Radiometry(radiometry) => radiometry.sensor(),
+        }
+    }
+}
+
+/// Radiometry of the photographs as they are, where means of their code values ask for a curve that is not known.
+fn early_radiometry(
+    capture: &Capture,
+    noise: &noise::FoundNoise,
+    options: &BuildOptions,
+    progress: &Progress,
+) -> Result<Option<radiometry::Radiometry>> {
+    let is_known = capture.rig.camera.response_curve != ResponseCurve::Estimate;
+    if is_known || !resolution::may_reduce(capture, options)? {
+        return Ok(None);
+    }
+    let found = radiometry::calibrate(capture, &noise.noise, options, progress);
+    found.map(Some).map_err(|error| likeliest::in_noise(&noise.warnings, error))
 }
 
 /// Does `work` with as many threads as the memory permits.
@@ -300,17 +343,22 @@ fn in_memory<T: Send>(
 fn at_resolution<T>(
     capture: &Capture,
     options: &BuildOptions,
-    (noise, working, start): (noise::FoundNoise, Working, Instant),
+    Found { noise, working, sensor, start }: Found,
     judged: Judged,
     then: impl FnOnce(&Before<'_>, &Prepared<'_>) -> Result<T>,
     progress: &Progress,
 ) -> Result<(T, Vec<Warning>)> {
     let full = capture;
     // From here on the camera is one of that resolution.
-    let defects = defects::find(capture, &noise.noise, working, progress)?;
-    let capture = &capture.reduced(&defects::reduction(working.factor, &noise.noise, &defects));
-    let radiometry = radiometry::calibrate(capture, &noise.noise, options, progress)
-        .map_err(|error| likeliest::in_noise(&noise.warnings, error))?;
+    let of_files = sensor.sensor();
+    let defects = defects::find(capture, &of_files, working, progress)?;
+    let by = defects::reduction(working.factor, &noise.noise, &of_files, &defects);
+    let capture = &capture.reduced(&by);
+    let radiometry = match sensor {
+        ReadBy::Radiometry(radiometry) => radiometry.reduced(&by),
+        ReadBy::Sensor(_) => radiometry::calibrate(capture, &noise.noise, options, progress)
+            .map_err(|error| likeliest::in_noise(&noise.warnings, error))?,
+    };
     let photographs = Photographs::new(full, capture, &radiometry, working.factor);
     // What the photographs say of the noise was said of the stated times.
     let noise = if radiometry.corrected { noise.again(&full.timed(&radiometry.brackets))? } else { noise };

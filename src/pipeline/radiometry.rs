@@ -3,7 +3,9 @@
 
 use super::BuildOptions;
 use super::exposure_times::{Settings, agrees, fit_settled, judge};
-use crate::capture::{Axis, Capture, ExposureFrom, Noise, Pattern, Photograph, ResponseCurve, Samples, Surface};
+use crate::capture::{
+    Axis, Capture, ExposureFrom, Noise, Pattern, Photograph, Reduction, ResponseCurve, Samples, Surface,
+};
 use crate::progress::Progress;
 use crate::radiance::{
     Bracket, Curve, CurveEstimate, CurveOptions, ExposureFit, FileNoise, LightSum, Sensor, Stack, decode_spread,
@@ -82,10 +84,35 @@ impl Radiometry {
         files.max(FLICKER_SIGMA * self.flicker_sd.unwrap_or(0.0))
     }
 
+    /// The same of photographs that are reduced.
+    pub(super) fn reduced(mut self, by: &Reduction) -> Self {
+        if by.factor > 1 {
+            self.brackets.iter_mut().flatten().for_each(|p| p.reduction = Some(by.clone()));
+        }
+        self
+    }
+
+    /// Of a file that [`super::prepare`] has written, which has no tables: makes them anew.
+    pub(super) fn with_tables(mut self) -> Self {
+        let light = self.sensor().light_of_codes();
+        let reductions = self.brackets.iter_mut().flatten().filter_map(|p| p.reduction.as_mut());
+        reductions.for_each(|by| by.light.clone_from(&light));
+        self
+    }
+
     /// The same for photographs that are averaged over blocks of `factor` pixels a side.
     pub(super) fn sensor_of(&self, factor: usize) -> Sensor {
         Sensor::with_curve(&self.noise, self.curve.clone(), self.file).averaged(factor)
     }
+}
+
+/// The sensor of the photographs as they are; a curve that is still to be estimated is taken for sRGB.
+///
+/// # Errors
+/// [`Error::Field`] for a curve file that cannot be read.
+pub(super) fn sensor_of_rig(capture: &Capture, noise: &Noise) -> Result<Sensor> {
+    let curve = Curve::before_estimate(&capture.rig, &capture.rig_path)?;
+    Ok(Sensor::with_curve(noise, curve, FileNoise::of_capture(capture)?))
 }
 
 /// Looks at some shots, estimates what is to be estimated, and corrects the photographs' `effective_secs` when asked

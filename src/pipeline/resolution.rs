@@ -1,9 +1,9 @@
 //! At what resolution photographs are worked on: fine enough for the samples of the windows, and no finer.
 
 use super::BuildOptions;
-use crate::capture::{Capture, Noise, Pattern, Reduction, ResponseCurve};
+use crate::capture::{Capture, Noise, Pattern, Reduction};
 use crate::progress::Progress;
-use crate::radiance::{FileNoise, Sensor, merge_shot};
+use crate::radiance::{Sensor, merge_shot};
 use crate::registration::{Pairs, find_board, fit_lens_of_views, register_frame};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -42,27 +42,43 @@ pub struct Working {
     pub px_per_sample: Option<f64>,
 }
 
-/// Chooses it. Photographs whose code values are not in proportion to light are not reduced: means of such code values
-/// are not those of light.
+/// Whether photographs may be reduced at all.
+///
+/// # Errors
+/// [`Error::Setting`] for a resolution that is not positive.
+pub(super) fn may_reduce(capture: &Capture, options: &BuildOptions) -> Result<bool> {
+    Ok(least_px(options)?.is_some_and(|least_px| at_most(capture) >= 2.0 * least_px))
+}
+
+/// Camera pixels across a sample that are left at the least; `None`: all.
+fn least_px(options: &BuildOptions) -> Result<Option<f64>> {
+    match options.resolution {
+        Resolution::Full => Ok(None),
+        Resolution::Auto => Ok(Some(LEAST_PX)),
+        Resolution::PxPerSample(px) if (1.0..=1e4).contains(&px) => Ok(Some(px)),
+        Resolution::PxPerSample(px) => {
+            let expected = "full, auto, or 1 to 10000 camera pixels across a sample".into();
+            Err(Error::Setting { setting: "resolution", expected, found: px.to_string() })
+        }
+    }
+}
+
+/// Chooses it; `sensor` is that of the photographs as they are.
 ///
 /// # Errors
 /// [`Error::Setting`] for a resolution that is not positive; those of decoding.
-pub(super) fn choose(capture: &Capture, noise: &Noise, options: &BuildOptions, progress: &Progress) -> Result<Working> {
-    let full = Working { factor: 1, px_per_sample: None };
-    let least_px = match options.resolution {
-        Resolution::Full => return Ok(full),
-        Resolution::Auto => LEAST_PX,
-        Resolution::PxPerSample(px) if (1.0..=1e4).contains(&px) => px,
-        Resolution::PxPerSample(px) => {
-            let expected = "full, auto, or 1 to 10000 camera pixels across a sample".into();
-            return Err(Error::Setting { setting: "resolution", expected, found: px.to_string() });
-        }
+pub(super) fn choose(
+    capture: &Capture,
+    noise: &Noise,
+    sensor: &Sensor,
+    options: &BuildOptions,
+    progress: &Progress,
+) -> Result<Working> {
+    let Some(least_px) = least_px(options)?.filter(|least_px| at_most(capture) >= 2.0 * least_px) else {
+        return Ok(Working { factor: 1, px_per_sample: None });
     };
-    if capture.rig.camera.response_curve != ResponseCurve::Linear || at_most(capture) < 2.0 * least_px {
-        return Ok(full);
-    }
     let stage = progress.stage("resolution", 1);
-    let px_per_mm = px_per_mm(capture, noise)?;
+    let px_per_mm = px_per_mm(capture, noise, sensor)?;
     stage.advance(1);
     let px_per_sample = px_per_mm.map(|px| px * capture.manifest.window.pitch_mm);
     let factor = px_per_mm.zip(px_per_sample).map_or(1.0, |(per_mm, per_sample)| {
@@ -96,14 +112,14 @@ fn at_most(capture: &Capture) -> f64 {
 
 /// Camera pixels in a mm at the slab's centre, from a small picture of the board or of the frame; `None` when neither
 /// is found in any.
-fn px_per_mm(capture: &Capture, noise: &Noise) -> Result<Option<f64>> {
+fn px_per_mm(capture: &Capture, noise: &Noise, sensor: &Sensor) -> Result<Option<f64>> {
     let [width, height] = capture.rig.camera.size_px;
     let mut factor = width.max(height).div_ceil(LOOK_PX).max(1);
     let center_mm = capture.manifest.slab.size_mm.map(|s| 0.5 * s);
     loop {
-        let by = Reduction { factor, saturation_dn: noise.saturation_dn, left_out: Default::default() };
+        let by = Reduction::new(factor, noise.saturation_dn, sensor.light_of_codes());
         let small = capture.reduced(&by);
-        if let Some(pairs) = plane(&small, noise, factor)? {
+        if let Some(pairs) = plane(&small, &sensor.clone().averaged(factor))? {
             let camera = &small.rig.camera;
             let fit = fit_lens_of_views(&[pairs], camera.principal_px, camera.focal_px);
             if let Some((fits, _)) = fit {
@@ -119,12 +135,11 @@ fn px_per_mm(capture: &Capture, noise: &Noise) -> Result<Option<f64>> {
 }
 
 /// Where points of the sample's plane are seen, the board's or the frame's.
-fn plane(capture: &Capture, noise: &Noise, factor: usize) -> Result<Option<Pairs>> {
+fn plane(capture: &Capture, sensor: &Sensor) -> Result<Option<Pairs>> {
     let [width, height] = capture.rig.camera.size_px;
-    let sensor = Sensor::with_curve(noise, None, FileNoise::default()).averaged(factor);
     let picture = |kind: Pattern| -> Result<_> {
         let Some(&shot) = capture.shots(|p| *p == kind).first() else { return Ok(None) };
-        merge_shot(&capture.brackets[shot], [width, height], &sensor).map(Some)
+        merge_shot(&capture.brackets[shot], [width, height], sensor).map(Some)
     };
     if let (Some(board), Some(picture)) = (&capture.rig.board, picture(Pattern::Board)?) {
         return Ok(find_board(&picture, board, &capture.rig.camera).ok());

@@ -154,6 +154,7 @@ impl SavedCapture {
             brackets: std::mem::take(&mut saved.brackets).into_owned(),
             warnings: vec![],
         };
+        saved.radiometry = Cow::Owned(saved.radiometry.into_owned().with_tables());
         stage.advance(1);
         Ok(Self { capture, saved })
     }
@@ -169,7 +170,8 @@ impl SavedCapture {
     ) -> Result<T> {
         let (full, saved, start) = (&self.capture, &self.saved, Instant::now());
         let (noise, working) = (&saved.noise, saved.working);
-        let capture = &full.reduced(&defects::reduction(working.factor, &noise.noise, &saved.defects));
+        let by = defects::reduction(working.factor, &noise.noise, &saved.radiometry.sensor(), &saved.defects);
+        let capture = &full.reduced(&by);
         let recorded = &read_checksums(&full.dir)?;
         let before = Before { noise, working, defects: &saved.defects, radiometry: &saved.radiometry, recorded, start };
         in_memory(full, options, working, || {

@@ -1,9 +1,10 @@
 //! From code values to light: response curve, black level, noise.
 
 use super::curve::{CODES, Curve, FULL};
-use crate::capture::{Capture, Noise, Photograph, Samples, compression_variance};
+use crate::capture::{Capture, LightOfCodes, Noise, Photograph, Samples, compression_variance};
 use crate::{Error, Result};
 use std::io::Read;
+use std::sync::Arc;
 
 /// The sensor as the merge needs it, in linear code values above black.
 #[derive(Debug, Clone)]
@@ -66,8 +67,7 @@ impl FileNoise {
 #[derive(Debug, Clone)]
 struct Encoding {
     curve: Curve,
-    of_u8: Vec<f32>,
-    of_u16: Vec<f32>,
+    light: Arc<LightOfCodes>,
     /// Variance of rounding and compression in linear values, over the square root of the linear value.
     variance: Vec<f32>,
 }
@@ -115,8 +115,11 @@ impl Sensor {
     /// The same sensor read by means of blocks of `factor` × `factor` pixels: their noise is independent.
     ///
     /// Means are floating point, of code values that were rounded where these have a range of 100 code values or more.
-    pub fn averaged(self, factor: usize) -> Self {
+    /// What compression adds is taken for independent too, which is too much: most of it averages out over 8 × 8
+    /// pixels.
+    pub fn averaged(mut self, factor: usize) -> Self {
         let share = 1.0 / (factor.max(1) * factor.max(1)) as f32;
+        self.encoding.iter_mut().flat_map(|e| &mut e.variance).for_each(|v| *v *= share);
         let rounded = if factor > 1 && self.range() >= WHOLE_RANGE { self.coding } else { 0.0 };
         Self {
             gain: self.gain * share,
@@ -139,8 +142,8 @@ impl Sensor {
         }
         let mark = |code: f32| if code >= self.saturation { f32::INFINITY } else { code - self.black };
         match (samples, &self.encoding) {
-            (Samples::U8(v), Some(e)) => looked_up(&v[first..], out, &e.of_u8, mark),
-            (Samples::U16(v), Some(e)) => looked_up(&v[first..], out, &e.of_u16, mark),
+            (Samples::U8(v), Some(e)) => looked_up(&v[first..], out, &e.light.of_u8, mark),
+            (Samples::U16(v), Some(e)) => looked_up(&v[first..], out, &e.light.of_u16, mark),
             (Samples::U8(v), None) => each(v, first, out, |c| mark(f32::from(c))),
             (Samples::U16(v), None) => each(v, first, out, |c| mark(f32::from(c))),
             // NaN, infinities and negative numbers beyond all noise in a float file are treated as unmeasured.
@@ -214,6 +217,11 @@ impl Sensor {
         self.encoding.is_some()
     }
 
+    /// What makes whole code values linear; `None` when they are.
+    pub fn light_of_codes(&self) -> Option<Arc<LightOfCodes>> {
+        self.encoding.as_ref().map(|e| e.light.clone())
+    }
+
     /// The response curve; `None` when it is linear.
     pub fn curve(&self) -> Option<&Curve> {
         self.encoding.as_ref().map(|e| &e.curve)
@@ -238,7 +246,7 @@ impl Encoding {
             let linear = FULL * (k as f64 / (ROOTS - 1) as f64).powi(2);
             (curve.slope_at(c, curve.code_at(c, linear)).powi(2) * coding[c]) as f32
         });
-        Self { of_u8, of_u16, variance: variance.collect(), curve }
+        Self { light: Arc::new(LightOfCodes { of_u8, of_u16 }), variance: variance.collect(), curve }
     }
 }
 
