@@ -18,6 +18,8 @@ pub struct Reduction {
     /// Photosites that are left out of the means of all photographs alike: they measure something else than light.
     #[serde(default, with = "shared")]
     pub left_out: Arc<[Photosite]>,
+    /// Camera pixels across an outgoing sample, before.
+    pub sample_px: f64,
     /// What makes whole code values linear; `None` where they are in proportion to light.
     #[serde(skip)]
     pub light: Option<Arc<LightOfCodes>>,
@@ -33,9 +35,14 @@ pub struct LightOfCodes {
 }
 
 impl Reduction {
-    /// Blocks of `factor` pixels a side, of which no photosite is left out.
+    /// Blocks of `factor` pixels a side, of which no photosite is left out, each an outgoing sample.
     pub fn new(factor: usize, saturation_dn: f64, light: Option<Arc<LightOfCodes>>) -> Self {
-        Self { factor, saturation_dn, left_out: Arc::default(), light }
+        Self { factor, saturation_dn, left_out: Arc::default(), sample_px: factor as f64, light }
+    }
+
+    /// Blocks across an outgoing sample.
+    pub fn sample_blocks(&self) -> f64 {
+        self.sample_px / self.factor as f64
     }
 }
 
@@ -466,6 +473,37 @@ mod tests {
             // f32.
             assert!((f64::from(found[k]) - expected).abs() < 1e-4, "{x} {y} {c}: {} {expected}", found[k]);
         }
+    }
+
+    #[test]
+    fn blocks_of_a_response_curve_are_means_of_its_light() {
+        let code = |x: usize, y: usize, c: usize| (40 + 13 * x + 29 * y + 50 * c) as u16;
+        let light = |code: u16, c: usize| f32::from(code).powi(2) / 100.0 * [1.0, 0.5, 2.0][c];
+        let of_u16 = (0..=u16::MAX).flat_map(|z| [0, 1, 2].map(|c| light(z, c))).collect();
+        let table = Arc::new(LightOfCodes { of_u8: vec![], of_u16 });
+        let values: Vec<u16> = (0..105).map(|k| code(k / 3 % 7, k / 21, k % 3)).collect();
+        // The blue block in the lower right corner is saturated in its brightest pixel, that of code 292.
+        let (left_out, saturation_dn) = (Arc::from([[0, 3, 1]]), f64::from(light(290, 2)));
+        let by = Reduction { left_out, ..Reduction::new(2, saturation_dn, Some(table)) };
+        let found = reduced([7, 5], Samples::U16(values), by);
+        let Samples::F32(found) = found.samples else { panic!("means are not whole") };
+        for k in 0..18 {
+            let (x, y, c) = (k / 3 % 3, k / 9, k % 3);
+            let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| (2 * x + i, 2 * y + j));
+            let of: Vec<f64> = four
+                .iter()
+                .filter(|&&at| (at, c) != ((3, 0), 1))
+                .map(|&(x, y)| f64::from(light(code(x, y, c), c)))
+                .collect();
+            if of.iter().any(|&l| l >= saturation_dn) {
+                assert!((x, y, c) == (2, 1, 2) && found[k].is_nan());
+                continue;
+            }
+            let expected = of.iter().sum::<f64>() / of.len() as f64;
+            // f32.
+            assert!((f64::from(found[k]) / expected - 1.0).abs() < 1e-6, "{x} {y} {c}: {} {expected}", found[k]);
+        }
+        assert_eq!(found.iter().filter(|v| v.is_nan()).count(), 1);
     }
 
     #[test]

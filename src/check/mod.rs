@@ -235,7 +235,7 @@ impl CheckReport {
         let longer = sample.rig.camera.size_px.into_iter().max().unwrap_or(0);
         let factor = tried.map_or((longer / LOOK_PX).max(1), |t| t.working.factor);
         // What code values mean may itself have to be found by the build: guessed, all might look black.
-        let of_rig = || Some(Sensor::of_capture(sample).ok()?.averaged(factor));
+        let of_rig = || Some(Sensor::of_capture(sample).ok()?.averaged(factor, 1.0));
         let sensor = tried.map(|t| t.sensor.clone()).or_else(of_rig);
         let Some(sensor) = sensor else { return Ok(()) };
         let saturation_dn =

@@ -47,10 +47,11 @@ pub(super) fn find(capture: &Capture, sensor: &Sensor, working: Working, progres
     Ok(found)
 }
 
-/// By blocks of `factor` pixels a side, of which saturated photosites and `defects` are left out.
-pub(super) fn reduction(factor: usize, noise: &Noise, sensor: &Sensor, defects: &[HotPixel]) -> Reduction {
+/// By blocks of the working resolution, of which saturated photosites and `defects` are left out.
+pub(super) fn reduction(working: Working, noise: &Noise, sensor: &Sensor, defects: &[HotPixel]) -> Reduction {
     let left_out = defects.iter().map(|h| [h.at[1], h.at[0], h.at[2]].map(|v| v as u32)).collect();
-    Reduction { left_out, ..Reduction::new(factor, noise.saturation_dn, sensor.light_of_codes()) }
+    let by = Reduction::new(working.factor, noise.saturation_dn, sensor.light_of_codes());
+    Reduction { left_out, sample_px: working.px_per_sample.unwrap_or(by.sample_px), ..by }
 }
 
 #[cfg(test)]

@@ -352,7 +352,7 @@ fn at_resolution<T>(
     // From here on the camera is one of that resolution.
     let of_files = sensor.sensor();
     let defects = defects::find(capture, &of_files, working, progress)?;
-    let by = defects::reduction(working.factor, &noise.noise, &of_files, &defects);
+    let by = defects::reduction(working, &noise.noise, &of_files, &defects);
     let capture = &capture.reduced(&by);
     let radiometry = match sensor {
         ReadBy::Radiometry(radiometry) => radiometry.reduced(&by),

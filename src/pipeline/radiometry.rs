@@ -69,7 +69,7 @@ const CURVE_FILE: &str = "response.toml";
 impl Radiometry {
     /// What turns code values to light.
     pub(super) fn sensor(&self) -> Sensor {
-        self.sensor_of(block_px(&self.brackets))
+        self.sensor_of(reduction(&self.brackets).map_or(1, |by| by.factor))
     }
 
     /// ln(actual / stated time) of a photograph as the stacks of the capture tell it, unless its time has been
@@ -102,7 +102,8 @@ impl Radiometry {
 
     /// The same for photographs that are averaged over blocks of `factor` pixels a side.
     pub(super) fn sensor_of(&self, factor: usize) -> Sensor {
-        Sensor::with_curve(&self.noise, self.curve.clone(), self.file).averaged(factor)
+        let sample_px = reduction(&self.brackets).map_or(1.0, |by| by.sample_px);
+        Sensor::with_curve(&self.noise, self.curve.clone(), self.file).averaged(factor, sample_px / factor as f64)
     }
 }
 
@@ -132,8 +133,9 @@ pub(super) fn calibrate(
     let file = FileNoise::of_capture(capture)?;
     let is_estimated = capture.rig.camera.response_curve == ResponseCurve::Estimate;
     let mut curve = Curve::before_estimate(&capture.rig, &capture.rig_path)?;
-    let factor = block_px(&capture.brackets);
-    let mut sensor = Sensor::with_curve(noise, curve.clone(), file).averaged(factor);
+    let by = reduction(&capture.brackets).cloned().unwrap_or_else(|| Reduction::new(1, noise.saturation_dn, None));
+    let averaged = |curve| Sensor::with_curve(noise, curve, file).averaged(by.factor, by.sample_blocks());
+    let mut sensor = averaged(curve.clone());
     let stacks: Vec<Stack> = chosen
         .par_iter()
         .map(|&shot| {
@@ -149,7 +151,7 @@ pub(super) fn calibrate(
     if is_estimated {
         let found = settle_curve(capture, noise, &stacks, &settings, &sensor, file, options)?;
         curve = Some(found.curve.clone());
-        sensor = Sensor::with_curve(noise, curve.clone(), file).averaged(factor);
+        sensor = averaged(curve.clone());
         estimate = Some(found);
     }
     // A photograph of something else would tell nonsense of times.
@@ -188,9 +190,9 @@ fn decode(capture: &Capture, shot: usize) -> Result<Bracket> {
     decode_spread(&capture.brackets[shot], capture.rig.camera.size_px, LOOKED_AT_PX)
 }
 
-/// Pixels along each side of the blocks that photographs are averaged over, the same for all.
-fn block_px(brackets: &[Vec<Photograph>]) -> usize {
-    brackets.iter().flatten().find_map(|p| p.reduction.as_ref()).map_or(1, |by| by.factor)
+/// How photographs are reduced, the same for all.
+fn reduction(brackets: &[Vec<Photograph>]) -> Option<&Reduction> {
+    brackets.iter().flatten().find_map(|p| p.reduction.as_ref())
 }
 
 /// Some lattice shots, evenly spaced; board, white and black; and whatever else has a setting that these have not.

@@ -119,7 +119,7 @@ fn px_per_mm(capture: &Capture, noise: &Noise, sensor: &Sensor) -> Result<Option
     loop {
         let by = Reduction::new(factor, noise.saturation_dn, sensor.light_of_codes());
         let small = capture.reduced(&by);
-        if let Some(pairs) = plane(&small, &sensor.clone().averaged(factor))? {
+        if let Some(pairs) = plane(&small, &sensor.clone().averaged(factor, 1.0))? {
             let camera = &small.rig.camera;
             let fit = fit_lens_of_views(&[pairs], camera.principal_px, camera.focal_px);
             if let Some((fits, _)) = fit {

@@ -170,7 +170,7 @@ impl SavedCapture {
     ) -> Result<T> {
         let (full, saved, start) = (&self.capture, &self.saved, Instant::now());
         let (noise, working) = (&saved.noise, saved.working);
-        let by = defects::reduction(working.factor, &noise.noise, &saved.radiometry.sensor(), &saved.defects);
+        let by = defects::reduction(working, &noise.noise, &saved.radiometry.sensor(), &saved.defects);
         let capture = &full.reduced(&by);
         let recorded = &read_checksums(&full.dir)?;
         let before = Before { noise, working, defects: &saved.defects, radiometry: &saved.radiometry, recorded, start };

@@ -1,7 +1,7 @@
 //! From code values to light: response curve, black level, noise.
 
 use super::curve::{CODES, Curve, FULL};
-use crate::capture::{Capture, LightOfCodes, Noise, Photograph, Samples, compression_variance};
+use crate::capture::{Capture, LightOfCodes, Noise, Photograph, Samples, compression_variance, flat_variance};
 use crate::{Error, Result};
 use std::io::Read;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ pub struct Sensor {
     read: f32,
     /// Variance that a linear response curve adds in files of whole code values, DN²: rounding and compression.
     coding: f32,
-    compressed: bool,
+    file: FileNoise,
     /// When the curve is not linear.
     encoding: Option<Encoding>,
 }
@@ -29,6 +29,9 @@ pub struct FileNoise {
     pub sixteen_bit: bool,
     /// Variance of lossy compression, 8-bit code values squared, R G B; 0 without.
     pub compression: [f64; 3],
+    /// The same of the mean of pixels that are lit alike, however many; 0 without.
+    #[serde(default)]
+    pub flat: [f64; 3],
 }
 
 /// More than a JPEG has before its tables, previews included.
@@ -54,7 +57,7 @@ impl FileNoise {
             Photograph { reduction: None, ..first.clone() }.open()?.read(1, &mut row)?;
         }
         let sixteen_bit = matches!(row, Samples::U16(_));
-        Ok(Self { sixteen_bit, compression })
+        Ok(Self { sixteen_bit, compression, flat: flat_variance(&head).unwrap_or_default() })
     }
 
     /// Whether compression adds anything.
@@ -107,26 +110,53 @@ impl Sensor {
             gain: noise.gain_dn_per_electron as f32,
             read: (read * read) as f32,
             coding: coding as f32,
-            compressed: file.is_compressed(),
+            file,
             encoding: curve.map(|curve| Encoding::new(curve, file)),
         }
     }
 
-    /// The same sensor read by means of blocks of `factor` × `factor` pixels: their noise is independent.
+    /// The same sensor read by means of blocks of `factor` × `factor` pixels, of which `cell_px` lie across the largest
+    /// patch over whose light these means are averaged again.
     ///
-    /// Means are floating point, of code values that were rounded where these have a range of 100 code values or more.
-    /// What compression adds is taken for independent too, which is too much: most of it averages out over 8 × 8
-    /// pixels.
-    pub fn averaged(mut self, factor: usize) -> Self {
-        let share = 1.0 / (factor.max(1) * factor.max(1)) as f32;
-        self.encoding.iter_mut().flat_map(|e| &mut e.variance).for_each(|v| *v *= share);
-        let rounded = if factor > 1 && self.range() >= WHOLE_RANGE { self.coding } else { 0.0 };
+    /// Their noise is independent, but for what whole code values and compression do to pixels that are lit alike:
+    /// where noise of a standard deviation of s code values does not spread them, all are rounded alike. Of rounding's
+    /// variance that leaves exp(−4π²s²) (`Widrow1996`); compression takes the noise away first. That part is made larger
+    /// by `cell_px`², so that averaging leaves it as it is. A gradient of light spreads code values too, and then that is
+    /// too much. Means are floating point, of code values that were rounded where these have a range of 100 code values
+    /// or more.
+    pub fn averaged(self, factor: usize, cell_px: f64) -> Self {
+        if factor <= 1 {
+            return self;
+        }
+        let share = 1.0 / (factor * factor) as f32;
+        let rounded = if self.range() >= WHOLE_RANGE { self.coding } else { 0.0 };
+        let alike = if rounded > 0.0 { self.rounded_alike(1.0, 0.0, 1) * (cell_px * cell_px) as f32 } else { 0.0 };
+        let encoding = self.encoding.clone().map(|mut e| {
+            for (k, variance) in e.variance.iter_mut().enumerate() {
+                let (linear, c) = (FULL * ((k / 3) as f64 / (ROOTS - 1) as f64).powi(2), k % 3);
+                let slope = e.curve.slope_at(c, e.curve.code_at(c, linear)) as f32;
+                let alike = self.rounded_alike(slope, linear as f32 - self.black, c);
+                *variance = share * *variance + alike * (cell_px * cell_px) as f32;
+            }
+            e
+        });
         Self {
             gain: self.gain * share,
-            read: (self.read + rounded) * share,
+            read: (self.read + rounded) * share + alike,
             coding: (self.coding - rounded) * share,
+            encoding,
             ..self
         }
+    }
+
+    /// Variance that stays however many pixels are lit alike, DN², where a code value is `slope` DN.
+    fn rounded_alike(&self, slope: f32, linear: f32, channel: usize) -> f32 {
+        if self.is_compressed() {
+            return (self.file.flat[channel] + ROUNDING_VARIANCE) as f32 * slope * slope;
+        }
+        let step = if self.encoding.is_some() && self.file.sixteen_bit { slope / 257.0 } else { slope };
+        let noise_steps = (self.gain * linear.max(0.0) + self.read) / (step * step);
+        step * step * ROUNDING_VARIANCE as f32 * (-4.0 * std::f32::consts::PI.powi(2) * noise_steps).exp()
     }
 
     /// Linear code values above black of `samples[first..]`, as many as `out` holds; saturated ones as +∞, what is no
@@ -209,7 +239,7 @@ impl Sensor {
 
     /// Whether lossy compression adds to the noise.
     pub(super) fn is_compressed(&self) -> bool {
-        self.compressed
+        self.file.is_compressed()
     }
 
     /// Whether code values are a curve of light.
@@ -258,7 +288,7 @@ mod tests {
         Noise { black_dn: 3.0, saturation_dn: 240.0, gain_dn_per_electron: 0.4, read_noise_electrons: 6.0 };
 
     fn linear_sensor(compression: [f64; 3]) -> Sensor {
-        Sensor::with_curve(&NOISE, None, FileNoise { sixteen_bit: false, compression })
+        Sensor::with_curve(&NOISE, None, FileNoise { sixteen_bit: false, compression, flat: [0.0; 3] })
     }
 
     fn linearized(sensor: &Sensor, samples: &Samples, first: usize) -> Vec<f32> {
@@ -304,7 +334,7 @@ mod tests {
             assert_eq!(compressed.rounding(150.0, c), 0.0);
         }
         assert!(!FileNoise::default().is_compressed());
-        assert!(FileNoise { sixteen_bit: true, compression: [0.0, 0.0, 0.1] }.is_compressed());
+        assert!(FileNoise { sixteen_bit: true, compression: [0.0, 0.0, 0.1], flat: [0.0; 3] }.is_compressed());
     }
 
     #[test]
@@ -319,13 +349,13 @@ mod tests {
     #[test]
     fn means_of_blocks_have_their_share_of_all_noise_that_of_rounding_included() {
         let mean = Samples::F32(vec![]);
-        let sensor = linear_sensor([0.0; 3]).averaged(4);
+        let sensor = linear_sensor([0.0; 3]).averaged(4, 8.0);
         // A sixteenth of 5.76 and of 1/12; photons alike.
         assert!((sensor.floor(&mean) * 16.0 - 5.76 - 1.0 / 12.0).abs() < 1e-5);
         assert!((sensor.variance(160.0, 0) * 16.0 - 0.4 * 160.0 - 5.76 - 1.0 / 12.0).abs() < 1e-4);
         // From 0 to 1, a code value is all there is: those were not rounded to one.
         let float = Noise { black_dn: 0.0, saturation_dn: 1.0, gain_dn_per_electron: 1e-4, read_noise_electrons: 10.0 };
-        let sensor = Sensor::with_curve(&float, None, FileNoise::default()).averaged(4);
+        let sensor = Sensor::with_curve(&float, None, FileNoise::default()).averaged(4, 8.0);
         assert!((sensor.floor(&mean) * 16.0 - 1e-6).abs() < 1e-11);
     }
 
@@ -344,7 +374,7 @@ mod tests {
     #[test]
     fn each_channel_is_decoded_by_its_own_curve_less_what_noise_adds_by_its_bend() {
         let compression = [0.5, 3.0, 9.0];
-        let sensor = curved_sensor(FileNoise { sixteen_bit: false, compression });
+        let sensor = curved_sensor(FileNoise { sixteen_bit: false, compression, flat: [0.0; 3] });
         let codes = [40u8, 90, 160, 200, 120, 70];
         let found = linearized(&sensor, &Samples::U8(codes.to_vec()), 0);
         let wide = linearized(&sensor, &Samples::U16(codes.map(|z| 257 * u16::from(z)).to_vec()), 0);
@@ -364,7 +394,7 @@ mod tests {
     #[test]
     fn the_correction_for_a_bend_is_no_more_than_a_fifth_of_the_light() {
         // Code 20 of γ = 2: light 1.5686, bend 2/255, half of it times 200 is 0.784; of γ = 1.6: 4.34, 0.0104, 1.04.
-        let sensor = curved_sensor(FileNoise { sixteen_bit: false, compression: [200.0; 3] });
+        let sensor = curved_sensor(FileNoise { sixteen_bit: false, compression: [200.0; 3], flat: [0.0; 3] });
         let found = linearized(&sensor, &Samples::U8(vec![20; 3]), 0);
         for c in 0..2 {
             // f32.
@@ -376,9 +406,9 @@ mod tests {
     fn rounding_and_compression_reach_the_light_by_the_slope_at_the_code_that_shows_it() {
         let compression = [0.5, 3.0, 9.0];
         for (file, step) in [
-            (FileNoise { sixteen_bit: false, compression }, 1.0),
-            (FileNoise { sixteen_bit: false, compression: [0.0; 3] }, 1.0),
-            (FileNoise { sixteen_bit: true, compression: [0.0; 3] }, 1.0 / 257.0),
+            (FileNoise { sixteen_bit: false, compression, flat: [0.0; 3] }, 1.0),
+            (FileNoise { sixteen_bit: false, compression: [0.0; 3], flat: [0.0; 3] }, 1.0),
+            (FileNoise { sixteen_bit: true, compression: [0.0; 3], flat: [0.0; 3] }, 1.0 / 257.0),
         ] {
             let sensor = curved_sensor(file);
             for c in 0..3 {
@@ -398,5 +428,51 @@ mod tests {
             assert!((sensor.floor(&Samples::U8(vec![])) - 5.76).abs() < 1e-6);
             assert!(sensor.is_curved() && sensor.rounding(1e9, 0).is_finite() && sensor.rounding(-50.0, 2) >= 0.0);
         }
+    }
+
+    /// Root mean square error of means over `pixels` pixels of 8 bits that see the same light, over a code value's
+    /// slope there, when the sensor's noise is `noise` code values.
+    fn error_of_means(noise: f64, pixels: usize) -> f64 {
+        let (mut state, mut sum) = (9u64, 0.0);
+        let mut uniform = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let patches = 400;
+        for k in 0..patches {
+            let code = 100.0 + (k as f64 + 0.5) / patches as f64;
+            let mut mean = 0.0;
+            for _ in 0..pixels {
+                // Twelve uniform numbers are normal enough.
+                let normal = (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+                mean += (code + noise * normal).round() / pixels as f64;
+            }
+            sum += (mean - code).powi(2) / patches as f64;
+        }
+        sum.sqrt()
+    }
+
+    #[test]
+    fn pixels_that_are_lit_alike_are_rounded_alike_unless_noise_spreads_them() {
+        // At code 100 of γ = 2 light is 39.2 and a code value 0.784 of it. 256 pixels of a patch, in means of 16.
+        let (slope, linear) = (2.0 * light(100.0, 1) / 100.0, light(100.0, 1) as f32 - 3.0);
+        for noise_codes in [0.0, 0.1, 0.2, 0.3, 0.5, 1.0] {
+            let noise = Noise { gain_dn_per_electron: 1e-9, read_noise_electrons: 1e9 * noise_codes * slope, ..NOISE };
+            let tables = (0..3).map(|c| (0..CODES).map(|z| light(z as f64, c)).collect()).collect();
+            let curve = Curve::new(tables, vec![vec![0.0; CODES]; 3]);
+            let sensor = Sensor::with_curve(&noise, curve, FileNoise::default()).averaged(4, 4.0);
+            let of_mean = sensor.floor(&Samples::F32(vec![])) + sensor.rounding(linear, 1);
+            let stated = f64::from(of_mean / 16.0).sqrt() / slope;
+            let found = error_of_means(noise_codes, 256);
+            // It is an upper bound, of 1.3 where noise spreads a little (1/12 for 1/2π²), and known to 4 %.
+            assert!((0.95..1.45).contains(&(stated / found)), "{noise_codes}: {stated} {found}");
+        }
+        // Compression takes the noise away first: what stays is what the file says.
+        let file = FileNoise { sixteen_bit: false, compression: [3.0; 3], flat: [0.1, 0.2, 0.3] };
+        let sensor = curved_sensor(file).averaged(4, 4.0);
+        let stated = f64::from(sensor.rounding(linear, 1)) / (slope * slope);
+        let expected = (3.0 + 1.0 / 12.0) / 16.0 + (0.2 + 1.0 / 12.0) * 16.0;
+        // The table's entry below.
+        assert!((stated / expected - 1.0).abs() < 0.02, "{stated} {expected}");
     }
 }
