@@ -32,10 +32,10 @@ pub(in crate::factor) struct RowsState {
 }
 
 impl<'a> PreparedRows<'a> {
-    pub(super) fn state(&self) -> RowsState {
+    pub(super) fn state(&self) -> Box<RowsState> {
         let placements = &self.survey.placements;
         let normalized = self.content == Content::Intensity;
-        RowsState {
+        Box::new(RowsState {
             content: self.content,
             peak: self.survey.peak,
             extended: self.survey.layout.extended,
@@ -44,7 +44,7 @@ impl<'a> PreparedRows<'a> {
             metric: self.metric.clone(),
             basis: self.basis.clone(),
             through: self.through.as_ref().map(SavedMaterial::from),
-        }
+        })
     }
 
     /// Some rows of a matrix, prepared so; for passes, which need nothing else of the survey.

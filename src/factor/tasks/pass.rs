@@ -23,22 +23,22 @@ pub(in crate::factor) enum Pass {
     Survey { content: Content, limit: [usize; 2], sums: bool },
     /// AᵀA times `width` columns, \[width, columns\].
     GramTimes {
-        rows: RowsState,
+        rows: Box<RowsState>,
         #[serde(with = "numbers")]
         columns: Vec<f32>,
         width: usize,
     },
     /// AᵀA.
-    Gram { rows: RowsState },
+    Gram { rows: Box<RowsState> },
     /// Each row times `vectors`, \[any, columns\].
     Times {
-        rows: RowsState,
+        rows: Box<RowsState>,
         #[serde(with = "numbers")]
         vectors: Vec<f64>,
         exact: bool,
     },
     /// Σ of squares of what a material's terms leave ([`PreparedRows::misfit`]).
-    Misfit { rows: RowsState, material: SavedMaterial, inside: bool },
+    Misfit { rows: Box<RowsState>, material: SavedMaterial, inside: bool },
     /// The same by evaluating it.
     Residual { material: SavedMaterial },
     /// Colour polynomials.
@@ -81,7 +81,7 @@ impl Pass {
     /// Those of the reader.
     pub(in crate::factor) fn go_over(self, matrix: Passes<'_>, range: Range<usize>) -> Result<Found> {
         let Passes { reader, progress, .. } = matrix;
-        let prepared = |rows: RowsState| PreparedRows::of_state(matrix, rows, range.clone());
+        let prepared = |rows: Box<RowsState>| PreparedRows::of_state(matrix, *rows, range.clone());
         Ok(match self {
             Self::Survey { content, limit, sums } => {
                 let mut sums = sums.then(|| Marginals::new(reader)).transpose()?;

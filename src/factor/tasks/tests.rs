@@ -15,7 +15,7 @@ const ROWS: usize = 63;
 /// has nothing.
 fn response(i: usize, e: usize, c: usize) -> f64 {
     let (x, y) = ((e % 9) as f64 - 4.0, (e / 9) as f64 - 3.0);
-    let (at, s) = (i as f64, if i % 5 == 0 { 1.0 } else { 0.0 });
+    let (at, s) = (i as f64, if i.is_multiple_of(5) { 1.0 } else { 0.0 });
     let d2 = (x - s).powi(2) + y * y;
     let tail = 0.3 * (1.0 + (0.7 * at + x).sin() * (0.4 * y + c as f64).cos());
     let light = (1.0 + 0.4 * (0.3 * at).sin()) * (-d2 / (4.0 + c as f64)).exp() + 0.05 * tail;
