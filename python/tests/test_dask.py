@@ -125,8 +125,13 @@ def test_a_worker_that_is_killed_while_factoring_changes_no_bit_of_the_material(
     options = {"model": "tucker", "terms": 5, "degree": 4, "blocks": 6, "client": cluster}
     acquire.dask.factor(drifting, tmp_path / "plain.safetensors", **options)
     folder = tmp_path / "passes"
-    # While parts of the fourth pass are being done.
-    thread, killed = kill_one_when(cluster, lambda: (folder / "0003.sum").exists() and list(folder.glob(".*.part.*.unfinished")))
+
+    def half_way():
+        # One part of the fourth pass is done, others are not.
+        third = folder / "0003.sum"
+        return third.exists() and any(part.stat().st_mtime_ns > third.stat().st_mtime_ns for part in folder.glob("*.part"))
+
+    thread, killed = kill_one_when(cluster, half_way)
     acquire.dask.factor(drifting, tmp_path / "troubled.safetensors", folder=folder, **options)
     thread.join(10)
     assert killed
