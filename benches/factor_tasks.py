@@ -22,23 +22,24 @@ import numpy as np
 import acquire
 
 PROGRAM = Path(os.environ.get("ACQUIRE", Path(__file__).resolve().parents[1] / "target/release/acquire"))
-POINTS, WINDOW, TERMS = (72, 56), (41, 31), 15
+POINTS, WINDOW, TERMS = (96, 84), (41, 31), 15
 
 
 def matrix(path):
-    """Smooth maps whose weights fall slowly, with a thousandth of noise: 4,032 rows of 3,813 numbers."""
+    """A profile times one and smooth maps whose weights fall slowly, with noise of 1e-4 of the peak: 8,064 rows of 3,813 numbers."""
     (x, y), (w, h) = POINTS, WINDOW
     rng = np.random.default_rng(1)
     dy, dx = np.mgrid[0:h, 0:w] - np.array([h // 2, w // 2])[:, None, None]
     fall = np.exp(-np.hypot(dx, dy) / 5)
-    rows = np.zeros((x * y, h * w * 3), np.float32)
+    rows = np.ones((x * y, h * w * 3), np.float32)
     iy, ix = np.mgrid[0:y, 0:x]
     for j in range(60):
         a, b, c, d = rng.uniform(-1, 1, 4)
-        left = np.cos(0.3 * (a * ix + b * iy) + j).reshape(-1) + (2.0 if j == 0 else 0.0)
-        right = np.stack([fall * np.cos(0.5 * (c * dx + d * dy) + j + 0.2 * k) for k in range(3)], -1).reshape(-1)
-        rows += (0.05 * (j + 1.0) ** -1.5 * np.outer(left, right)).astype(np.float32)
-    sd = 1e-3 * float(rows.max())
+        left = np.cos(0.3 * (a * ix + b * iy) + j).reshape(-1)
+        right = np.stack([np.cos(0.5 * (c * dx + d * dy) + j + 0.2 * k) for k in range(3)], -1).reshape(-1)
+        rows += (0.3 * (j + 1.0) ** -1.5 * np.outer(left, right)).astype(np.float32)
+    rows *= np.repeat(fall.reshape(-1), 3).astype(np.float32)
+    sd = 1e-4 * float(rows.max())
     rows += sd * rng.standard_normal(rows.shape, np.float32)
     response = rows.reshape(y, x, h, w, 3)
     acquire.write_matrix(path, response, pitch_mm=0.1, variance=np.full_like(response, sd * sd), progress=False)

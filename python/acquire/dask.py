@@ -129,8 +129,8 @@ def factor(
     """Factors one matrix on a cluster, and saves the material at ``out``.
 
     A factorization goes over all rows ten to thirty times. Each pass (``survey``, ``terms``, ``measure``, ``colour``) is as many tasks as there are ``blocks`` of rows,
-    on one thread each; what they find is joined where the caller is, in the order of the blocks: the material is the same, bit by bit, whichever workers did them, and
-    that of :func:`acquire.factor` with the same ``backend`` to rounding in f32. A worker holds the pass, 48 MiB of rows, and what it finds of its block
+    on one thread each; what they find is joined where the caller is, in the order of the blocks: the material is the same, bit by bit, whichever workers did them.
+    It is that of :func:`acquire.factor` with the same ``backend`` to rounding with ``gram``, and within its accuracy with ``randomized``. A worker holds the pass, 48 MiB of rows, and what it finds of its block
     (``docs/scale.md`` has figures). After an error files stay in ``folder``, and the same call goes on from them.
 
     :param matrix: a store's path, or an open one.

@@ -67,8 +67,9 @@ pub struct TaskFolder {
     /// A folder that all of them see.
     pub path: PathBuf,
     /// How many share a pass, 1 to the chunks of the matrix; `None`: 32, or as many as have 512 MiB of responses each.
-    /// Sums are taken in the order of the parts: the material is the same, bit by bit, whoever does them, and depends on
-    /// their number by rounding.
+    /// Sums are taken in the order of the parts: the material is the same, bit by bit, whoever does them. Another number
+    /// is rounding in f64 with [`Backend::Gram`]; with [`Backend::Randomized`] an iteration that ends elsewhere within its
+    /// accuracy.
     pub parts: Option<usize>,
 }
 

@@ -40,7 +40,7 @@ fn matrix() -> &'static StoredMatrix {
 }
 
 fn options(model: Model, degree: Option<usize>, maps: Option<bool>) -> FactorOptions {
-    let backend = Some(Backend::Randomized);
+    let backend = Some(Backend::Gram);
     FactorOptions { model: Some(model), terms: Some(4), degree, maps, backend, ..FactorOptions::default() }
 }
 
@@ -86,16 +86,19 @@ fn a_material_by_tasks_is_that_of_one_process_with_every_model_and_with_maps() {
         options(Model::Joint, None, Some(true)),
         FactorOptions { terms: None, max_terms: 6, ..options(Model::Joint, None, None) },
         FactorOptions { goal: Goal::Psnr(30.0), terms: None, ..options(Model::Tucker, None, None) },
-        FactorOptions { backend: Some(Backend::Gram), ..options(Model::Joint, None, None) },
+        FactorOptions { backend: Some(Backend::Randomized), ..options(Model::Joint, None, Some(false)) },
         FactorOptions { profile_power: 0.0, peak_shift: false, ..options(Model::Peers2006, None, None) },
     ];
     for options in kinds {
         let alone = factor_and_store(&matrix().reader, &options, &F32, &Progress::silent()).unwrap();
         let tasks = by_tasks(&options, &F32, 5, |_, _| {});
-        // Products in f32 are of fewer rows at a time: their rounding, 6e-8 of the largest, in another place.
-        let off = apart(&tasks, &alone);
-        assert!(off < 1e-6, "{options:?}: {off:e}");
-        assert!((tasks.factored.rel_rmse / alone.factored.rel_rmse - 1.0).abs() < 1e-4, "{options:?}");
+        let (off, rmse) = (apart(&tasks, &alone), tasks.factored.rel_rmse / alone.factored.rel_rmse - 1.0);
+        match options.backend {
+            // Products in f32 are of fewer rows at a time: an iteration ends elsewhere within its accuracy.
+            Some(Backend::Randomized) => assert!(off < 1e-3 && rmse.abs() < 1e-3, "{options:?}: {off:e}, {rmse:e}"),
+            // Sums in f64 in another order; what is stored is f32.
+            _ => assert!(off < 1e-6 && rmse.abs() < 1e-6, "{options:?}: {off:e}, {rmse:e}"),
+        }
         assert_eq!(tasks.factored.material.shift, alone.factored.material.shift);
         assert!(tasks.factored.material.is_shifted() == options.peak_shift, "rows that are moved");
         // After it come passes and residuals, which rounding may change.
@@ -120,7 +123,7 @@ fn a_coded_material_is_made_by_tasks_too() {
 
 #[test]
 fn killed_late_damaged_and_repeated_tasks_change_no_bit() {
-    let options = options(Model::Tucker, Some(3), None);
+    let options = FactorOptions { backend: None, ..options(Model::Tucker, Some(3), None) };
     let plain = by_tasks(&options, &F32, 4, |_, _| {});
     let troubled = by_tasks(&options, &F32, 4, |folder, round| {
         let progress = Progress::silent();
@@ -185,14 +188,8 @@ fn passes() -> &'static Vec<Vec<u8>> {
     KEPT.get_or_init(|| {
         let kept = std::sync::Mutex::new(Vec::new());
         let keep = |folder: &Path, _| kept.lock().unwrap().push(std::fs::read(folder.join("next.pass")).unwrap());
-        by_tasks(&options(Model::Joint, None, Some(true)), &F32, 3, keep);
+        by_tasks(&FactorOptions { backend: None, ..options(Model::Joint, None, Some(true)) }, &F32, 3, keep);
         by_tasks(&options(Model::Tucker, Some(3), None), &F32, 3, keep);
-        by_tasks(
-            &FactorOptions { backend: Some(Backend::Gram), ..options(Model::Tucker, Some(3), None) },
-            &F32,
-            3,
-            keep,
-        );
         kept.into_inner().unwrap()
     })
 }
