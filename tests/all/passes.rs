@@ -82,7 +82,7 @@ fn a_material_is_made_by_commands_in_any_order_and_by_killed_ones_too() {
         assert!(status == 0 && stderr.contains("was there already"), "{stderr}");
         assert_eq!(serde_json::from_str::<serde_json::Value>(&stdout).unwrap()["was_there"], true);
     });
-    assert_eq!(passes, 4, "survey, AᵀA, left vectors, colour");
+    assert!((4..10).contains(&passes), "survey, AᵀA, left vectors, colour; more with gaps: {passes}");
     std::fs::create_dir(bench.path("other")).unwrap();
     bench.factored(&line("b", "other"), |parts| {
         // One by one; part 2 is forgotten a first time.
