@@ -23,11 +23,13 @@ import acquire
 
 PROGRAM = Path(os.environ.get("ACQUIRE", Path(__file__).resolve().parents[1] / "target/release/acquire"))
 POINTS, WINDOW, TERMS = (96, 84), (41, 31), 15
+#: Of the matrix whose singular values are compared: all of them are computed.
+FEW_POINTS, SMALL_WINDOW = (40, 32), (21, 17)
 
 
-def matrix(path):
-    """A profile times one and smooth maps whose weights fall slowly, with noise of 1e-4 of the peak: 8,064 rows of 3,813 numbers."""
-    (x, y), (w, h) = POINTS, WINDOW
+def matrix(path, points=POINTS, window=WINDOW):
+    """A profile times one and smooth maps whose weights fall slowly, with noise of 1e-4 of the peak."""
+    (x, y), (w, h) = points, window
     rng = np.random.default_rng(1)
     dy, dx = np.mgrid[0:h, 0:w] - np.array([h // 2, w // 2])[:, None, None]
     fall = np.exp(-np.hypot(dx, dy) / 5)
@@ -101,6 +103,8 @@ def svd(folder):
     import dask
     import dask.array as da
 
+    shutil.rmtree(folder / "m.rd.zarr", ignore_errors=True)
+    matrix(folder / "m.rd.zarr", FEW_POINTS, SMALL_WINDOW)
     stored = da.from_zarr(str(folder / "m.rd.zarr"), component="response")
     rows = stored.reshape(-1, int(np.prod(stored.shape[2:])))
     # Of the Gram matrix in f64: 1e-8 of the largest.
