@@ -231,7 +231,7 @@ pub enum Error {
         b_value: String,
     },
     /// Lattice shots that no part has, and nobody was told to measure.
-    #[error("{}: expected all {of} lattice shots, found none of the shots {}{}", path.display(), words::spelled(missing), words::not_used(unused))]
+    #[error("{}: expected all {of} lattice shots, found none of the shots {}{}", path.display(), words::spelled(missing, "shot"), words::not_used(unused))]
     MissingShots {
         /// Where parts were looked for.
         path: PathBuf,
@@ -241,6 +241,20 @@ pub enum Error {
         of: usize,
         /// Parts that were of no use, and why.
         unused: Vec<String>,
+    },
+    /// Tasks have a pass over a matrix's rows to do before its factorization goes on.
+    #[error("{}: pass {pass} over the rows ({stage}) is due: expected {of} parts, found none of the parts {}", path.display(), words::spelled(missing, "part"))]
+    PassDue {
+        /// Where tasks find it and leave what they find.
+        path: PathBuf,
+        /// Which pass of the factorization, from 1.
+        pass: usize,
+        /// What it finds: survey, terms, measure or colour.
+        stage: &'static str,
+        /// The parts that are to be done, by their numbers from 1; the end of a range is not in it.
+        missing: Vec<std::ops::Range<usize>>,
+        /// Parts in all.
+        of: usize,
     },
     /// An option has a value that cannot be used.
     #[error("{setting}: expected {expected}, found {found}")]

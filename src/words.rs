@@ -35,11 +35,11 @@ pub(crate) fn ranges(numbers: &[usize]) -> Vec<Range<usize>> {
 /// The most things of a list that a message names.
 const NAMED: usize = 8;
 
-/// `3..5, 9..10`, of many the first ones and how many shots there are.
-pub(crate) fn spelled(ranges: &[Range<usize>]) -> String {
+/// `3..5, 9..10`, of many the first ones and how many of the noun there are.
+pub(crate) fn spelled(ranges: &[Range<usize>], noun: &str) -> String {
     let first = ranges.iter().take(NAMED).map(|r| format!("{}..{}", r.start, r.end)).collect::<Vec<_>>().join(", ");
     match ranges.len() > NAMED {
-        true => format!("{first}, … ({} in all)", count(ranges.iter().map(Range::len).sum(), "shot")),
+        true => format!("{first}, … ({} in all)", count(ranges.iter().map(Range::len).sum(), noun)),
         false => first,
     }
 }
@@ -67,9 +67,9 @@ mod tests {
     fn numbers_are_ranges_of_which_a_message_names_the_first() {
         let numbers = [0, 1, 2, 5, 7, 8];
         assert_eq!(ranges(&numbers), [0..3, 5..6, 7..9]);
-        assert_eq!(spelled(&ranges(&numbers)), "0..3, 5..6, 7..9");
+        assert_eq!(spelled(&ranges(&numbers), "shot"), "0..3, 5..6, 7..9");
         let every_other: Vec<usize> = (0..20).step_by(2).collect();
-        assert!(spelled(&ranges(&every_other)).ends_with("14..15, … (10 shots in all)"));
+        assert!(spelled(&ranges(&every_other), "shot").ends_with("14..15, … (10 shots in all)"));
         assert_eq!(not_used(&[]), "");
         assert_eq!(not_used(&["a".into(), "b".into()]), "; not used: a, b");
     }

@@ -176,14 +176,18 @@ def factor(
     :warns FindingWarning: for what the factorization found.
     """
     options = dict(terms=terms, degree=degree, model=model, target_psnr=target_psnr, max_bytes=max_bytes, precision=precision, backend=backend, accuracy=accuracy, memory=memory)
-    words = _words({**options, **more})
-    if maps is not None:
-        words.append(f"--maps={'yes' if maps else 'no'}")
+    words = _factor_words({**options, "maps": maps, **more})
     path = matrix.path if isinstance(matrix, Matrix) else os.fspath(matrix)
     made, told = native.factor(path, words, report(progress))
     result: dict[str, Any] = json.loads(told)
     tell(result["findings"])
     return Material(made, result)
+
+
+def _factor_words(options: dict[str, Any]) -> list[str]:
+    """Options of :func:`factor` as they are typed."""
+    maps = options.pop("maps", None)
+    return _words(options) + ([] if maps is None else [f"--maps={'yes' if maps else 'no'}"])
 
 
 def evaluate(candidate: Path | Material | Matrix, reference: Path | Matrix, *, progress: Progress = True) -> dict[str, Any]:

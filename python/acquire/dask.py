@@ -8,6 +8,7 @@ shows the stages by name. What fails, or was on a worker that died, the cluster 
 
     client = Client(LocalCluster(n_workers=4, threads_per_worker=1))
     acquire.dask.build_matrix("captures", "slab.rd.zarr", client=client)
+    material = acquire.dask.factor("slab.rd.zarr", "slab.safetensors", client=client, terms=15)
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ from distributed import Client, Future, get_client
 
 from . import _commands
 from ._errors import FindingWarning, InputError, tell
-from ._material import Path
+from ._material import Material, Path
 from ._matrix import Matrix
 from ._native import native
 
-__all__ = ["build_matrix", "tradeoff"]
+__all__ = ["build_matrix", "factor", "tradeoff"]
 
 #: Tasks for each thread of the cluster, by default: one that is slow, or done again, keeps others waiting for half of its time.
 PARTS_PER_THREAD = 2
@@ -114,10 +115,76 @@ def _assemble(capture: str, parts: list[str], out: str, threads: int, force: boo
     return result
 
 
+def factor(
+    matrix: Path | Matrix,
+    out: Path,
+    *,
+    client: Client | None = None,
+    blocks: int | None = None,
+    folder: Path | None = None,
+    retries: int = 2,
+    force: bool = False,
+    **options: Any,
+) -> Material:
+    """Factors one matrix on a cluster, and saves the material at ``out``.
+
+    A factorization goes over all rows ten to thirty times. Each pass (``survey``, ``terms``, ``measure``, ``colour``) is as many tasks as there are ``blocks`` of rows,
+    on one thread each; what they find is joined where the caller is, in the order of the blocks: the material is the same, bit by bit, whichever workers did them.
+    It is that of :func:`acquire.factor` with the same ``backend`` to rounding with ``gram``, and within its accuracy with ``randomized``. A worker holds the pass, 48 MiB of rows, and what it finds of its block
+    (``docs/scale.md`` has figures). After an error files stay in ``folder``, and the same call goes on from them.
+
+    :param matrix: a store's path, or an open one.
+    :param client: of the cluster; default: the current one.
+    :param blocks: tasks that share a pass, up to the chunks of the matrix; default: 32, or as many as have 512 MiB of responses each.
+    :param folder: where all workers can write; default: beside ``out``, named ``OUT.passes``.
+    :param retries: how often a task that failed is run again. One whose worker died is run again up to ``distributed.scheduler.allowed-failures`` times besides.
+    :param force: replace an earlier material.
+    :param options: those of :func:`acquire.factor`, but for ``backend="full"`` and ``memory``, which need all rows in one place. The default ``backend`` is
+        ``randomized``, below an ``accuracy`` of 1e-6 ``gram``.
+    :returns: the material with its ``report``, as :func:`acquire.factor`.
+    :raises InputError: as :func:`acquire.factor`, with the words of the task that failed.
+    """
+    client = get_client() if client is None else client
+    path = os.path.abspath(matrix.path if isinstance(matrix, Matrix) else os.fspath(matrix))
+    out = os.path.abspath(os.fspath(out))
+    place = FilePath(os.path.abspath(os.fspath(folder)) if folder is not None else out + ".passes")
+    if out.endswith(".acq"):
+        options.setdefault("precision", "coded")
+    words = _commands._factor_words(options)
+    place.mkdir(exist_ok=True)
+
+    call, last, tries = uuid.uuid4().hex, 0, 0
+    while True:
+        made, told = native.factor_by_tasks(path, out, words, str(place), blocks, force, None)
+        result: dict[str, Any] = json.loads(told)
+        if made is not None:
+            break
+        number, stage, of = result["pass"], result["stage"], result["of"]
+        tries = tries + 1 if number == last else 0
+        if tries > retries:
+            raise InputError(f"{place}: pass {number} ({stage}): parts {result['missing']} of {of} were written and are not there", "PassDue")
+        last = number
+        # The number of the pass is in the key: what was late for an earlier one is not taken for this.
+        futures = [
+            client.submit(_factor_part, str(place), (k, of), key=(f"{stage}-{call}-{number}-{tries}", k), retries=retries, pure=False) for k in result["missing"]
+        ]
+        with _all_or_none(client, futures):
+            client.gather(futures)
+    material = Material(made, result)
+    material.save(out, force=force)
+    _remove(place)
+    tell(result["findings"])
+    return material
+
+
+def _factor_part(folder: str, part: tuple[int, int]) -> None:
+    native.factor_part(folder, part, 1, None)
+
+
 def _remove(folder: FilePath) -> None:
     """Removes what tasks have written there, and the folder where nothing else is in it."""
     for file in folder.iterdir():
-        if file.suffix in (".part", ".prepared", ".unfinished"):
+        if file.suffix in (".part", ".prepared", ".pass", ".sum", ".unfinished"):
             file.unlink(missing_ok=True)
     with suppress(OSError):
         folder.rmdir()

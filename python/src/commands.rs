@@ -4,7 +4,8 @@
 use crate::errors::{internal, raised, refused};
 use crate::material::NativeMaterial;
 use crate::work::{Report, run};
-use acquire::material::{Precision, Source};
+use acquire::factor::{Stored, TaskFolder, factor_and_store, factor_and_store_by_tasks};
+use acquire::material::{Material, Precision, Source};
 use acquire::pipeline::Shots;
 use acquire::simulate::SlabMaterial;
 use acquire::transport::MatrixReader;
@@ -40,32 +41,83 @@ pub(crate) fn factor(
     report: Report<'_>,
 ) -> PyResult<(NativeMaterial, String)> {
     let (options, storage) = acquire::cli::factor_options(&words).map_err(raised)?;
-    let (material, precision, report) = run(py, report, |progress| {
+    let (material, report) = run(py, report, |progress| {
         let reader = MatrixReader::open(&path)?;
-        let stored = acquire::factor::factor_and_store(&reader, &options, &storage, progress)?;
-        let matrix_bytes = 4 * (reader.header().rows() * reader.header().row_len()) as u64;
-        let factored = &stored.factored;
-        let report = json!({
-            "choice": factored.choice,
-            "backend": factored.backend.to_string(),
-            "rel_rmse": stored.rel_rmse(),
-            "psnr_db": if stored.added_error > 0.0 { stored.psnr_db() } else { factored.psnr_db },
-            "added_error": stored.added_error,
-            "precision": storage.precision.name(),
-            "bytes": stored.bytes,
-            "bytes_f32": factored.material.bytes_f32(),
-            "bytes_matrix": matrix_bytes,
-            "agreement": to_json(&factored.agreement)?,
-            "findings": findings(factored.warnings.iter().cloned())?,
-        });
-        // What is stored is what is evaluated.
-        let material = match storage.precision {
-            Precision::F32 => stored.factored.material,
-            _ => acquire::material::Material::from_bytes(&stored.file)?,
-        };
-        Ok((material, storage.precision, report.to_string()))
+        factored(&reader, storage.precision, factor_and_store(&reader, &options, &storage, progress)?)
     })?;
-    Ok((NativeMaterial::new(material, Some(precision))?, report))
+    Ok((NativeMaterial::new(material, Some(storage.precision))?, report))
+}
+
+/// A material as it is stored, and what is said of it.
+fn factored(reader: &MatrixReader, precision: Precision, stored: Stored) -> acquire::Result<(Material, String)> {
+    let matrix_bytes = 4 * (reader.header().rows() * reader.header().row_len()) as u64;
+    let factored = &stored.factored;
+    let report = json!({
+        "choice": factored.choice,
+        "backend": factored.backend.to_string(),
+        "rel_rmse": stored.rel_rmse(),
+        "psnr_db": if stored.added_error > 0.0 { stored.psnr_db() } else { factored.psnr_db },
+        "added_error": stored.added_error,
+        "precision": precision.name(),
+        "bytes": stored.bytes,
+        "bytes_f32": factored.material.bytes_f32(),
+        "bytes_matrix": matrix_bytes,
+        "agreement": to_json(&factored.agreement)?,
+        "findings": findings(factored.warnings.iter().cloned())?,
+    });
+    // What is stored is what is evaluated.
+    let material = match precision {
+        Precision::F32 => stored.factored.material,
+        _ => Material::from_bytes(&stored.file)?,
+    };
+    Ok((material, report.to_string()))
+}
+
+/// The same by tasks ([`factor_part`]): the material, and a report; while a pass has parts that are not there, none, and
+/// which they are. `out` is where the material will go.
+#[pyfunction]
+#[pyo3(signature = (path, out, words, folder, parts, force, report))]
+#[allow(clippy::too_many_arguments, reason = "keywords of the Python function")]
+pub(crate) fn factor_by_tasks(
+    py: Python<'_>,
+    path: PathBuf,
+    out: PathBuf,
+    words: Vec<String>,
+    folder: PathBuf,
+    parts: Option<usize>,
+    force: bool,
+    report: Report<'_>,
+) -> PyResult<(Option<NativeMaterial>, String)> {
+    let (options, storage) = acquire::cli::factor_options(&words).map_err(raised)?;
+    acquire::cli::check_output("out", &out, &[&path], &acquire::cli::MATERIALS, force).map_err(raised)?;
+    let folder = TaskFolder { path: folder, parts };
+    let (material, report) = run(py, report, |progress| {
+        let reader = MatrixReader::open(&path)?;
+        match factor_and_store_by_tasks(&reader, &options, &storage, &folder, progress) {
+            Err(Error::PassDue { pass, stage, missing, of, .. }) => {
+                let missing: Vec<usize> = missing.into_iter().flatten().collect();
+                Ok((None, json!({"pass": pass, "stage": stage, "missing": missing, "of": of}).to_string()))
+            }
+            stored => factored(&reader, storage.precision, stored?).map(|(material, report)| (Some(material), report)),
+        }
+    })?;
+    let material = material.map(|material| NativeMaterial::new(material, Some(storage.precision))).transpose()?;
+    Ok((material, report))
+}
+
+/// Some rows of the pass that is due: part `part` (number from 1, of how many).
+#[pyfunction]
+pub(crate) fn factor_part(
+    py: Python<'_>,
+    folder: PathBuf,
+    part: [usize; 2],
+    threads: Option<usize>,
+    report: Report<'_>,
+) -> PyResult<String> {
+    run(py, report, |progress| {
+        let report = on_threads(threads, || acquire::factor::factor_part(&folder, part, progress))?;
+        Ok(to_json(&report)?.to_string())
+    })
 }
 
 /// Measures of a matrix or material (a path, or a material in memory) against a matrix.

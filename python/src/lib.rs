@@ -18,6 +18,8 @@ fn _acquire(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<matrix::NativeMatrix>()?;
     m.add_function(wrap_pyfunction!(matrix::write_matrix, m)?)?;
     m.add_function(wrap_pyfunction!(commands::factor, m)?)?;
+    m.add_function(wrap_pyfunction!(commands::factor_by_tasks, m)?)?;
+    m.add_function(wrap_pyfunction!(commands::factor_part, m)?)?;
     m.add_function(wrap_pyfunction!(commands::evaluate, m)?)?;
     m.add_function(wrap_pyfunction!(commands::simulate, m)?)?;
     m.add_function(wrap_pyfunction!(commands::build_matrix, m)?)?;

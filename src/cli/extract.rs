@@ -63,7 +63,7 @@ fn two(typed: &str, between: &str, expected: &str) -> Result<[usize; 2], String>
     two.ok_or_else(|| format!("expected {expected}"))
 }
 
-fn part(typed: &str) -> Result<[usize; 2], String> {
+pub(super) fn part(typed: &str) -> Result<[usize; 2], String> {
     two(typed, "/", "K/N, 3/64 say: the third of 64 parts")
 }
 

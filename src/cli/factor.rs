@@ -1,10 +1,14 @@
 use super::Context;
 use super::values::{model, precision, yes_or_no};
-use crate::factor::{Backend, FactorOptions, Goal, ROOM_DB, Storage, Stored, factor_and_store};
+use crate::factor::{
+    Backend, FactorOptions, Goal, ROOM_DB, Storage, Stored, TaskFolder, factor_and_store, factor_and_store_by_tasks,
+};
 use crate::material::{Model, Precision};
 use crate::output::write_whole;
 use crate::transport::MatrixReader;
+use crate::words::count;
 use crate::{Error, Result};
+use std::ops::Range;
 use std::path::PathBuf;
 
 /// Factor a matrix into a compact material.
@@ -17,7 +21,8 @@ Examples:
   acquire factor slab.rd.zarr --target-psnr 45 --out slab.acq    the same, coded: far fewer bytes
   acquire factor slab.rd.zarr --terms 15 --degree 7      the paper's model and setting
   acquire factor slab.rd.zarr --model peers2006 --terms 13
-  acquire factor slab.rd.zarr --memory 2GiB --backend gram")]
+  acquire factor slab.rd.zarr --memory 2GiB --backend gram
+  acquire factor slab.rd.zarr --terms 15 --tasks passes/ --parts 64    by many processes: docs/scale.md")]
 pub(super) struct Args {
     /// The matrix, a folder *.rd.zarr.
     #[arg(value_parser = super::things::matrix())]
@@ -30,6 +35,13 @@ pub(super) struct Args {
     /// Replace an earlier material there.
     #[arg(long)]
     force: bool,
+    /// Let tasks (`acquire factor-part`) go over the rows: writes the pass that is due into this folder and prints its
+    /// missing parts, K/N, a line each; to be called again when they are there. Prints none when the material is made.
+    #[arg(long, value_name = "DIR")]
+    tasks: Option<PathBuf>,
+    /// With --tasks: how many share a pass [default: 32, or as many as have 512 MiB of responses each].
+    #[arg(long, value_name = "N", requires = "tasks")]
+    parts: Option<usize>,
 }
 
 /// All that can be asked of a factorization.
@@ -161,7 +173,16 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
     };
     super::check_output("out", &out, &[&args.matrix], endings, args.force)?;
     let reader = MatrixReader::open(&args.matrix)?;
-    let stored = factor_and_store(&reader, &options, &storage, &context.progress)?;
+    let stored = match args.tasks {
+        None => factor_and_store(&reader, &options, &storage, &context.progress)?,
+        Some(path) => {
+            let folder = TaskFolder { path, parts: args.parts };
+            match factor_and_store_by_tasks(&reader, &options, &storage, &folder, &context.progress) {
+                Err(Error::PassDue { pass, stage, missing, of, .. }) => return due(context, pass, stage, &missing, of),
+                stored => stored?,
+            }
+        }
+    };
     write_whole(&out, stored.file.clone())?;
     let factored = &stored.factored;
     context.tell(&factored.warnings);
@@ -188,6 +209,13 @@ pub(super) fn run(args: Args, context: &Context) -> Result<()> {
         factored.psnr_db.map(|db| format!(", psnr_db {db:.2}")).unwrap_or_default()
     ));
     Ok(())
+}
+
+/// Says which parts of a pass are to be done.
+fn due(context: &Context, pass: usize, stage: &str, missing: &[Range<usize>], of: usize) -> Result<()> {
+    let parts: Vec<String> = missing.iter().flat_map(Clone::clone).map(|part| format!("{part}/{of}")).collect();
+    context.done(format_args!("pass {pass} ({stage}): {} of {of} to be done", count(parts.len(), "part")));
+    super::print(&parts.join("\n"))
 }
 
 /// A number of bytes as people write it: `250kB`, `1.5 MiB`, `4096`.

@@ -96,6 +96,12 @@ pub(super) fn hint(error: &Error) -> Option<String> {
                 first.start, first.end
             ));
         }
+        Error::PassDue { path, missing, of, .. } => {
+            let (first, path) = (missing.first().map_or(1, |r| r.start), path.display());
+            return Some(format!(
+                "do them with `acquire factor-part {path} --part {first}/{of}` and so on, and try again"
+            ));
+        }
         Error::BrokenMatrix { .. } => {
             "the store may be an incomplete copy; copy it again, or build it again with `acquire build-matrix`"
         }

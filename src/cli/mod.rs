@@ -8,6 +8,7 @@ mod evaluate;
 mod export;
 mod extract;
 mod factor;
+mod factor_part;
 mod import;
 mod import_matrix;
 mod keywords;
@@ -76,6 +77,7 @@ enum Command {
     Extract(extract::Args),
     Assemble(assemble::Args),
     Factor(factor::Args),
+    FactorPart(factor_part::Args),
     Evaluate(evaluate::Args),
     Relight(relight::Args),
     Tradeoff(tradeoff::Args),
@@ -173,7 +175,7 @@ fn print(text: &str) -> Result<()> {
 }
 
 /// Endings of material files.
-const MATERIALS: [&str; 2] = ["safetensors", "acq"];
+pub const MATERIALS: [&str; 2] = ["safetensors", "acq"];
 
 /// Refuses an output file that would fail or harm only after the work: a folder, a device, a file without a folder, a
 /// place that is not apart from `inputs`, a name that ends in none of `endings`, an existing file unless `force`, and
@@ -315,6 +317,7 @@ fn run(cli: Cli) -> Result<()> {
         Command::Extract(args) => extract::run(args, &context),
         Command::Assemble(args) => assemble::run(args, &context),
         Command::Factor(args) => factor::run(args, &context),
+        Command::FactorPart(args) => factor_part::run(args, &context),
         Command::Evaluate(args) => evaluate::run(args, &context),
         Command::Relight(args) => relight::run(args, &context),
         Command::Tradeoff(args) => tradeoff::run(args, &context),

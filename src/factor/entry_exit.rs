@@ -9,8 +9,11 @@ use super::term_rows::TermRows;
 use super::vector::dot_wide;
 use crate::Result;
 use crate::material::{ExitGrid, Exitance, Light, Material, Quadrature, Responses, lit_area_of, splat, splat_entries};
+use crate::output::numbers;
 use crate::transport::{MatrixReader, RowBlock};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Rounds of fitting: each takes the misfit of the one before to about a fifth of it.
 pub(super) const ROUNDS: usize = 6;
@@ -29,6 +32,48 @@ const MOST: f64 = 30.0;
 /// Marginals over a row, their variances, and where it was measured, if not everywhere.
 type RowSums = ([f64; 3], [f64; 3], Option<Vec<u8>>);
 
+/// A row of which a part was not measured.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Gap {
+    row: usize,
+    /// 1 where it was, \[dy\]\[dx\]\[channel\].
+    #[serde(with = "numbers")]
+    valid: Vec<u8>,
+}
+
+/// What a plane has from its first number that is not zero to its last.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Band {
+    first: usize,
+    #[serde(with = "numbers")]
+    values: Vec<f64>,
+}
+
+impl Band {
+    fn of(plane: &[f64]) -> Self {
+        let first = plane.iter().position(|&v| v != 0.0).unwrap_or(plane.len());
+        let end = plane.iter().rposition(|&v| v != 0.0).map_or(first, |last| last + 1);
+        Self { first, values: plane[first..end].to_vec() }
+    }
+
+    fn add_to(&self, plane: &mut [f64]) {
+        plane.iter_mut().skip(self.first).zip(&self.values).for_each(|(a, b)| *a += b);
+    }
+}
+
+/// What some consecutive rows add to [`Marginals`].
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct MarginalSums {
+    first: usize,
+    #[serde(with = "numbers")]
+    rows: Vec<[f64; 3]>,
+    #[serde(with = "numbers")]
+    row_variance: Vec<[f64; 3]>,
+    gaps: Vec<Gap>,
+    exitance: [Band; 3],
+    exitance_variance: [Band; 3],
+}
+
 /// What the maps are fitted to.
 pub(super) struct Marginals {
     quadrature: Quadrature,
@@ -42,8 +87,7 @@ pub(super) struct Marginals {
     /// Marginals of rows, \[N\], likewise, and their variances.
     rows: Vec<[f64; 3]>,
     row_variance: Vec<[f64; 3]>,
-    /// Rows of which a part was not measured, and where they were.
-    gaps: Vec<(usize, Vec<u8>)>,
+    gaps: Vec<Gap>,
 }
 
 impl Marginals {
@@ -95,15 +139,50 @@ impl Marginals {
         let found: Vec<RowSums> = (0..block.rows).into_par_iter().map(sums).collect();
         for (k, (sum, variance, gap)) in found.into_iter().enumerate() {
             (self.rows[block.first + k], self.row_variance[block.first + k]) = (sum, variance);
-            self.gaps.extend(gap.map(|gap| (block.first + k, gap)));
+            self.gaps.extend(gap.map(|valid| Gap { row: block.first + k, valid }));
         }
+    }
+
+    /// What was added by these rows, where no others were.
+    pub(super) fn of(self, rows: Range<usize>) -> MarginalSums {
+        let bands = |image: &Exitance| image.planes.each_ref().map(|plane| Band::of(plane));
+        MarginalSums {
+            first: rows.start,
+            exitance: bands(&self.exitance),
+            exitance_variance: bands(&self.exitance_variance),
+            rows: self.rows[rows.clone()].to_vec(),
+            row_variance: self.row_variance[rows].to_vec(),
+            gaps: self.gaps,
+        }
+    }
+
+    /// Adds what others have found of rows that were not added yet.
+    pub(super) fn join(&mut self, next: MarginalSums) {
+        let here = next.first..next.first + next.rows.len();
+        self.rows[here.clone()].copy_from_slice(&next.rows);
+        self.row_variance[here].copy_from_slice(&next.row_variance);
+        self.gaps.extend(next.gaps);
+        for (image, bands) in
+            [(&mut self.exitance, &next.exitance), (&mut self.exitance_variance, &next.exitance_variance)]
+        {
+            image.planes.iter_mut().zip(bands).for_each(|(plane, band)| band.add_to(plane));
+        }
+    }
+
+    /// All sums, one after the other.
+    #[cfg(test)]
+    pub(super) fn numbers(&self) -> Vec<f64> {
+        let images = self.exitance.planes.iter().chain(&self.exitance_variance.planes).flatten();
+        let rows = self.rows.iter().chain(&self.row_variance).flatten();
+        let gaps = self.gaps.iter().flat_map(|gap| gap.valid.iter().map(|&v| f64::from(v)).chain([gap.row as f64]));
+        images.chain(rows).copied().chain(gaps).collect()
     }
 
     /// The same with what the material says where nothing was measured.
     fn filled(&self, material: &Material) -> (Exitance, Vec<[f64; 3]>) {
         let (mut exitance, mut sums) = (self.exitance.clone(), self.rows.clone());
         let responses = Responses::new(material);
-        for (row, valid) in &self.gaps {
+        for Gap { row, valid } in &self.gaps {
             let response = responses.row(*row);
             for (s, v) in response.iter().enumerate().filter(|(s, _)| valid[*s] == 0) {
                 sums[*row][s % 3] += f64::from(*v);

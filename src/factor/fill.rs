@@ -8,8 +8,10 @@
 use super::backend::{LowRank, product};
 use super::vector::dot;
 use crate::cholesky::Cholesky;
+use crate::output::numbers;
 use faer::MatRef;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Multiplications of a block that are quick in f64.
 const FEW_PRODUCTS: usize = 20_000_000;
@@ -26,9 +28,10 @@ pub(super) enum Missing {
 }
 
 /// Profiles that a row is composed of, with how much of each to expect.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Basis {
     /// Profiles, \[k, columns\].
+    #[serde(with = "numbers")]
     vectors: Vec<f64>,
     /// What is added to the diagonal: noise variance over the expected variance of each coefficient, \[k\].
     ridge: Vec<f64>,

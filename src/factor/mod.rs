@@ -21,6 +21,7 @@ mod regression;
 mod shared_basis;
 mod storing;
 mod survey;
+mod tasks;
 mod term_rows;
 mod terms;
 #[cfg(test)]
@@ -31,16 +32,18 @@ pub use agreement::Agreement;
 pub use backend::Backend;
 pub use choose::{Goal, regression_conditions};
 pub use storing::{ROOM_DB, Storage, Stored, factor_and_store};
+pub use tasks::{PassReport, TaskFolder, factor_and_store_by_tasks, factor_part};
 
 use crate::material::legendre::MOST_DEGREE;
 use crate::material::{Material, Model};
 use crate::progress::Progress;
-use crate::transport::{MatrixReader, RowBlock};
+use crate::transport::MatrixReader;
 use crate::words::count;
 use crate::{Error, FactorWarning, Result};
 use content::Content;
 use entry_exit::Marginals;
 use prepared_rows::PreparedRows;
+use tasks::Passes;
 
 /// How to factor.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -174,11 +177,15 @@ impl Misfit {
 /// [`Error::Setting`] for options out of range; those of the reader; [`Error::NotFinite`] when a response is so
 /// large that a coefficient does not fit an f32.
 pub fn factor(reader: &MatrixReader, options: &FactorOptions, progress: &Progress) -> Result<Factored> {
+    factored(Passes::here(reader, progress), options)
+}
+
+fn factored(matrix: Passes<'_>, options: &FactorOptions) -> Result<Factored> {
     options.check()?;
     // Its own threads divide sums among themselves: the last digits would depend on their number. What takes long is in
     // `products`.
     faer::set_global_parallelism(faer::Par::Seq);
-    let one = |model| factor_as(reader, model, options, progress);
+    let one = |model| factor_as(matrix, model, options);
     match (options.model, options.degree, options.goal) {
         (Some(model), ..) => one(model),
         (None, Some(_), _) => one(Model::Tucker),
@@ -190,7 +197,8 @@ pub fn factor(reader: &MatrixReader, options: &FactorOptions, progress: &Progres
     }
 }
 
-fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progress: &Progress) -> Result<Factored> {
+fn factor_as(matrix: Passes<'_>, model: Model, options: &FactorOptions) -> Result<Factored> {
+    let reader = matrix.reader;
     let window = reader.header().window;
     let limit: [usize; 2] = match options.peak_shift {
         true => std::array::from_fn(|a| options.max_shift.unwrap_or(window[a] / 4).min(window[a] / 2).min(30_000)),
@@ -212,12 +220,7 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progr
             }
             false => None,
         };
-        let each = |block: &RowBlock| {
-            if let Some(sums) = &mut sums {
-                sums.add(block, window);
-            }
-        };
-        let rows = PreparedRows::new(reader, content, limit, memory, power, each, progress)?;
+        let rows = PreparedRows::new(matrix, content, limit, memory, power, sums.as_mut())?;
         Ok((rows, sums))
     };
     let grey = options.degree.is_none() && choose::looks_grey(reader)?;
@@ -234,7 +237,7 @@ fn factor_as(reader: &MatrixReader, model: Model, options: &FactorOptions, progr
             (None, None) => choose::degree_by_noise(reader, &fit.material, options.max_degree)?,
         };
         why_degree = format!("; degree {}: {}", degree.0, degree.1);
-        fit.misfit = rows.survey.misfit(regression::color(reader, &mut fit.material, degree.0, progress)?);
+        fit.misfit = rows.survey.misfit(regression::color(matrix, &mut fit.material, degree.0)?);
     }
     let terms = fit.material.header.terms;
     let grey =

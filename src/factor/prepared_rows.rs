@@ -1,19 +1,25 @@
 //! The rows that are factored, as often as they are wanted: shifted, scaled, their gaps filled; kept in memory when
 //! they fit, else read from the store again.
 
-use super::backend::Rows;
+use super::backend::{self, Backend, Rows};
 use super::content::{Content, RawRows};
+use super::entry_exit::Marginals;
 use super::fill::{Basis, Missing};
 use super::noise::NoiseSums;
-use super::survey::{Survey, survey};
+use super::survey::{Survey, survey_rows};
+use super::tasks::{Pass, Passes, Tasks};
 use super::term_rows::TermRows;
 use super::vector::misfit;
-use crate::Result;
 use crate::material::Material;
-use crate::progress::Progress;
+use crate::transport::RowBlock;
 use crate::transport::normalize::Placement;
-use crate::transport::{MatrixReader, RowBlock};
+use crate::{Error, Result};
+use faer::Mat;
 use rayon::prelude::*;
+use std::ops::Range;
+
+mod state;
+pub(super) use state::RowsState;
 
 /// Consecutive rows on the common window, `[row][plane][y][x]`, and what of them was estimated.
 #[derive(Debug)]
@@ -28,8 +34,9 @@ type EachChunk<'e> = dyn FnMut(usize, &[f32], &[Missing]) -> Result<()> + 'e;
 
 /// The rows of a matrix, prepared for factoring.
 pub(super) struct PreparedRows<'a> {
-    reader: &'a MatrixReader,
-    progress: &'a Progress,
+    matrix: Passes<'a>,
+    /// Those that passes go over: all, but in a task of many.
+    range: Range<usize>,
     /// What the first pass found.
     pub survey: Survey,
     /// What is factored.
@@ -49,30 +56,26 @@ pub(super) struct PreparedRows<'a> {
 }
 
 impl<'a> PreparedRows<'a> {
-    /// Reads the matrix once: places rows, keeps them when they take at most `memory` bytes, and fills gaps with the
-    /// mean profile. Columns are multiplied by the mean profile to the power −`profile_power`; `each` sees every block
-    /// as it is read.
+    /// Reads the matrix once: places rows, keeps them when they take at most `memory` bytes and no tasks do the passes,
+    /// and fills gaps with the mean profile. Columns are multiplied by the mean profile to the power −`profile_power`;
+    /// `sums` gets what entry and exit maps are fitted to.
     ///
     /// # Errors
     /// Those of the reader.
     pub(super) fn new(
-        reader: &'a MatrixReader,
+        matrix: Passes<'a>,
         content: Content,
         limit: [usize; 2],
         memory: u64,
         profile_power: f64,
-        each: impl FnMut(&RowBlock),
-        progress: &'a Progress,
+        sums: Option<&mut Marginals>,
     ) -> Result<Self> {
-        let header = reader.header();
+        let header = matrix.reader.header();
         let bytes = |samples: usize| (4 * header.rows() * samples * content.planes()) as u64;
         let mut raw = Vec::new();
-        let keep = bytes(header.window_len()) <= memory;
-        let survey = survey(reader, content, limit, keep.then_some(&mut raw), each, progress)?;
-        let mut patterns: Vec<[i16; 2]> = survey.placements.iter().map(|p| p.shift).collect();
-        patterns.sort_unstable();
-        patterns.dedup();
-        let patterns = patterns.into_iter().map(|shift| (shift, survey.outside(shift, content.planes()))).collect();
+        let keep = matrix.tasks.is_none() && bytes(header.window_len()) <= memory;
+        let survey = surveyed(matrix, content, limit, keep.then_some(&mut raw), sums)?;
+        let patterns = patterns(&survey, content);
         let metric = match profile_power {
             0.0 => Vec::new(),
             power => metric(&survey.mean, survey.layout.len(), power),
@@ -83,8 +86,9 @@ impl<'a> PreparedRows<'a> {
         };
         let basis = Basis::mean(&mean);
         let noise = survey.noise.weighed(&metric);
+        let range = 0..header.rows();
         let mut rows =
-            Self { reader, progress, survey, content, metric, noise, through: None, basis, cache: None, patterns };
+            Self { matrix, range, survey, content, metric, noise, through: None, basis, cache: None, patterns };
         if keep && bytes(rows.survey.layout.len()) <= memory {
             let basis = rows.basis.prepared(&rows.patterns);
             let chunks = raw.into_iter().map(|raw| {
@@ -102,9 +106,30 @@ impl<'a> PreparedRows<'a> {
         !self.survey.complete
     }
 
-    /// Whether the rows are in memory: a pass then costs no reading.
-    pub(super) fn in_memory(&self) -> bool {
-        self.cache.is_some()
+    /// How passes read the rows, in a few words; none where they are in memory.
+    pub(super) fn how_read(&self) -> &'static str {
+        match (self.matrix.tasks, &self.cache) {
+            (Some(_), _) => ", by tasks",
+            (None, None) => ", streamed from the store",
+            (None, Some(_)) => "",
+        }
+    }
+
+    /// Who does the passes, if not this process.
+    pub(super) fn tasks(&self) -> Option<&'a Tasks> {
+        self.matrix.tasks
+    }
+
+    /// How its singular values are computed where nothing else was asked.
+    ///
+    /// # Errors
+    /// [`crate::Error::Setting`] for an accuracy that tasks do not reach.
+    pub(super) fn choose_backend(&self, accuracy: f64) -> Result<Backend> {
+        let (rows, columns) = self.shape();
+        match self.matrix.tasks {
+            Some(_) => backend::choose_for_tasks(columns, accuracy),
+            None => Ok(backend::choose(rows, columns, accuracy)),
+        }
     }
 
     /// Estimates what was not measured from `basis`, from now on.
@@ -149,6 +174,9 @@ impl<'a> PreparedRows<'a> {
     /// # Errors
     /// Those of the reader.
     pub(super) fn misfit(&self, material: &Material, inside: bool) -> Result<f64> {
+        if let Some(tasks) = self.matrix.tasks {
+            return tasks.sum(Pass::Misfit { rows: self.state(), material: material.into(), inside });
+        }
         let (columns, layout, terms) = (self.shape().1, self.survey.layout, TermRows::new(material));
         let (samples, window) = (layout.len(), layout.window[0] * layout.window[1]);
         let scale = terms.unit / self.unit();
@@ -190,7 +218,10 @@ impl<'a> PreparedRows<'a> {
     /// # Errors
     /// Those of the reader and of `each`.
     pub(super) fn for_each_chunk(&self, stage: &str, each: &mut EachChunk<'_>) -> Result<()> {
-        let stage = self.progress.stage(stage, self.reader.header().rows());
+        if self.matrix.tasks.is_some() {
+            return Err(Error::internal("a pass over the rows that no task knows"));
+        }
+        let stage = self.matrix.progress.stage(stage, self.range.len());
         if let Some(chunks) = &self.cache {
             return chunks.iter().try_for_each(|c| {
                 each(c.first, &c.values, &c.missing)?;
@@ -199,7 +230,7 @@ impl<'a> PreparedRows<'a> {
             });
         }
         let basis = self.basis.prepared(&self.patterns);
-        self.reader.for_each_block_of_responses(|block| {
+        self.matrix.reader.for_each_block_of(self.range.clone(), false, |block| {
             let raw = RawRows::extract(block, self.content, |k| self.scale(block.first + k));
             let mut chunk = self.place(raw);
             basis.fill(&mut chunk.values, &chunk.missing);
@@ -281,6 +312,38 @@ impl<'a> PreparedRows<'a> {
     }
 }
 
+/// What the first pass finds; what is factored goes to `keep`, where that is wanted.
+fn surveyed(
+    matrix: Passes<'_>,
+    content: Content,
+    limit: [usize; 2],
+    keep: Option<&mut Vec<RawRows>>,
+    mut sums: Option<&mut Marginals>,
+) -> Result<Survey> {
+    let Passes { reader, tasks, progress } = matrix;
+    let rows = match tasks {
+        Some(tasks) => {
+            let (rows, found) = tasks.survey(content, limit, sums.is_some())?;
+            sums.iter_mut().for_each(|sums| found.iter().for_each(|found| sums.join(found.clone())));
+            rows
+        }
+        None => {
+            let window = reader.header().window;
+            let each = |block: &RowBlock| sums.iter_mut().for_each(|sums| sums.add(block, window));
+            survey_rows(reader, 0..reader.header().rows(), content, limit, keep, each, progress)?
+        }
+    };
+    Ok(rows.survey(reader, content, limit))
+}
+
+/// Columns that rows with the same shift cannot have measured, by shift.
+fn patterns(survey: &Survey, content: Content) -> Vec<([i16; 2], Vec<u32>)> {
+    let mut shifts: Vec<[i16; 2]> = survey.placements.iter().map(|p| p.shift).collect();
+    shifts.sort_unstable();
+    shifts.dedup();
+    shifts.into_iter().map(|shift| (shift, survey.outside(shift, content.planes()))).collect()
+}
+
 /// Columns below this share of a plane's largest mean weigh no more than that.
 const DIM: f64 = 1e-5;
 
@@ -296,7 +359,31 @@ fn metric(mean: &[f64], samples: usize, power: f64) -> Vec<f32> {
 
 impl Rows for PreparedRows<'_> {
     fn shape(&self) -> (usize, usize) {
-        (self.survey.placements.len(), self.survey.layout.len() * self.content.planes())
+        (self.range.len(), self.survey.layout.len() * self.content.planes())
+    }
+
+    fn gram_times(&self, columns: &[f32], width: usize) -> Result<Mat<f64>> {
+        match self.matrix.tasks {
+            Some(tasks) => {
+                let pass = Pass::GramTimes { rows: self.state(), columns: columns.to_vec(), width };
+                tasks.matrix(pass, self.shape().1, width)
+            }
+            None => backend::gram_times_here(self, columns, width),
+        }
+    }
+
+    fn gram(&self) -> Result<Mat<f64>> {
+        match self.matrix.tasks {
+            Some(tasks) => tasks.matrix(Pass::Gram { rows: self.state() }, self.shape().1, self.shape().1),
+            None => backend::gram_here(self),
+        }
+    }
+
+    fn times(&self, vectors: &[f64], exact: bool) -> Result<Vec<f64>> {
+        match self.matrix.tasks {
+            Some(tasks) => tasks.rows(Pass::Times { rows: self.state(), vectors: vectors.to_vec(), exact }),
+            None => backend::times_here(self, vectors, exact),
+        }
     }
 
     fn for_each(&self, each: &mut dyn FnMut(usize, &[f32]) -> Result<()>) -> Result<()> {

@@ -2,6 +2,7 @@
 
 use super::color::{Fit, PolynomialBasis};
 use super::moments::{CompleteRow, MomentFits};
+use super::tasks::{Pass, Passes};
 use super::vector;
 use crate::Result;
 use crate::material::{Material, Responses, legendre};
@@ -100,14 +101,31 @@ fn of_sums(
 }
 
 /// Fits β of all rows, one pass, and returns Σ (R̂−R)² over valid entries.
-pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usize, progress: &Progress) -> Result<f64> {
-    let stage = progress.stage("factor: colour", reader.header().rows());
+pub(super) fn color(matrix: Passes<'_>, material: &mut Material, degree: usize) -> Result<f64> {
+    let all = 0..material.header.rows();
     material.header.degree = Some(degree);
-    material.header.intensity_range = intensity_range(material, std::iter::once(0..material.header.rows()));
+    material.header.intensity_range = intensity_range(material, std::iter::once(all.clone()));
+    let (coefficients, error) = match matrix.tasks {
+        Some(tasks) => tasks.colors(Pass::Color { material: (&*material).into(), degree })?,
+        None => colors_of(matrix.reader, material, degree, all, matrix.progress)?,
+    };
+    material.color_coefficients = coefficients;
+    Ok(error)
+}
+
+/// β of some rows, and what they leave of them.
+pub(super) fn colors_of(
+    reader: &MatrixReader,
+    material: &Material,
+    degree: usize,
+    rows: Range<usize>,
+    progress: &Progress,
+) -> Result<(Vec<f32>, f64)> {
+    let stage = progress.stage("factor: colour", rows.len());
     let mut error = 0.0;
-    let mut coefficients = Vec::with_capacity(reader.header().rows() * 3 * (degree + 1));
+    let mut coefficients = Vec::with_capacity(rows.len() * 3 * (degree + 1));
     let (responses, quick) = (Responses::new(material), MomentFits::new(degree));
-    reader.for_each_block_of_responses(|block| {
+    reader.for_each_block_of(rows, false, |block| {
         let fits = intensities(&responses, block, |k, intensity| {
             let (index, row) = (block.first + k, block.view(k));
             if let Some(fits) = of_sums(&quick, responses.material(), index, intensity, row) {
@@ -125,8 +143,7 @@ pub(super) fn color(reader: &MatrixReader, material: &mut Material, degree: usiz
         stage.advance(block.rows);
         Ok(())
     })?;
-    material.color_coefficients = coefficients;
-    Ok(error)
+    Ok((coefficients, error))
 }
 
 /// What `each(k, channels)` makes of every row of a block.
@@ -272,7 +289,7 @@ mod tests {
     #[test]
     fn every_channel_of_every_row_is_fitted_as_its_normal_equations_say() {
         let (stored, mut fitted) = (matrix(), material());
-        let error = color(&stored.reader, &mut fitted, DEGREE, &Progress::silent()).unwrap();
+        let error = color(Passes::here(&stored.reader, &Progress::silent()), &mut fitted, DEGREE).unwrap();
         let all: Vec<f64> =
             (0..6).flat_map(|i| (0..35).map(move |k| (i, k))).map(|(i, k)| intensity(&fitted, i, k)).collect();
         let (low, high) = all.iter().fold((f64::MAX, f64::MIN), |(l, h), &v| (l.min(v), h.max(v)));

@@ -1,6 +1,7 @@
 //! From a matrix to the bytes of a material's file: factors and their storage together keep to a goal.
 
-use super::{FactorOptions, Factored, Goal, factor};
+use super::tasks::Passes;
+use super::{FactorOptions, Factored, Goal, factored};
 use crate::material::coded::{self, Quality, encode};
 use crate::material::{Material, Precision, Responses};
 use crate::progress::Progress;
@@ -62,9 +63,13 @@ pub fn factor_and_store(
     storage: &Storage,
     progress: &Progress,
 ) -> Result<Stored> {
+    store(Passes::here(reader, progress), options, storage)
+}
+
+pub(super) fn store(matrix: Passes<'_>, options: &FactorOptions, storage: &Storage) -> Result<Stored> {
     match storage.precision {
         Precision::F32 => {
-            let factored = factor(reader, options, progress)?;
+            let factored = factored(matrix, options)?;
             let (file, bytes) = (factored.material.to_bytes()?, factored.material.bytes_f32());
             Ok(Stored { factored, file, bytes, added_error: 0.0 })
         }
@@ -73,16 +78,16 @@ pub fn factor_and_store(
                 Goal::Bytes(bytes) => Goal::Bytes(bytes.saturating_mul(2)),
                 goal => goal,
             };
-            let factored = factor(reader, &FactorOptions { goal, ..options.clone() }, progress)?;
+            let factored = factored(matrix, &FactorOptions { goal, ..options.clone() })?;
             let (file, bytes) = (factored.material.to_half_bytes()?, factored.material.bytes_f32() / 2);
             let added_error = changed(&factored.material, &Material::from_bytes(&file)?);
             Ok(Stored { factored, file, bytes, added_error })
         }
-        Precision::Coded => coded(reader, options, storage, progress),
+        Precision::Coded => coded(matrix, options, storage),
     }
 }
 
-fn coded(reader: &MatrixReader, options: &FactorOptions, storage: &Storage, progress: &Progress) -> Result<Stored> {
+fn coded(matrix: Passes<'_>, options: &FactorOptions, storage: &Storage) -> Result<Stored> {
     let goals = match options.goal {
         // Coding needs room of its own.
         Goal::Psnr(db) => vec![Goal::Psnr(db + ROOM_DB)],
@@ -95,7 +100,7 @@ fn coded(reader: &MatrixReader, options: &FactorOptions, storage: &Storage, prog
     };
     let mut last = Err(Error::internal("no goal was tried"));
     for goal in goals {
-        let factored = factor(reader, &FactorOptions { goal, ..options.clone() }, progress)?;
+        let factored = factored(matrix, &FactorOptions { goal, ..options.clone() })?;
         let quality = match options.goal {
             Goal::Bytes(bytes) => Quality::MaxBytes(bytes),
             goal => Quality::AddedError(storage.added_error.unwrap_or_else(|| room(&factored, goal))),

@@ -6,12 +6,15 @@ use super::independent::independent;
 use super::noise::NoiseSums;
 use super::{Misfit, vector};
 use crate::material::Layout;
+use crate::output::numbers;
 use crate::progress::Progress;
 use crate::transport::normalize::{Placement, layout, place};
 use crate::transport::rows::RowView;
 use crate::transport::{MatrixReader, RowBlock};
 use crate::{FactorWarning, Result};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Rows whose sums are taken together, whatever the number of threads: sums are then the same for any.
 const GROUP: usize = 64;
@@ -66,11 +69,26 @@ pub(super) fn scale(content: Content, placement: Option<&Placement>) -> f64 {
     }
 }
 
-/// Sums over rows on a window large enough for any shift.
-struct Sums {
-    layout: Layout,
-    value: Vec<f64>,
+/// What rows say by themselves, of which the survey is made.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct SurveyedRows {
+    placements: Vec<Placement>,
+    /// Σ_d v_id of every row.
     noise: Vec<f64>,
+    sums: Sums,
+}
+
+/// Sums over rows on a window large enough for any shift.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Sums {
+    /// The measured window, and the one that is large enough.
+    window: [usize; 2],
+    widest: [usize; 2],
+    #[serde(with = "numbers")]
+    value: Vec<f64>,
+    #[serde(with = "numbers")]
+    noise: Vec<f64>,
+    #[serde(with = "numbers")]
     count: Vec<u32>,
     live: u32,
     entries: u64,
@@ -80,7 +98,7 @@ struct Sums {
 }
 
 /// Whether channels differ by more than noise.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(super) struct GreyTest {
     /// Σ of squared differences of channels over what noise alone would give, and how many.
     sum: f64,
@@ -126,26 +144,27 @@ impl GreyTest {
     }
 }
 
-/// Reads the matrix once; what is factored goes to `keep`, if that is wanted, and `each` sees every block.
+/// Reads some rows of the matrix once; what is factored goes to `keep`, if that is wanted, and `each` sees every block.
 ///
 /// # Errors
 /// Those of the reader.
-pub(super) fn survey(
+pub(super) fn survey_rows(
     reader: &MatrixReader,
+    rows: Range<usize>,
     content: Content,
     limit: [usize; 2],
     mut keep: Option<&mut Vec<RawRows>>,
     mut each: impl FnMut(&RowBlock),
     progress: &Progress,
-) -> Result<Survey> {
+) -> Result<SurveyedRows> {
     let header = reader.header();
     let window = header.window;
-    let stage = progress.stage("factor: survey", header.rows());
+    let stage = progress.stage("factor: survey", rows.len());
     let widest = Layout { window, extended: std::array::from_fn(|a| window[a] + 2 * limit[a]) };
     let mut sums = Sums::new(widest, content.planes());
-    let mut placements = Vec::with_capacity(header.rows());
+    let mut placements = Vec::with_capacity(rows.len());
     let mut noise = NoiseSums::default();
-    reader.for_each_block(|block| {
+    reader.for_each_block_of(rows, true, |block| {
         let found: Vec<Placement> =
             (0..block.rows).into_par_iter().map(|k| place(block.view(k), window, limit)).collect();
         let raw = RawRows::extract(block, content, |k| scale(content, Some(&found[k])));
@@ -181,21 +200,53 @@ pub(super) fn survey(
         stage.advance(block.rows);
         Ok(())
     })?;
-    let counted: u64 = sums.count.iter().map(|&c| u64::from(c)).sum();
-    noise.mean = sums.noise.iter().sum::<f64>() / counted.max(1) as f64;
-    let layout = layout(window, &placements);
-    noise.columns = sums.noise_on(&layout, content.planes());
-    let sd = |sd: &f64| if sd.is_finite() { sd / header.pitch_mm } else { 0.0 };
-    noise.shots = if header.shots.is_empty() { header.rows() } else { header.shots.len() };
-    noise.position_sd_px = header.position_sd_mm.iter().map(sd).collect();
-    let (mut mean, complete) = sums.mean(&layout, content.planes());
-    let unit = content.unit(sums.peak);
-    mean.iter_mut().for_each(|m| *m /= unit);
-    noise.divide(unit);
-    let warnings = findings(&placements, limit);
-    let grey = sums.grey.is_grey();
-    let (peak, entries, energy) = (sums.peak, sums.entries, sums.energy);
-    Ok(Survey { placements, layout, mean, noise, complete, peak, entries, energy, grey, warnings })
+    Ok(SurveyedRows { placements, noise: noise.rows, sums })
+}
+
+impl SurveyedRows {
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        self.placements.len()
+    }
+
+    /// With the rows that come after them.
+    pub(super) fn join(&mut self, next: Self) {
+        self.placements.extend(next.placements);
+        self.noise.extend(next.noise);
+        self.sums.join(&next.sums);
+    }
+
+    /// What all rows of a matrix say.
+    pub(super) fn survey(self, reader: &MatrixReader, content: Content, limit: [usize; 2]) -> Survey {
+        let Self { placements, noise: rows, sums } = self;
+        let header = reader.header();
+        let counted: u64 = sums.count.iter().map(|&c| u64::from(c)).sum();
+        let layout = layout(header.window, &placements);
+        let sd = |sd: &f64| if sd.is_finite() { sd / header.pitch_mm } else { 0.0 };
+        let mut noise = NoiseSums {
+            rows,
+            columns: sums.noise_on(&layout, content.planes()),
+            position_sd_px: header.position_sd_mm.iter().map(sd).collect(),
+            shots: if header.shots.is_empty() { header.rows() } else { header.shots.len() },
+            mean: sums.noise.iter().sum::<f64>() / counted.max(1) as f64,
+        };
+        let (mut mean, complete) = sums.mean(&layout, content.planes());
+        let unit = content.unit(sums.peak);
+        mean.iter_mut().for_each(|m| *m /= unit);
+        noise.divide(unit);
+        let warnings = findings(&placements, limit);
+        let grey = sums.grey.is_grey();
+        let (peak, entries, energy) = (sums.peak, sums.entries, sums.energy);
+        Survey { placements, layout, mean, noise, complete, peak, entries, energy, grey, warnings }
+    }
+}
+
+/// Of a whole matrix.
+#[cfg(test)]
+pub(super) fn survey(reader: &MatrixReader, content: Content, limit: [usize; 2]) -> Result<Survey> {
+    let all = 0..reader.header().rows();
+    let rows = survey_rows(reader, all, content, limit, None, |_| {}, &Progress::silent())?;
+    Ok(rows.survey(reader, content, limit))
 }
 
 fn findings(placements: &[Placement], limit: [usize; 2]) -> Vec<FactorWarning> {
@@ -215,7 +266,8 @@ impl Sums {
     fn new(layout: Layout, planes: usize) -> Self {
         let n = layout.len() * planes;
         Self {
-            layout,
+            window: layout.window,
+            widest: layout.extended,
             value: vec![0.0; n],
             noise: vec![0.0; n],
             count: vec![0; n],
@@ -249,19 +301,19 @@ impl Sums {
         if content == Content::Grey {
             self.grey.add(row);
         }
-        let planes = content.planes();
-        let (window, samples) = (self.layout.window[0] * self.layout.window[1], self.layout.len());
+        let (planes, layout) = (content.planes(), self.layout());
+        let (window, samples) = (self.window[0] * self.window[1], layout.len());
         if content == Content::Intensity && placement.scale <= 0.0 {
             noise.rows.push(0.0);
             return;
         }
         self.live += 1;
-        let row_noise = independent(row, content, scale(content, Some(placement)), self.layout.window, sd_px);
+        let row_noise = independent(row, content, scale(content, Some(placement)), self.window, sd_px);
         noise.rows.push(vector::sum(&row_noise));
         let values = &raw.values[k * planes * window..(k + 1) * planes * window];
         let measured = raw.measured[k].as_deref();
         for p in 0..planes {
-            self.layout.for_each_line(placement.shift, |w, e, n| {
+            layout.for_each_line(placement.shift, |w, e, n| {
                 let (from, to) = (p * window + w, p * samples + e);
                 // Both are zero where nothing was measured.
                 vector::add_wide(&mut self.value[to..to + n], &values[from..from + n]);
@@ -286,11 +338,15 @@ impl Sums {
         self.grey.join(&other.grey);
     }
 
+    fn layout(&self) -> Layout {
+        Layout { window: self.window, extended: self.widest }
+    }
+
     /// Where sample `k` of plane `p` on a smaller window is among the sums.
     fn index(&self, to: &Layout, p: usize, k: usize) -> usize {
         let at = [k % to.extended[0], k / to.extended[0]];
-        let [x, y] = [0, 1].map(|a| at[a] + (self.layout.extended[a] - to.extended[a]) / 2);
-        p * self.layout.len() + x + y * self.layout.extended[0]
+        let [x, y] = [0, 1].map(|a| at[a] + (self.widest[a] - to.extended[a]) / 2);
+        p * self.layout().len() + x + y * self.widest[0]
     }
 
     /// The noise of the columns of the smaller window.

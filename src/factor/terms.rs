@@ -1,7 +1,7 @@
 //! The terms of a material: singular triplets of the rows, or a non-negative product.
 
 use super::backend::Rows;
-use super::backend::{self, Backend, LowRank, Triplets, low_rank, triplets};
+use super::backend::{Backend, LowRank, Triplets, low_rank, triplets};
 use super::choose::{self, Goal};
 use super::content::Content;
 use super::entry_exit::{Marginals, ROUNDS, ROUNDS_BETWEEN};
@@ -10,12 +10,14 @@ use super::noise::{F32_ROUNDING, TermNoise, significant};
 use super::nonnegative::factorize;
 use super::prepared_rows::PreparedRows;
 use super::shared_basis::Sharing;
+use super::tasks::Pass;
 use super::{FactorOptions, Misfit, TermLevel};
 use crate::material::{Material, MaterialHeader, Model, OffsetFactors, Responses};
 use crate::transport::MatrixReader;
 use crate::words::{count, plain};
 use crate::{Error, Result};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Singular values computed beyond those that may be used: the report's plot shows how they go on.
 const BEYOND: usize = 5;
@@ -105,7 +107,7 @@ pub(super) fn fit(
     sums: Option<&Marginals>,
 ) -> Result<TermsFit> {
     let (n, columns) = rows.shape();
-    let chosen = options.backend.unwrap_or_else(|| backend::choose(n, columns, options.accuracy));
+    let chosen = options.backend.map_or_else(|| rows.choose_backend(options.accuracy), Ok)?;
     let exact = matches!(chosen, Backend::Full | Backend::Gram);
     let mut most = options.terms.unwrap_or(options.max_terms);
     let mut start = None;
@@ -163,7 +165,7 @@ pub(super) fn fit(
         "{chosen}, {}{}{}",
         count(passes, "pass"),
         if residual > 0.0 { format!(", singular values to {residual:.0e}") } else { String::new() },
-        if rows.in_memory() { "" } else { ", streamed from the store" },
+        rows.how_read(),
     );
     let misfit = rows.survey.misfit(left);
     Ok(TermsFit { material, why, how, backend: chosen, misfit, degree: plan.degree, levels })
@@ -483,16 +485,17 @@ impl Asked<'_, '_> {
 
 /// Σ (R̂−R)² over the valid entries of the matrix, of a material without a colour polynomial.
 fn residual_of(rows: &PreparedRows<'_>, reader: &MatrixReader, material: &Material) -> Result<f64> {
-    match rows.content {
-        Content::Channels => Ok(rows.misfit(material, false)? * rows.unit().powi(2)),
-        _ => residual_of_rows(reader, material),
+    match (rows.content, rows.tasks()) {
+        (Content::Channels, _) => Ok(rows.misfit(material, false)? * rows.unit().powi(2)),
+        (_, Some(tasks)) => tasks.sum(Pass::Residual { material: material.into() }),
+        (_, None) => residual_of_rows(reader, material, 0..reader.header().rows()),
     }
 }
 
-/// The same for any material, by evaluating it: one pass over the store.
-fn residual_of_rows(reader: &MatrixReader, material: &Material) -> Result<f64> {
+/// The same of some rows for any material, by evaluating it: one pass over the store.
+pub(super) fn residual_of_rows(reader: &MatrixReader, material: &Material, rows: Range<usize>) -> Result<f64> {
     let (mut error, responses) = (0.0, Responses::new(material));
-    reader.for_each_block_of_responses(|block| {
+    reader.for_each_block_of(rows, false, |block| {
         let errors: Vec<f64> = (0..block.rows)
             .into_par_iter()
             .map(|k| {

@@ -19,6 +19,7 @@ mod place;
 mod scratch;
 mod seal;
 mod signals;
+mod task_file;
 mod unlocked;
 mod work_log;
 
@@ -30,5 +31,6 @@ pub(crate) use place::put;
 pub(crate) use scratch::ScratchFolder;
 pub(crate) use seal::{SEAL, seal};
 pub(crate) use signals::remove_on_signals;
-pub(crate) use unlocked::{Unlocked, begins_with, check_by_head, is_unfinished, write_in_place};
+pub(crate) use task_file::{TaskFile, numbers};
+pub(crate) use unlocked::{Unlocked, begins_with, check_by_head, is_unfinished};
 pub(crate) use work_log::{Earlier, WorkLog, checked_lines, key_of, write_line};

@@ -1,11 +1,5 @@
 //! What all lattice shots of a capture have in common, in a file: tasks that measure some of them read it instead of
-//! finding it again, and open no photographs but their own.
-//!
-//! | bytes | what |
-//! |---|---|
-//! | 16 | [`HEAD`] |
-//! | to the end, less 32 | [`Saved`] as CBOR |
-//! | 32 | BLAKE3 of all before it |
+//! finding it again, and open no photographs but their own: [`Saved`] in a [`TaskFile`].
 //!
 //! [`super::assemble`] finds all of it again from the photographs, and takes no part for one of them that was measured
 //! against anything else: a file that is out of date costs time, and makes no wrong matrix.
@@ -22,7 +16,7 @@ use super::register::Registered;
 use super::scene::Scene;
 use super::{Before, BuildOptions, Judged, Prepared, Resolution, Working, finish, in_memory, open, with_prepared};
 use crate::capture::{Capture, ExposureFrom, Manifest, Photograph, Rig, hash, read_checksums};
-use crate::output::{PROGRAM, write_in_place};
+use crate::output::{PROGRAM, TaskFile};
 use crate::progress::Progress;
 use crate::radiance::HotPixel;
 use crate::{Error, Result};
@@ -88,11 +82,7 @@ pub fn prepare(dir: &Path, options: &BuildOptions, out: &Path, progress: &Progre
             references: Cow::Borrowed(prepared.scene.references),
             light: Cow::Borrowed(&prepared.light),
         };
-        let mut bytes = HEAD.to_vec();
-        ciborium::into_writer(&saved, &mut bytes).map_err(Error::internal)?;
-        bytes.extend(blake3::hash(&bytes).as_bytes());
-        write_in_place(out, &bytes)?;
-        Ok(bytes.len() as u64)
+        TaskFile::new(HEAD, &saved)?.write(out)
     };
     with_prepared(&capture, options, Judged::Part, save, progress).map(|(bytes, _)| bytes)
 }
@@ -107,13 +97,11 @@ fn read(path: &Path) -> Result<Saved<'static>> {
         let expected = "a whole file that `acquire prepare` of this version has written";
         Err(Error::field(path, "file", expected, found))
     };
-    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
-    let Some(rest) = bytes.strip_prefix(HEAD) else { return refuse("something else") };
-    let whole = rest
-        .split_last_chunk::<32>()
-        .filter(|(_, sum)| blake3::hash(&bytes[..bytes.len() - sum.len()]).as_bytes() == *sum);
-    let Some((text, _)) = whole else { return refuse("a damaged one") };
-    match ciborium::from_reader::<Saved<'static>, _>(text) {
+    let file = match TaskFile::read(path, HEAD)? {
+        Ok(file) => file,
+        Err(found) => return refuse(found),
+    };
+    match file.value::<Saved<'static>>() {
         Ok(saved) if saved.program == PROGRAM => Ok(saved),
         Ok(saved) => refuse(&format!("one of {}", saved.program)),
         Err(e) => refuse(&format!("one that another version has written ({e})")),

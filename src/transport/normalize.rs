@@ -16,7 +16,7 @@ use pulp::{Arch, NullaryFnOnce};
 const PEAK_SIGMAS: f64 = 3.0;
 
 /// Where one row goes on the common window.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Placement {
     /// Offset of the peak from the lit point along x and y, samples; [0, 0] when the row is not shifted.
     pub shift: [i16; 2],

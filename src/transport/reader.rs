@@ -85,7 +85,7 @@ impl MatrixReader {
     }
 
     /// Splits rows into ranges that are read at once: part of a line of points, or some whole lines.
-    fn parts(&self, rows: std::ops::Range<usize>) -> Vec<std::ops::Range<usize>> {
+    pub(super) fn parts(&self, rows: std::ops::Range<usize>) -> Vec<std::ops::Range<usize>> {
         let nx = self.header.points[0];
         let [across, down] = self.response.chunk_points();
         let line = nx * self.header.row_len();

@@ -39,7 +39,7 @@ impl MatrixReader {
     /// # Errors
     /// What [`MatrixReader::read`] or `each` return.
     pub fn for_each_block(&self, each: impl FnMut(&RowBlock) -> Result<()>) -> Result<()> {
-        self.for_each_block_with(true, each)
+        self.for_each_block_of(0..self.header().rows(), true, each)
     }
 
     /// [`Self::for_each_block`] without the variance.
@@ -47,12 +47,21 @@ impl MatrixReader {
     /// # Errors
     /// What [`MatrixReader::read_responses`] or `each` return.
     pub fn for_each_block_of_responses(&self, each: impl FnMut(&RowBlock) -> Result<()>) -> Result<()> {
-        self.for_each_block_with(false, each)
+        self.for_each_block_of(0..self.header().rows(), false, each)
     }
 
-    fn for_each_block_with(&self, variance: bool, mut each: impl FnMut(&RowBlock) -> Result<()>) -> Result<()> {
+    /// [`Self::for_each_block`] for some rows, with the variance or without.
+    ///
+    /// # Errors
+    /// What [`MatrixReader::read`] or `each` return.
+    pub(crate) fn for_each_block_of(
+        &self,
+        rows: Range<usize>,
+        variance: bool,
+        mut each: impl FnMut(&RowBlock) -> Result<()>,
+    ) -> Result<()> {
         let mut block = RowBlock::zeros(0..0, 0);
-        self.blocks().into_iter().try_for_each(|rows| {
+        self.blocks_of(self.parts(rows)).into_iter().try_for_each(|rows| {
             self.read_into(rows, variance, &mut block)?;
             each(&block)
         })
@@ -61,10 +70,22 @@ impl MatrixReader {
     /// Consecutive ranges of rows that together are all rows, in order, each of about 48 MiB and of whole chunks: no
     /// chunk is decoded twice.
     pub fn blocks(&self) -> Vec<Range<usize>> {
+        self.blocks_of(self.chunks())
+    }
+
+    /// All rows, in order, as at most so many ranges of nearly equal numbers of chunks.
+    pub(crate) fn shares(&self, count: usize) -> Vec<Range<usize>> {
+        let chunks = self.chunks();
+        let count = count.clamp(1, chunks.len().max(1));
+        let share = |k: usize| chunks.get(k * chunks.len() / count..(k + 1) * chunks.len() / count);
+        (0..count).filter_map(|k| share(k).and_then(|s| Some(s.first()?.start..s.last()?.end))).collect()
+    }
+
+    fn blocks_of(&self, chunks: Vec<Range<usize>>) -> Vec<Range<usize>> {
         // response and variance as f32, validity as u8
         let most = BLOCK_BYTES / (9 * self.header().row_len().max(1));
         let mut blocks: Vec<Range<usize>> = Vec::new();
-        for chunk in self.chunks() {
+        for chunk in chunks {
             match blocks.last_mut() {
                 Some(block) if chunk.end - block.start <= most => block.end = chunk.end,
                 _ => blocks.push(chunk),

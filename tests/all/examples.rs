@@ -41,6 +41,7 @@ const STANDS_FOR: &[(&str, &str, &str)] = &[
     ("tradeoff", "X.rd.zarr", "few/truth.rd.zarr"),
     // Its small capture has few shots.
     ("--part", "3/64", "1/2"),
+    ("--parts", "64", "2"),
     ("--shots", "120..180", "0..2"),
     ("", "DIR", "captures"),
     ("", "CAPTURE", "captures/probe"),
@@ -94,6 +95,7 @@ impl Bench {
             common::copy_folder(Path::new("captures/truth.rd.zarr"), &at(truth));
         }
         std::fs::create_dir(at("parts")).unwrap();
+        std::fs::create_dir(at("passes")).unwrap();
         bench.photographs_of_a_plan();
         voxels(&at("slab.npz"));
         arrays(bench.path());
@@ -103,6 +105,7 @@ impl Bench {
             "extract captures --part 1/1 --out parts/all.part",
             "prepare captures --out parts/slab.prepared",
             "factor slab.rd.zarr --out slab.safetensors",
+            "factor slab.rd.zarr --terms 2 --tasks passes --parts 2 --out tasks.safetensors",
             "relight slab.safetensors --light spot --out window.exr",
             "simulate few --grid 4 --window 7",
             // Four single dots, far apart: what `patterns` takes for a probe.

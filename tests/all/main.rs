@@ -28,6 +28,7 @@ mod merge;
 mod noise;
 mod outputs;
 mod parts;
+mod passes;
 mod patterns;
 mod pipeline;
 mod properties;

@@ -18,6 +18,11 @@ pub(super) fn full(rows: &dyn Rows, k: usize) -> Result<LowRank> {
 }
 
 pub(super) fn gram(rows: &dyn Rows, k: usize) -> Result<LowRank> {
+    let (values, vectors) = eigen(rows.gram()?.as_ref(), k)?;
+    Ok(LowRank::new(values, transposed(vectors.as_ref(), k)))
+}
+
+pub(in crate::factor) fn gram_here<R: Rows + ?Sized>(rows: &R) -> Result<Mat<f64>> {
     let m = rows.shape().1;
     let mut gram = Mat::<f64>::zeros(m, m);
     rows.for_each(&mut |_, block| {
@@ -26,6 +31,5 @@ pub(super) fn gram(rows: &dyn Rows, k: usize) -> Result<LowRank> {
         add_gram(gram.as_mut(), block);
         Ok(())
     })?;
-    let (values, vectors) = eigen(gram.as_ref(), k)?;
-    Ok(LowRank::new(values, transposed(vectors.as_ref(), k)))
+    Ok(gram)
 }

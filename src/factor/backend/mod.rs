@@ -9,6 +9,9 @@ mod deflation;
 mod dense;
 mod randomized;
 
+pub(super) use dense::gram_here;
+pub(super) use randomized::gram_times_here;
+
 use super::products::multiply;
 use crate::{Error, Result};
 use faer::{Accum, Mat, MatRef, Side};
@@ -43,10 +46,35 @@ impl std::fmt::Display for Backend {
     }
 }
 
-/// A matrix of f32 that comes in blocks of consecutive rows, the same each time.
+/// A matrix of f32 that comes in blocks of consecutive rows, the same each time; what back ends want of it is found in
+/// one pass each, here or by others ([`super::tasks`]).
 pub(super) trait Rows {
     /// Number of rows and columns.
     fn shape(&self) -> (usize, usize);
+
+    /// AᵀA times `width` columns, \[width, columns\]: products in f32, sums over blocks of rows in f64.
+    ///
+    /// # Errors
+    /// Those of the source.
+    fn gram_times(&self, columns: &[f32], width: usize) -> Result<Mat<f64>> {
+        gram_times_here(self, columns, width)
+    }
+
+    /// AᵀA in f64, its lower half.
+    ///
+    /// # Errors
+    /// Those of the source.
+    fn gram(&self) -> Result<Mat<f64>> {
+        gram_here(self)
+    }
+
+    /// Every row times `vectors`, \[any, columns\]: \[rows, any\]; `exact` in f64, else in f32.
+    ///
+    /// # Errors
+    /// Those of the source.
+    fn times(&self, vectors: &[f64], exact: bool) -> Result<Vec<f64>> {
+        times_here(self, vectors, exact)
+    }
 
     /// Calls `each(first_row, block)`, blocks row-major, in order.
     ///
@@ -87,6 +115,22 @@ pub(super) fn choose(rows: usize, columns: usize, accuracy: f64) -> Backend {
         Backend::Gram
     } else {
         Backend::Full
+    }
+}
+
+/// The same where rows are with many tasks: none has all of them.
+///
+/// # Errors
+/// [`Error::Setting`] for an accuracy that would need them.
+pub(super) fn choose_for_tasks(columns: usize, accuracy: f64) -> Result<Backend> {
+    match accuracy {
+        a if a >= F32_ACCURACY => Ok(Backend::Randomized),
+        _ if columns <= GRAM_COLUMNS => Ok(Backend::Gram),
+        a => Err(Error::Setting {
+            setting: "accuracy",
+            expected: format!("{F32_ACCURACY:e} or more with tasks, or windows of up to {GRAM_COLUMNS} numbers"),
+            found: format!("{a:e} and {columns} numbers"),
+        }),
     }
 }
 
@@ -137,23 +181,8 @@ pub(super) fn triplets(rows: &dyn Rows, low: &LowRank, terms: usize, exact: bool
     let (n, m) = rows.shape();
     let all = low.singular_values.len();
     let terms = terms.min(all);
-    let mut left = vec![0.0; n * all];
     let vectors = &low.vectors[..all * m];
-    let narrow: Vec<f32> = vectors.iter().map(|&v| v as f32).collect();
-    rows.for_each(&mut |first, block| {
-        let count = block.len() / m.max(1);
-        let out = &mut left[first * all..(first + count) * all];
-        if exact {
-            let wide = widened(block);
-            product(MatRef::from_row_major_slice(&wide, count, m), MatRef::from_row_major_slice(vectors, all, m), out);
-        } else {
-            let mut part = vec![0.0_f32; count * all];
-            let v = MatRef::from_row_major_slice(&narrow, all, m);
-            product(MatRef::from_row_major_slice(block, count, m), v, &mut part);
-            out.iter_mut().zip(&part).for_each(|(o, &p)| *o = f64::from(p));
-        }
-        Ok(())
-    })?;
+    let left = rows.times(vectors, exact)?;
     // Singular vectors of the projected rows, whose Gram matrix is nearly diagonal.
     let projected = MatRef::from_row_major_slice(&left, n, all);
     let small = gram_of(projected);
@@ -176,6 +205,29 @@ pub(super) fn triplets(rows: &dyn Rows, low: &LowRank, terms: usize, exact: bool
         }
     }
     Ok(out)
+}
+
+pub(super) fn times_here<R: Rows + ?Sized>(rows: &R, vectors: &[f64], exact: bool) -> Result<Vec<f64>> {
+    let m = rows.shape().1;
+    let all = vectors.len() / m.max(1);
+    let narrow: Vec<f32> = vectors.iter().map(|&v| v as f32).collect();
+    let mut found = Vec::with_capacity(rows.shape().0 * all);
+    rows.for_each(&mut |_, block| {
+        let count = block.len() / m.max(1);
+        if exact {
+            let (wide, mut out) = (widened(block), vec![0.0; count * all]);
+            let v = MatRef::from_row_major_slice(vectors, all, m);
+            product(MatRef::from_row_major_slice(&wide, count, m), v, &mut out);
+            found.extend(out);
+        } else {
+            let mut out = vec![0.0_f32; count * all];
+            let v = MatRef::from_row_major_slice(&narrow, all, m);
+            product(MatRef::from_row_major_slice(block, count, m), v, &mut out);
+            found.extend(out.into_iter().map(f64::from));
+        }
+        Ok(())
+    })?;
+    Ok(found)
 }
 
 /// What makes the largest entry in magnitude positive.

@@ -140,12 +140,21 @@ impl Ritz {
     }
 }
 
-/// AᵀA times a block of columns, one pass: products in f32, sums over blocks of rows in f64.
+/// AᵀA times a block of columns, one pass.
 pub(super) fn gram_times(rows: &dyn Rows, block: MatRef<'_, f64>) -> Result<Mat<f64>> {
     let (m, width) = (block.nrows(), block.ncols());
     // [width, m], row-major: what products with rows want.
     let narrow: Vec<f32> = (0..width).flat_map(|j| (0..m).map(move |i| (i, j))).map(|at| block[at] as f32).collect();
-    let narrow = MatRef::from_row_major_slice(&narrow, width, m);
+    rows.gram_times(&narrow, width)
+}
+
+pub(in crate::factor) fn gram_times_here<R: Rows + ?Sized>(
+    rows: &R,
+    columns: &[f32],
+    width: usize,
+) -> Result<Mat<f64>> {
+    let m = rows.shape().1;
+    let narrow = MatRef::from_row_major_slice(columns, width, m);
     let mut sum = Mat::<f64>::zeros(m, width);
     let mut part = Mat::<f32>::zeros(m, width);
     rows.for_each(&mut |_, values| {

@@ -179,15 +179,8 @@ fn goals_choose_among_all_terms_and_degrees() {
     let most = FactorOptions { max_degree: 3, ..options(2, 3) };
     let mut bare = made(&matrix.reader, &most).material;
     (bare.header.degree, bare.color_coefficients) = (None, Vec::new());
-    let survey = super::super::survey::survey(
-        &matrix.reader,
-        super::super::content::Content::Intensity,
-        [0, 0],
-        None,
-        |_| {},
-        &Progress::silent(),
-    )
-    .unwrap();
+    let survey =
+        super::super::survey::survey(&matrix.reader, super::super::content::Content::Intensity, [0, 0]).unwrap();
     let free = FactorOptions { terms: None, degree: None, max_degree: 3, ..options(2, 3) };
     // 1 weight, 12 + 15 factors a term, 36 coefficients a degree, 2 ends of the range.
     let bytes = |t: usize, p: usize| 4 * (28 * t + 36 * (p + 1) + 2) as u64;

@@ -1,5 +1,6 @@
 use super::super::test_matrices::{StoredMatrix, stored};
 use super::*;
+use crate::progress::Progress;
 use crate::transport::Row;
 use crate::transport::rows::RowView;
 
@@ -71,8 +72,9 @@ fn rows_are_placed_by_their_shifts_and_gaps_filled_with_the_mean_in_memory_or_no
     let (matrix, progress) = (matrix(), Progress::silent());
     for content in [Content::Intensity, Content::Grey, Content::Channels] {
         for memory in [1 << 20, 0] {
-            let rows = PreparedRows::new(&matrix.reader, content, [1, 1], memory, 0.0, |_| {}, &progress).unwrap();
-            assert_eq!((rows.in_memory(), rows.has_gaps()), (memory > 0, true));
+            let rows =
+                PreparedRows::new(Passes::here(&matrix.reader, &progress), content, [1, 1], memory, 0.0, None).unwrap();
+            assert_eq!((rows.how_read().is_empty(), rows.has_gaps()), (memory > 0, true));
             let columns = 35 * content.planes();
             assert_eq!(rows.shape(), (6, columns));
             let peak = (0..6).flat_map(|i| (0..45).map(move |s| response(i, s / 3, s % 3))).fold(0.0, f32::max);
@@ -104,7 +106,8 @@ fn gaps_are_estimated_anew_from_another_basis_in_memory_or_not() {
     let mut found = Vec::new();
     for memory in [1 << 20, 0] {
         let mut rows =
-            PreparedRows::new(&matrix.reader, Content::Grey, [1, 1], memory, 0.0, |_| {}, &progress).unwrap();
+            PreparedRows::new(Passes::here(&matrix.reader, &progress), Content::Grey, [1, 1], memory, 0.0, None)
+                .unwrap();
         let (before, gaps) = all_rows(&rows);
         let flat = Basis::mean(&(0..35).map(|d| 1.0 + 0.1 * f64::from(d)).collect::<Vec<_>>());
         rows.refill(flat);

@@ -117,7 +117,7 @@ fn the_first_pass_finds_what_a_loop_over_all_entries_does() {
     for content in [Content::Intensity, Content::Grey, Content::Channels] {
         let unit = if content == Content::Intensity { 1.0 } else { peak };
         let expected = naive(content, unit);
-        let found = survey(&matrix.reader, content, [2, 1], None, |_| {}, &Progress::silent()).unwrap();
+        let found = survey(&matrix.reader, content, [2, 1]).unwrap();
         assert_eq!(found.layout, Layout { window: WINDOW, extended: [9, 7] }, "as far as shifts go, not the limit");
         assert_eq!(found.placements.iter().map(|p| p.shift).collect::<Vec<_>>(), SHIFTS);
         // What is stored is f32.
@@ -159,7 +159,7 @@ fn the_first_pass_finds_what_a_loop_over_all_entries_does() {
 #[test]
 fn the_mean_is_extended_where_no_row_reaches() {
     let matrix = matrix();
-    let found = survey(&matrix.reader, Content::Channels, [2, 1], None, |_| {}, &Progress::silent()).unwrap();
+    let found = survey(&matrix.reader, Content::Channels, [2, 1]).unwrap();
     // No shift reaches the upper left corner of the common window: its line's first sample that some row measured.
     let expected = naive(Content::Channels, found.peak);
     for p in 0..3 {
@@ -173,7 +173,7 @@ fn the_mean_is_extended_where_no_row_reaches() {
 #[test]
 fn columns_outside_a_shifted_window_are_those_that_it_cannot_measure() {
     let matrix = matrix();
-    let found = survey(&matrix.reader, Content::Channels, [2, 1], None, |_| {}, &Progress::silent()).unwrap();
+    let found = survey(&matrix.reader, Content::Channels, [2, 1]).unwrap();
     for shift in SHIFTS {
         let mut expected = Vec::new();
         for at in 0..3 * 63_u32 {
@@ -197,7 +197,7 @@ fn rows_on_the_same_window_without_gaps_are_complete() {
     };
     let matrix = stored([2, 3], [5, 3], |_| 0.0, row);
     for content in [Content::Intensity, Content::Grey, Content::Channels] {
-        let found = survey(&matrix.reader, content, [1, 1], None, |_| {}, &Progress::silent()).unwrap();
+        let found = survey(&matrix.reader, content, [1, 1]).unwrap();
         assert!(found.complete && found.warnings.is_empty());
         assert_eq!(found.layout.extended, [5, 3]);
         assert_eq!(found.mean.len(), 15 * content.planes());
@@ -222,7 +222,7 @@ fn rows_whose_brightest_sample_is_out_of_reach_are_reported_with_the_limit() {
         Row { response, variance: vec![1e-6; 105], valid: vec![true; 105] }
     };
     let matrix = stored([3, 1], WINDOW, |_| 0.0, row);
-    let found = survey(&matrix.reader, Content::Intensity, [2, 1], None, |_| {}, &Progress::silent()).unwrap();
+    let found = survey(&matrix.reader, Content::Intensity, [2, 1]).unwrap();
     assert_eq!(found.warnings, [FactorWarning::ShiftLimited { rows: 2, limit: 2 }]);
 }
 
