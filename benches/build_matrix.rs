@@ -1,19 +1,26 @@
 //! Time of the whole `build-matrix` against only decoding the same photographs with the same crates, in turn, on all
 //! cores.
 //!
-//! `cargo bench --bench build_matrix [-- CAPTURE_DIR]` (by default a simulated capture of 16×16 points, 31×31 window);
-//! prints medians over five pairs and the median of the pairs' ratios.
+//! `cargo bench --bench build_matrix [-- CAPTURE_DIR]` (by default a simulated capture of 18×14 points, 33×29 window);
+//! prints medians over five pairs and the median of the pairs' ratios, of elapsed time and of processor time (Linux; it
+//! hardly depends on what else the machine does), the elapsed time of each stage, and a plain read of the photographs.
+
+#[path = "measure/cost.rs"]
+mod cost;
 
 use acquire::capture::Capture;
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{SimulateOptions, simulate};
+use cost::{Cost, cost, median};
 use rayon::prelude::*;
-use std::time::Instant;
+use std::path::PathBuf;
+
+const PAIRS: usize = 5;
 
 fn main() -> acquire::Result<()> {
     let folder = tempfile::tempdir().map_err(acquire::Error::io("create", "a temporary folder"))?;
-    let named = std::env::args().skip(1).find(|a| !a.starts_with('-')).map(std::path::PathBuf::from);
+    let named = std::env::args().skip(1).find(|a| !a.starts_with('-')).map(PathBuf::from);
     let dir = named.clone().unwrap_or_else(|| folder.path().join("capture"));
     if named.is_none() {
         simulate(
@@ -25,27 +32,34 @@ fn main() -> acquire::Result<()> {
     let capture = Capture::open(&dir, None)?;
     println!("{} photographs of {:?} px", capture.photographs(), capture.rig.camera.size_px);
 
-    let decode = || -> acquire::Result<f64> {
-        let start = Instant::now();
-        capture.brackets.par_iter().flatten().try_for_each(|p| p.decode().map(drop))?;
-        Ok(start.elapsed().as_secs_f64())
+    let read = || {
+        capture.brackets.par_iter().flatten().try_for_each(|p| {
+            std::fs::read(&p.path).map(drop).map_err(acquire::Error::io("read", &p.path))
+        })
     };
-    let build = || -> acquire::Result<f64> {
-        let start = Instant::now();
-        build_matrix(&dir, &BuildOptions::default(), &folder.path().join("m.rd.zarr"), &Progress::silent())?;
-        Ok(start.elapsed().as_secs_f64())
+    let decode = || capture.brackets.par_iter().flatten().try_for_each(|p| p.decode().map(drop));
+    let build = || {
+        let progress = Progress::silent();
+        build_matrix(&dir, &BuildOptions::default(), &folder.path().join("m.rd.zarr"), &progress)?;
+        Ok(progress.timings())
     };
     decode()?;
-    let mut times = Vec::new();
-    for _ in 0..5 {
-        times.push((decode()?, build()?));
+    let (mut reads, mut pairs, mut stages) = (Vec::new(), Vec::<[Cost; 2]>::new(), Vec::new());
+    for _ in 0..PAIRS {
+        reads.push(cost(read)?.1);
+        let ((), decoding) = cost(decode)?;
+        let (timings, building) = cost(build)?;
+        pairs.push([decoding, building]);
+        stages.push(timings);
     }
-    let median = |mut v: Vec<f64>| {
-        v.sort_by(f64::total_cmp);
-        v[v.len() / 2]
-    };
-    println!("decode {:.3} s", median(times.iter().map(|t| t.0).collect()));
-    println!("build  {:.3} s", median(times.iter().map(|t| t.1).collect()));
-    println!("ratio  {:.2}", median(times.iter().map(|t| t.1 / t.0).collect()));
+    for (name, of) in [("elapsed", (|c| c.elapsed) as fn(&Cost) -> f64), ("processors", |c| c.processor)] {
+        let [decoding, building] = [0, 1].map(|k| median(pairs.iter().map(|pair| of(&pair[k]))));
+        let ratio = median(pairs.iter().map(|[decoding, building]| of(building) / of(decoding)));
+        let reading = median(reads.iter().map(of));
+        println!("{name:<10} read {reading:.3} s, decode {decoding:.3} s, build {building:.3} s, build / decode {ratio:.2}");
+    }
+    for (k, timing) in stages[0].iter().enumerate() {
+        println!("  {:<12} {:7.3} s", timing.stage, median(stages.iter().map(|s| s[k].secs)));
+    }
     Ok(())
 }

@@ -5,24 +5,20 @@
 //! a sample, PNG); thrice in turn, in folders of their own. Prints elapsed times, processor times (Linux; they hardly
 //! depend on what else the machine does) and their ratios, then the medians.
 
+#[path = "measure/cost.rs"]
+mod cost;
+
 use acquire::progress::Progress;
 use acquire::simulate::{ExposureTime, FileFormat, PhotographWriter, SimulateOptions, simulate};
+use cost::{Cost, cost, median};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 /// Photographs held in memory at a time.
 const BATCH: usize = 64;
 /// Folders are removed between rounds only when they hold this many bytes: for half a minute after files were removed
 /// ext4 is slow to create others.
 const MUCH: u64 = 1 << 30;
-
-/// Seconds elapsed, and seconds of all processors together.
-#[derive(Debug, Clone, Copy, Default)]
-struct Cost {
-    elapsed: f64,
-    processor: f64,
-}
 
 fn main() -> acquire::Result<()> {
     let folder = tempfile::tempdir().map_err(acquire::Error::io("create", "a temporary folder"))?;
@@ -59,27 +55,9 @@ fn main() -> acquire::Result<()> {
                 .try_for_each(|d| std::fs::remove_dir_all(d).map_err(acquire::Error::io("remove", d)))?;
         }
     }
-    let [elapsed, processor] = ratios.map(|mut ratios| {
-        ratios.sort_by(f64::total_cmp);
-        ratios[1]
-    });
+    let [elapsed, processor] = ratios.map(|ratios| median(ratios.into_iter()));
     println!("ratio {elapsed:.2}, of processor time {processor:.2}");
     Ok(())
-}
-
-/// What `work` costs.
-fn cost<T>(work: impl FnOnce() -> acquire::Result<T>) -> acquire::Result<(T, Cost)> {
-    let (start, before) = (Instant::now(), processor_secs());
-    let done = work()?;
-    Ok((done, Cost { elapsed: start.elapsed().as_secs_f64(), processor: processor_secs() - before }))
-}
-
-/// Time of all threads so far, user and system, in hundredths of a second as Linux counts; 0 elsewhere.
-fn processor_secs() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // After the name, which is in brackets: the 12th and 13th field.
-    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
-    fields.iter().skip(11).take(2).filter_map(|f| f.parse::<f64>().ok()).sum::<f64>() / 100.0
 }
 
 /// What it costs to encode and write the photographs of `dir` once more, without decoding them.
