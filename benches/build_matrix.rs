@@ -33,9 +33,11 @@ fn main() -> acquire::Result<()> {
     println!("{} photographs of {:?} px", capture.photographs(), capture.rig.camera.size_px);
 
     let read = || {
-        capture.brackets.par_iter().flatten().try_for_each(|p| {
-            std::fs::read(&p.path).map(drop).map_err(acquire::Error::io("read", &p.path))
-        })
+        capture
+            .brackets
+            .par_iter()
+            .flatten()
+            .try_for_each(|p| std::fs::read(&p.path).map(drop).map_err(acquire::Error::io("read", &p.path)))
     };
     let decode = || capture.brackets.par_iter().flatten().try_for_each(|p| p.decode().map(drop));
     let build = || {
@@ -56,7 +58,9 @@ fn main() -> acquire::Result<()> {
         let [decoding, building] = [0, 1].map(|k| median(pairs.iter().map(|pair| of(&pair[k]))));
         let ratio = median(pairs.iter().map(|[decoding, building]| of(building) / of(decoding)));
         let reading = median(reads.iter().map(of));
-        println!("{name:<10} read {reading:.3} s, decode {decoding:.3} s, build {building:.3} s, build / decode {ratio:.2}");
+        println!(
+            "{name:<10} read {reading:.3} s, decode {decoding:.3} s, build {building:.3} s, build / decode {ratio:.2}"
+        );
     }
     for (k, timing) in stages[0].iter().enumerate() {
         println!("  {:<12} {:7.3} s", timing.stage, median(stages.iter().map(|s| s[k].secs)));

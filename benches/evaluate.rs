@@ -1,9 +1,9 @@
 //! What evaluating a material costs: a point query, a draw, relighting the slab.
 //!
-//! `cargo bench --bench evaluate [-- POINTS WINDOW TERMS]` (by default 256 × 256 points, 61 × 61 window, T = 15), on
-//! synthetic factors: `tucker` with P = 7, `joint`, and `joint` with 25 different shifts. Queries and draws on one
-//! core, at random lit points and offsets (memory is the limit) and at one lit point (the processor is); relighting on
-//! all cores, lit points beside the samples of the canvas. Then the material is written as a matrix (no more than 128 ×
+//! `cargo bench --bench evaluate [-- POINTS WINDOW TERMS QUERIES]` (by default 256 × 256 points, 61 × 61 window, T = 15,
+//! 2²⁰ queries), on synthetic factors: `tucker` with P = 7, `joint`, and `joint` with 25 different shifts. Queries and
+//! draws on one core, at random lit points and offsets (memory is the limit) and at one lit point (the processor is);
+//! relighting on all cores, lit points beside the samples of the canvas. Then the material is written as a matrix (no more than 128 ×
 //! 128 points of it), which is relit and which the material is evaluated against.
 //!
 //! Beside them the least that this machine could take: what has to be read once, from memory or by a plain read of the
@@ -28,7 +28,6 @@ use std::time::Instant;
 
 const DEGREE: usize = 7;
 const LIGHTS: [Light; 3] = [Light::Uniform, Light::Gradient, Light::Spot];
-const QUERIES: usize = 1 << 20;
 /// Points of the matrix along each axis, at most: 0.7 GB with windows of 61 × 61.
 const MATRIX_POINTS: usize = 128;
 
@@ -45,11 +44,8 @@ fn main() -> acquire::Result<()> {
     let number = |k: usize, default| args.get(k).copied().unwrap_or(default);
     let size = [number(0, 256), number(1, 61), number(2, 15)];
     println!("{} × {0} points, {} × {1} window, T = {}", size[0], size[1], size[2]);
-    let rates = Rates {
-        memory: memory_rate(),
-        rows: rate(4096, size[2], size[1] * size[1]),
-        square: rate(2048, 2048, 2048),
-    };
+    let rates =
+        Rates { memory: memory_rate(), rows: rate(4096, size[2], size[1] * size[1]), square: rate(2048, 2048, 2048) };
     println!(
         "{:.1} GB/s from memory, {:.0} GFlop/s in products of rows, {:.0} in square ones",
         rates.memory, rates.rows, rates.square
@@ -59,7 +55,7 @@ fn main() -> acquire::Result<()> {
     {
         println!("{name}");
         let material = synthetic(size, model, reach);
-        queries(&material)?;
+        queries(&material, number(3, 1 << 20))?;
         relighting(material, rates)?;
     }
     println!("as a matrix");
@@ -137,14 +133,14 @@ fn synthetic([points, window, terms]: [usize; 3], model: Model, reach: usize) ->
     }
 }
 
-fn queries(material: &Material) -> acquire::Result<()> {
+fn queries(material: &Material, count: usize) -> acquire::Result<()> {
     let start = Instant::now();
     let evaluator = Evaluator::new(material)?;
     println!("  prepare   {:8.0} ms", 1e3 * start.elapsed().as_secs_f64());
     let h = &material.header;
     let mut random = rand_pcg::Pcg64::seed_from_u64(1);
     let reach = (h.window[0] / 2) as i64;
-    let anywhere: Vec<(usize, [isize; 2], f64)> = (0..QUERIES)
+    let anywhere: Vec<(usize, [isize; 2], f64)> = (0..count)
         .map(|_| {
             let offset = [0, 1].map(|_| random.random_range(-reach..=reach) as isize);
             (random.random_range(0..h.rows()), offset, random.random())
