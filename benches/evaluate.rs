@@ -15,7 +15,9 @@ mod limits;
 mod memory;
 
 use acquire::evaluate::evaluate;
-use acquire::material::{Evaluator, Light, Material, MaterialHeader, Model, Responses, Source, lit_area, relight};
+use acquire::material::{
+    Evaluator, Light, Material, MaterialHeader, Model, Precision, Responses, Source, lit_area, relight, save,
+};
 use acquire::progress::Progress;
 use acquire::transport::{MatrixHeader, MatrixReader, MatrixWriter};
 use limits::{plain_read, rate};
@@ -215,7 +217,9 @@ fn against_matrix(material: Material, rates: Rates) -> acquire::Result<()> {
     let folder = tempfile::tempdir().map_err(acquire::Error::io("create", "a temporary folder"))?;
     let store = folder.path().join("bench.rd.zarr");
     let of_rows = least_of_rows(&material, rates);
-    let source = Source::Material(Box::new(material), "bench".into());
+    let file = folder.path().join("bench.safetensors");
+    save(&material, Precision::F32, &file)?;
+    let source = Source::Material(Box::new(material), file);
     write(&source, &store)?;
     let reference = MatrixReader::open(&store)?;
     let matrix = Source::Matrix(Box::new(MatrixReader::open(&store)?));
