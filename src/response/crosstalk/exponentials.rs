@@ -5,6 +5,10 @@
 //! exponentials of positive weights (the point-source solution e^(−μr)/r is one, and so are sums of such over depths
 //! and reflections, but for the closest samples). The weights are those of non-negative least squares over all samples
 //! with all dots that light each: one minimum, wherever the search begins.
+//!
+//! In a medium that is not even, long exponentials also take what the kernel misses of the rows' own light, and say that
+//! light of other dots is where there is none. So the longest is as short as the rows allow: a longer one has to fit
+//! most rows better, not a few of them much better.
 
 use super::fit::{ASSUMED_SD, Fit};
 use super::kernel::interpolate;
@@ -50,12 +54,35 @@ pub(super) fn mixture(fit: &Fit<'_>, samples_per_node: f64) -> Option<Vec<f64>> 
     if !(brightest > 0.0) {
         return None;
     }
-    let weights = non_negative(&normal, &right);
-    let kernel: Vec<f64> =
-        (0..fit.layout.nodes).map(|n| basis.iter().zip(&weights).map(|(b, w)| w * b[n]).sum()).collect();
+    let kernel_to = |longest: usize| -> Vec<f64> {
+        let kept: Vec<usize> = (0..m).filter(|&k| k >= LENGTHS || k <= longest).collect();
+        let part: Vec<f64> =
+            kept.iter().flat_map(|&i| kept.iter().map(move |&j| (i, j))).map(|(i, j)| normal[i * m + j]).collect();
+        let weights = non_negative(&part, &kept.iter().map(|&i| right[i]).collect::<Vec<_>>());
+        (0..fit.layout.nodes).map(|n| kept.iter().zip(&weights).map(|(&k, w)| w * basis[k][n]).sum()).collect()
+    };
+    let mut kernel = kernel_to(LENGTHS - 1);
+    let best = fit.misfit_of_rows(&kernel, floor);
+    for longest in 0..LENGTHS - 1 {
+        let shorter = kernel_to(longest);
+        if !is_worse(&fit.misfit_of_rows(&shorter, floor), &best) {
+            kernel = shorter;
+            break;
+        }
+    }
     // Positive everywhere: multiplicative steps never leave zero.
     let first = kernel.iter().copied().fold(0.0, f64::max);
     (first > 0.0 && first.is_finite()).then(|| kernel.into_iter().map(|k| k.max(1e-12 * first)).collect())
+}
+
+/// Whether rows are fitted worse than before by so many standard deviations of the mean over them.
+const WORSE_SIGMA: f64 = 3.0;
+
+fn is_worse(rows: &[f64], before: &[f64]) -> bool {
+    let n = rows.len() as f64;
+    let mean = rows.iter().zip(before).map(|(a, b)| a - b).sum::<f64>() / n;
+    let square = rows.iter().zip(before).map(|(a, b)| (a - b - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+    mean > WORSE_SIGMA * (square / n).sqrt()
 }
 
 /// The exponentials and the free nodes, each at all nodes.
