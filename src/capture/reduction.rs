@@ -75,7 +75,7 @@ pub struct PhotographRows<'a> {
 }
 
 enum Source {
-    File { reader: RowReader, blocks: Option<Blocks> },
+    File { reader: Box<RowReader>, blocks: Option<Box<Blocks>> },
     Memory(Arc<Pixels>),
 }
 
@@ -94,7 +94,7 @@ impl<'a> PhotographRows<'a> {
         let room = photograph.kept.room(bytes);
         if !reader.is_whole() {
             let record = room.map(|room| Record { room, samples: Samples::U8(vec![]) });
-            let source = Source::File { reader, blocks };
+            let source = Source::File { reader: Box::new(reader), blocks: blocks.map(Box::new) };
             return Ok(Self { photograph, source, size_px: [width, height], taken: 0, record });
         }
         // What is in memory as a whole is reduced at once: other exposures are read beside it.
