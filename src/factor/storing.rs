@@ -56,7 +56,7 @@ impl Stored {
 /// Factors a matrix and stores the material; [`FactorOptions::goal`] is that of the stored material.
 ///
 /// # Errors
-/// Those of [`factor`]; [`Error::Setting`] for a goal or an added error that storing cannot keep to.
+/// Those of [`super::factor`]; [`Error::Setting`] for a goal or an added error that storing cannot keep to.
 pub fn factor_and_store(
     reader: &MatrixReader,
     options: &FactorOptions,
