@@ -10,15 +10,10 @@
 ///
 /// Not modelled: that errors of neighbouring pixels depend on each other, subsampled chroma, edges (they lose more).
 pub fn compression_variance(bytes: &[u8], noise: f64) -> Option<[f64; 3]> {
-    let tables = quantization_tables(bytes)?;
-    let variance = |t: &[u16; 64]| {
+    variance_of_tables(bytes, |t| {
         let sum: f64 = t.iter().map(|&q| (f64::from(q).powi(2) / 12.0).min(noise)).sum();
         sum / 64.0 + ROUNDING
-    };
-    let luma = variance(tables[0].as_ref()?);
-    // A grey picture has luma only.
-    let chroma = tables[1].as_ref().map_or(0.0, variance);
-    Some(rgb(luma, chroma))
+    })
 }
 
 /// The same of the mean of pixels that are lit alike, however many: steps of the mean of a block of 8 × 8, and luma and
@@ -27,21 +22,21 @@ pub fn compression_variance(bytes: &[u8], noise: f64) -> Option<[f64; 3]> {
 /// Noise that survives compression makes that less: it is taken for none. The encoder's own rounding, of which cameras
 /// do more or less, is left out.
 pub fn flat_variance(bytes: &[u8]) -> Option<[f64; 3]> {
-    let tables = quantization_tables(bytes)?;
     // The first coefficient is eight times the mean.
-    let variance = |t: &[u16; 64]| (f64::from(t[0]) / 8.0).powi(2) / 12.0 + ROUNDING;
-    let luma = variance(tables[0].as_ref()?);
-    let chroma = tables[1].as_ref().map_or(0.0, variance);
-    Some(rgb(luma, chroma))
+    variance_of_tables(bytes, |t| (f64::from(t[0]) / 8.0).powi(2) / 12.0 + ROUNDING)
 }
 
-/// By the colour transform of JFIF.
-fn rgb(luma: f64, chroma: f64) -> [f64; 3] {
-    [
+/// From that of luma and of chroma by their tables, as the colour transform of JFIF mixes them.
+fn variance_of_tables(bytes: &[u8], variance: impl Fn(&[u16; 64]) -> f64) -> Option<[f64; 3]> {
+    let [luma, chroma] = quantization_tables(bytes)?;
+    let luma = variance(luma.as_ref()?);
+    // A grey picture has luma only.
+    let chroma = chroma.as_ref().map_or(0.0, variance);
+    Some([
         luma + 1.402f64.powi(2) * chroma,
         luma + (0.344f64.powi(2) + 0.714f64.powi(2)) * chroma,
         luma + 1.772f64.powi(2) * chroma,
-    ]
+    ])
 }
 
 /// Of whole numbers, code values squared.

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The photographs of one capture that are kept, as they come up to so many bytes: none until [`Kept::allow`].
+/// The photographs of one capture that are kept, as they come up to so many bytes: none until it is told how many.
 ///
 /// Clones share them. A file that changes after it was read is not noticed.
 #[derive(Debug, Clone, Default)]
@@ -26,19 +26,19 @@ const LARGEST_SHARE: usize = 16;
 
 impl Kept {
     /// From now on so many bytes may be kept.
-    pub fn allow(&self, most_bytes: usize) {
+    pub(crate) fn allow(&self, most_bytes: usize) {
         self.store().most_bytes = most_bytes;
     }
 
     /// Forgets what was kept.
-    pub fn forget(&self) {
+    pub(crate) fn forget(&self) {
         let mut store = self.store();
         let held: usize = store.held.drain().map(|(_, pixels)| pixels.samples.bytes()).sum();
         store.bytes -= held;
     }
 
     /// Forgets a file in whatever resolution.
-    pub fn forget_file(&self, path: &Path) {
+    pub(crate) fn forget_file(&self, path: &Path) {
         let store = &mut *self.store();
         let of_file = store.held.extract_if(|(held, _), _| held == path);
         store.bytes -= of_file.map(|(_, pixels)| pixels.samples.bytes()).sum::<usize>();

@@ -271,12 +271,13 @@ fn with_prepared<T: Send>(
         noise.warnings.extend(noise::black_moves(capture, &noise.noise)?);
         stage.advance(1);
         drop(stage);
-        let sensor = match early_radiometry(capture, &noise, options, progress)? {
-            Some(radiometry) => ReadBy::Radiometry(radiometry),
-            None => ReadBy::Sensor(radiometry::sensor_of_rig(capture, &noise.noise)?),
+        let early = early_radiometry(capture, &noise, options, progress)?;
+        let sensor = match &early {
+            Some(radiometry) => radiometry.sensor(),
+            None => radiometry::sensor_of_rig(capture, &noise.noise)?,
         };
-        let working = resolution::choose(capture, &noise.noise, &sensor.sensor(), options, progress)?;
-        Ok(Found { noise, working, sensor, start })
+        let working = resolution::choose(capture, &noise.noise, &sensor, options, progress)?;
+        Ok(Found { noise, working, sensor, early, start })
     };
     let done = found().and_then(|found| {
         let working = found.working;
@@ -289,24 +290,10 @@ fn with_prepared<T: Send>(
 struct Found {
     noise: noise::FoundNoise,
     working: Working,
-    sensor: ReadBy,
+    /// What makes code values light before they are averaged.
+    sensor: Sensor,
+    early: Option<radiometry::Radiometry>,
     start: Instant,
-}
-
-/// What makes code values light before they are averaged: what the rig says, or where that is still to be estimated,
-/// radiometry.
-enum ReadBy {
-    Sensor(Sensor),
-    Radiometry(radiometry::Radiometry),
-}
-
-impl ReadBy {
-    fn sensor(&self) -> Sensor {
-        match self {
-            Self::Sensor(sensor) => sensor.clone(),
-            Self::Radiometry(radiometry) => radiometry.sensor(),
-        }
-    }
 }
 
 /// Radiometry of the photographs as they are, where means of their code values ask for a curve that is not known.
@@ -317,7 +304,7 @@ fn early_radiometry(
     progress: &Progress,
 ) -> Result<Option<radiometry::Radiometry>> {
     let is_known = capture.rig.camera.response_curve != ResponseCurve::Estimate;
-    if is_known || !resolution::may_reduce(capture, options)? {
+    if is_known || resolution::reducible(capture, options)?.is_none() {
         return Ok(None);
     }
     let found = radiometry::calibrate(capture, &noise.noise, options, progress);
@@ -343,20 +330,19 @@ fn in_memory<T: Send>(
 fn at_resolution<T>(
     capture: &Capture,
     options: &BuildOptions,
-    Found { noise, working, sensor, start }: Found,
+    Found { noise, working, sensor, early, start }: Found,
     judged: Judged,
     then: impl FnOnce(&Before<'_>, &Prepared<'_>) -> Result<T>,
     progress: &Progress,
 ) -> Result<(T, Vec<Warning>)> {
     let full = capture;
     // From here on the camera is one of that resolution.
-    let of_files = sensor.sensor();
-    let defects = defects::find(capture, &of_files, working, progress)?;
-    let by = defects::reduction(working, &noise.noise, &of_files, &defects);
+    let defects = defects::find(capture, &sensor, working, progress)?;
+    let by = defects::reduction(working, &noise.noise, &sensor, &defects);
     let capture = &capture.reduced(&by);
-    let radiometry = match sensor {
-        ReadBy::Radiometry(radiometry) => radiometry.reduced(&by),
-        ReadBy::Sensor(_) => radiometry::calibrate(capture, &noise.noise, options, progress)
+    let radiometry = match early {
+        Some(radiometry) => radiometry.reduced(&by),
+        None => radiometry::calibrate(capture, &noise.noise, options, progress)
             .map_err(|error| likeliest::in_noise(&noise.warnings, error))?,
     };
     let photographs = Photographs::new(full, capture, &radiometry, working.factor);

@@ -69,7 +69,7 @@ const CURVE_FILE: &str = "response.toml";
 impl Radiometry {
     /// What turns code values to light.
     pub(super) fn sensor(&self) -> Sensor {
-        self.sensor_of(reduction(&self.brackets).map_or(1, |by| by.factor))
+        self.sensor_of(self.reduction().map_or(1, |by| by.factor))
     }
 
     /// ln(actual / stated time) of a photograph as the stacks of the capture tell it, unless its time has been
@@ -82,6 +82,11 @@ impl Radiometry {
     pub(super) fn brightness_tolerance(&self) -> f64 {
         let files = if self.curve.is_some() || self.file.is_compressed() { CURVE_TOLERANCE } else { LINEAR_TOLERANCE };
         files.max(FLICKER_SIGMA * self.flicker_sd.unwrap_or(0.0))
+    }
+
+    /// How the photographs are reduced; `None`: not at all.
+    pub(super) fn reduction(&self) -> Option<&Reduction> {
+        reduction(&self.brackets)
     }
 
     /// The same of photographs that are reduced.
@@ -102,7 +107,7 @@ impl Radiometry {
 
     /// The same for photographs that are averaged over blocks of `factor` pixels a side.
     pub(super) fn sensor_of(&self, factor: usize) -> Sensor {
-        let sample_px = reduction(&self.brackets).map_or(1.0, |by| by.sample_px);
+        let sample_px = self.reduction().map_or(1.0, |by| by.sample_px);
         Sensor::with_curve(&self.noise, self.curve.clone(), self.file).averaged(factor, sample_px / factor as f64)
     }
 }

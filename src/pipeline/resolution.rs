@@ -42,25 +42,21 @@ pub struct Working {
     pub px_per_sample: Option<f64>,
 }
 
-/// Whether photographs may be reduced at all.
+/// Camera pixels across a sample that are left at the least, where photographs may be reduced at all.
 ///
 /// # Errors
 /// [`Error::Setting`] for a resolution that is not positive.
-pub(super) fn may_reduce(capture: &Capture, options: &BuildOptions) -> Result<bool> {
-    Ok(least_px(options)?.is_some_and(|least_px| at_most(capture) >= 2.0 * least_px))
-}
-
-/// Camera pixels across a sample that are left at the least; `None`: all.
-fn least_px(options: &BuildOptions) -> Result<Option<f64>> {
-    match options.resolution {
-        Resolution::Full => Ok(None),
-        Resolution::Auto => Ok(Some(LEAST_PX)),
-        Resolution::PxPerSample(px) if (1.0..=1e4).contains(&px) => Ok(Some(px)),
+pub(super) fn reducible(capture: &Capture, options: &BuildOptions) -> Result<Option<f64>> {
+    let least_px = match options.resolution {
+        Resolution::Full => return Ok(None),
+        Resolution::Auto => LEAST_PX,
+        Resolution::PxPerSample(px) if (1.0..=1e4).contains(&px) => px,
         Resolution::PxPerSample(px) => {
             let expected = "full, auto, or 1 to 10000 camera pixels across a sample".into();
-            Err(Error::Setting { setting: "resolution", expected, found: px.to_string() })
+            return Err(Error::Setting { setting: "resolution", expected, found: px.to_string() });
         }
-    }
+    };
+    Ok((at_most(capture) >= 2.0 * least_px).then_some(least_px))
 }
 
 /// Chooses it; `sensor` is that of the photographs as they are.
@@ -74,7 +70,7 @@ pub(super) fn choose(
     options: &BuildOptions,
     progress: &Progress,
 ) -> Result<Working> {
-    let Some(least_px) = least_px(options)?.filter(|least_px| at_most(capture) >= 2.0 * least_px) else {
+    let Some(least_px) = reducible(capture, options)? else {
         return Ok(Working { factor: 1, px_per_sample: None });
     };
     let stage = progress.stage("resolution", 1);

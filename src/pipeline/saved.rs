@@ -4,7 +4,6 @@
 //! [`super::assemble`] finds all of it again from the photographs, and takes no part for one of them that was measured
 //! against anything else: a file that is out of date costs time, and makes no wrong matrix.
 
-use super::defects;
 use super::dots_seen::DotSearch;
 use super::drift::Movements;
 use super::lattice::LightCorrections;
@@ -158,8 +157,7 @@ impl SavedCapture {
     ) -> Result<T> {
         let (full, saved, start) = (&self.capture, &self.saved, Instant::now());
         let (noise, working) = (&saved.noise, saved.working);
-        let by = defects::reduction(working, &noise.noise, &saved.radiometry.sensor(), &saved.defects);
-        let capture = &full.reduced(&by);
+        let capture = &saved.radiometry.reduction().map_or_else(|| full.clone(), |by| full.reduced(by));
         let recorded = &read_checksums(&full.dir)?;
         let before = Before { noise, working, defects: &saved.defects, radiometry: &saved.radiometry, recorded, start };
         in_memory(full, options, working, || {

@@ -133,9 +133,8 @@ impl Sensor {
         let alike = if rounded > 0.0 { self.rounded_alike(1.0, 0.0, 1) * (cell_px * cell_px) as f32 } else { 0.0 };
         let encoding = self.encoding.clone().map(|mut e| {
             for (k, variance) in e.variance.iter_mut().enumerate() {
-                let (linear, c) = (FULL * ((k / 3) as f64 / (ROOTS - 1) as f64).powi(2), k % 3);
-                let slope = e.curve.slope_at(c, e.curve.code_at(c, linear)) as f32;
-                let alike = self.rounded_alike(slope, linear as f32 - self.black, c);
+                let (linear, slope) = at_root(&e.curve, k / 3, k % 3);
+                let alike = self.rounded_alike(slope as f32, linear as f32 - self.black, k % 3);
                 *variance = share * *variance + alike * (cell_px * cell_px) as f32;
             }
             e
@@ -273,11 +272,17 @@ impl Encoding {
         let of_u8 = triples(CODES).map(|(k, c)| mean(c, k as f64)).collect();
         let of_u16 = triples(1 << 16).map(|(k, c)| mean(c, k as f64 / 257.0)).collect();
         let variance = triples(ROOTS).map(|(k, c)| {
-            let linear = FULL * (k as f64 / (ROOTS - 1) as f64).powi(2);
-            (curve.slope_at(c, curve.code_at(c, linear)).powi(2) * coding[c]) as f32
+            let (_, slope) = at_root(&curve, k, c);
+            (slope.powi(2) * coding[c]) as f32
         });
         Self { light: Arc::new(LightOfCodes { of_u8, of_u16 }), variance: variance.collect(), curve }
     }
+}
+
+/// The linear value of an entry of the table of variances, and the curve's slope there.
+fn at_root(curve: &Curve, entry: usize, channel: usize) -> (f64, f64) {
+    let linear = FULL * (entry as f64 / (ROOTS - 1) as f64).powi(2);
+    (linear, curve.slope_at(channel, curve.code_at(channel, linear)))
 }
 
 #[cfg(test)]
@@ -367,8 +372,12 @@ mod tests {
     }
 
     fn curved_sensor(file: FileNoise) -> Sensor {
+        sensor_with(&NOISE, file)
+    }
+
+    fn sensor_with(noise: &Noise, file: FileNoise) -> Sensor {
         let tables = (0..3).map(|c| (0..CODES).map(|z| light(z as f64, c)).collect()).collect();
-        Sensor::with_curve(&NOISE, Curve::new(tables, vec![vec![0.0; CODES]; 3]), file)
+        Sensor::with_curve(noise, Curve::new(tables, vec![vec![0.0; CODES]; 3]), file)
     }
 
     #[test]
@@ -458,9 +467,7 @@ mod tests {
         let (slope, linear) = (2.0 * light(100.0, 1) / 100.0, light(100.0, 1) as f32 - 3.0);
         for noise_codes in [0.0, 0.1, 0.2, 0.3, 0.5, 1.0] {
             let noise = Noise { gain_dn_per_electron: 1e-9, read_noise_electrons: 1e9 * noise_codes * slope, ..NOISE };
-            let tables = (0..3).map(|c| (0..CODES).map(|z| light(z as f64, c)).collect()).collect();
-            let curve = Curve::new(tables, vec![vec![0.0; CODES]; 3]);
-            let sensor = Sensor::with_curve(&noise, curve, FileNoise::default()).averaged(4, 4.0);
+            let sensor = sensor_with(&noise, FileNoise::default()).averaged(4, 4.0);
             let of_mean = sensor.floor(&Samples::F32(vec![])) + sensor.rounding(linear, 1);
             let stated = f64::from(of_mean / 16.0).sqrt() / slope;
             let found = error_of_means(noise_codes, 256);

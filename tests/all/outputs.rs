@@ -39,10 +39,8 @@ impl Bench {
     }
 
     fn run(&self, line: &str) -> (i32, String) {
-        let program =
-            Command::new(env!("CARGO_BIN_EXE_acquire")).args(line.split(' ')).current_dir(self.0.path()).output();
-        let output = program.unwrap();
-        (output.status.code().unwrap_or(-1), String::from_utf8_lossy(&output.stderr).into_owned())
+        let (status, _, stderr) = common::outcome(&mut common::command_in(self.0.path(), line));
+        (status, stderr)
     }
 
     fn done(&self, line: &str) {

@@ -1,5 +1,6 @@
 //! Many processes that share a factorization: `acquire factor --tasks` and `acquire factor-part`.
 
+use crate::common;
 use crate::matrices::{noise, profile, write};
 use acquire::material::Material;
 use std::path::{Path, PathBuf};
@@ -25,16 +26,12 @@ impl Bench {
     }
 
     fn command(&self, line: &str) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_acquire"));
-        command.args(line.split(' ')).current_dir(self.0.path());
-        command
+        common::command_in(self.0.path(), line)
     }
 
     /// (exit status, stdout, stderr)
     fn run(&self, line: &str) -> (i32, String, String) {
-        let output = self.command(line).output().unwrap();
-        let text = |b: Vec<u8>| String::from_utf8_lossy(&b).into_owned();
-        (output.status.code().unwrap_or(-1), text(output.stdout), text(output.stderr))
+        common::outcome(&mut self.command(line))
     }
 
     /// As a shell's loop does: `tasks` gets the parts that are to be done, until there are none.

@@ -4,6 +4,7 @@
 use acquire::progress::Progress;
 use acquire::simulate::{SimulateOptions, simulate};
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// The default bench with coarser voxels and a looser solver: a chessboard takes half of the processor time or less.
 /// Photographs and truth are of the same light, so the two still agree; rows of one medium, though, differ by where
@@ -43,7 +44,19 @@ pub(crate) fn lay_folder(from: &Path, to: &Path, put: &dyn Fn(&Path, &Path) -> s
 
 /// Runs the program and gives (exit status, stdout, stderr).
 pub(crate) fn acquire(args: &[&str]) -> (i32, String, String) {
-    let output = std::process::Command::new(env!("CARGO_BIN_EXE_acquire")).args(args).output().unwrap();
+    outcome(Command::new(env!("CARGO_BIN_EXE_acquire")).args(args))
+}
+
+/// The program with the words of a line, in a folder.
+pub(crate) fn command_in(folder: &Path, line: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_acquire"));
+    command.args(line.split(' ')).current_dir(folder);
+    command
+}
+
+/// (exit status, stdout, stderr)
+pub(crate) fn outcome(command: &mut Command) -> (i32, String, String) {
+    let output = command.output().unwrap();
     let text = |b: Vec<u8>| String::from_utf8_lossy(&b).into_owned();
     (output.status.code().unwrap_or(-1), text(output.stdout), text(output.stderr))
 }

@@ -6,11 +6,5 @@ set -e
 here=$(cd "$(dirname "$0")" && pwd)
 capture=$(realpath "$1")
 acquire=$(realpath "${ACQUIRE:-$here/../../../target/release/acquire}")
-work=$(mktemp -d)
-trap 'rm -rf "$work"' EXIT
-venv=${VENV:-$work/venv}
-if [ ! -x "$venv/bin/python" ]; then
-    python3 -m venv "$venv"
-    "$venv/bin/pip" install --quiet --requirement "$here/requirements.txt"
-fi
+. "$here/../venv.sh"
 PYTHONDONTWRITEBYTECODE=1 "$venv/bin/python" "$here/run_all.py" "$acquire" "$capture" "$work" "${2:-3}"

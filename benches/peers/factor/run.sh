@@ -6,11 +6,5 @@
 set -e
 here=$(cd "$(dirname "$0")" && pwd)
 store=$(realpath "$1")
-work=$(mktemp -d)
-trap 'rm -rf "$work"' EXIT
-venv=${VENV:-$work/venv}
-if [ ! -x "$venv/bin/python" ]; then
-    python3 -m venv "$venv"
-    "$venv/bin/pip" install --quiet --requirement "$here/requirements.txt"
-fi
+. "$here/../venv.sh"
 PYTHONDONTWRITEBYTECODE=1 "$venv/bin/python" "$here/run_all.py" "$store" "$work" "${2:-15}" "${3:-7}" $(shift 3 2>/dev/null && echo "$@")

@@ -10,7 +10,7 @@
 //! light of other dots is where there is none. So the longest is as short as the rows allow: a longer one has to fit
 //! most rows better, not a few of them much better.
 
-use super::fit::{ASSUMED_SD, Fit};
+use super::fit::{ASSUMED_SD, Fit, Pair, Sample};
 use super::kernel::interpolate;
 
 /// Shortest and longest decay lengths, in outgoing samples and in reaches (two windows), and how many.
@@ -37,10 +37,10 @@ pub(super) fn mixture(fit: &Fit<'_>, samples_per_node: f64) -> Option<Vec<f64>> 
         let Some((light, variance)) = seen else { continue };
         row.fill(0.0);
         for pair in &fit.layout.pairs[sample.pairs.clone()] {
-            let flux = fit.layout.flux[pair.dot][fit.channel] * fit.incident[pair.dot] * fit.outgoing[sample.cell];
+            let flux = flux(fit, sample, pair);
             row.iter_mut().zip(&basis).for_each(|(r, b)| *r += flux * interpolate(b, pair.place));
         }
-        let weight = 1.0 / ((ASSUMED_SD * light).powi(2) + variance + floor);
+        let weight = weight(*light, *variance, floor);
         for i in 0..m {
             right[i] += weight * row[i] * light;
             for j in 0..=i {
@@ -62,10 +62,10 @@ pub(super) fn mixture(fit: &Fit<'_>, samples_per_node: f64) -> Option<Vec<f64>> 
         (0..fit.layout.nodes).map(|n| kept.iter().zip(&weights).map(|(&k, w)| w * basis[k][n]).sum()).collect()
     };
     let mut kernel = kernel_to(LENGTHS - 1);
-    let best = fit.misfit_of_rows(&kernel, floor);
+    let best = misfit_of_rows(fit, &kernel, floor);
     for longest in 0..LENGTHS - 1 {
         let shorter = kernel_to(longest);
-        if !is_worse(&fit.misfit_of_rows(&shorter, floor), &best) {
+        if !is_worse(&misfit_of_rows(fit, &shorter, floor), &best) {
             kernel = shorter;
             break;
         }
@@ -73,6 +73,28 @@ pub(super) fn mixture(fit: &Fit<'_>, samples_per_node: f64) -> Option<Vec<f64>> 
     // Positive everywhere: multiplicative steps never leave zero.
     let first = kernel.iter().copied().fold(0.0, f64::max);
     (first > 0.0 && first.is_finite()).then(|| kernel.into_iter().map(|k| k.max(1e-12 * first)).collect())
+}
+
+/// What a kernel of one brings to a sample from a dot.
+fn flux(fit: &Fit<'_>, sample: &Sample, pair: &Pair) -> f64 {
+    fit.layout.flux[pair.dot][fit.channel] * fit.incident[pair.dot] * fit.outgoing[sample.cell]
+}
+
+fn weight(light: f64, variance: f64, floor: f64) -> f64 {
+    1.0 / ((ASSUMED_SD * light).powi(2) + variance + floor)
+}
+
+/// Weighted sums over the samples of each row of the squares of what a kernel misses.
+fn misfit_of_rows(fit: &Fit<'_>, kernel: &[f64], floor: f64) -> Vec<f64> {
+    let missed = |(sample, seen): (&Sample, &Option<(f64, f64)>)| {
+        let Some((light, variance)) = *seen else { return 0.0 };
+        let pairs = fit.layout.pairs[sample.pairs.clone()].iter();
+        let modelled: f64 = pairs.map(|pair| flux(fit, sample, pair) * interpolate(kernel, pair.place)).sum();
+        weight(light, variance, floor) * (light - modelled).powi(2)
+    };
+    let both: Vec<_> = fit.layout.samples.iter().zip(&fit.seen).collect();
+    let rows = both.chunk_by(|a, b| (a.0.shot, a.0.dot) == (b.0.shot, b.0.dot));
+    rows.map(|row| row.iter().map(|&sample| missed(sample)).sum()).collect()
 }
 
 /// Whether rows are fitted worse than before by so many standard deviations of the mean over them.

@@ -216,27 +216,6 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// Sums over the samples of each row of the squares of what a kernel misses, weighted as the mixture is fitted.
-    pub(super) fn misfit_of_rows(&self, kernel: &[f64], floor: f64) -> Vec<f64> {
-        let (mut sums, mut row_of) = (Vec::new(), None);
-        for (sample, seen) in self.layout.samples.iter().zip(&self.seen) {
-            if row_of != Some((sample.shot, sample.dot)) {
-                row_of = Some((sample.shot, sample.dot));
-                sums.push(0.0);
-            }
-            let Some((light, variance)) = seen else { continue };
-            let pairs = &self.layout.pairs[sample.pairs.clone()];
-            let of =
-                |p: &Pair| self.layout.flux[p.dot][self.channel] * self.incident[p.dot] * interpolate(kernel, p.place);
-            let modelled = self.outgoing[sample.cell] * pairs.iter().map(of).sum::<f64>();
-            let weight = 1.0 / ((ASSUMED_SD * light).powi(2) + variance + floor);
-            if let Some(sum) = sums.last_mut() {
-                *sum += weight * (light - modelled).powi(2);
-            }
-        }
-        sums
-    }
-
     /// This and its siblings return by how much the factor that changed most did.
     fn update_kernel(&mut self) -> f64 {
         let mut steps = vec![Step::anchored(0.5); self.layout.nodes];
