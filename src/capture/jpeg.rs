@@ -19,8 +19,8 @@ pub fn compression_variance(bytes: &[u8], noise: f64) -> Option<[f64; 3]> {
 /// The same of the mean of pixels that are lit alike, however many: steps of the mean of a block of 8 × 8, and luma and
 /// chroma rounded as they are decoded.
 ///
-/// Noise that survives compression makes that less: it is taken for none. The encoder's own rounding, of which cameras
-/// do more or less, is left out.
+/// Not modelled: noise that survives compression, which spreads the rounding and lowers this variance; rounding in the
+/// encoder, which differs between cameras.
 pub fn flat_variance(bytes: &[u8]) -> Option<[f64; 3]> {
     // The first coefficient is eight times the mean.
     variance_of_tables(bytes, |t| (f64::from(t[0]) / 8.0).powi(2) / 12.0 + ROUNDING)

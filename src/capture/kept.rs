@@ -53,7 +53,7 @@ impl Kept {
         store.held.get(&(path.to_owned(), factor)).cloned()
     }
 
-    /// Room for a photograph of so many bytes; `None` when there is none.
+    /// Reserves `bytes` for one photograph; `None` when they do not fit.
     pub(super) fn room(&self, bytes: usize) -> Option<Room> {
         let mut store = self.store();
         let fits = bytes <= store.most_bytes / LARGEST_SHARE && store.bytes + bytes <= store.most_bytes;

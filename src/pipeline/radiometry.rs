@@ -112,7 +112,7 @@ impl Radiometry {
     }
 }
 
-/// The sensor of the photographs as they are; a curve that is still to be estimated is taken for sRGB.
+/// The sensor of photographs that are not reduced. sRGB stands in for a curve that is still to be estimated.
 ///
 /// # Errors
 /// [`Error::Field`] for a curve file that cannot be read.

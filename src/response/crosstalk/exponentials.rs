@@ -6,9 +6,9 @@
 //! and reflections, but for the closest samples). The weights are those of non-negative least squares over all samples
 //! with all dots that light each: one minimum, wherever the search begins.
 //!
-//! In a medium that is not even, long exponentials also take what the kernel misses of the rows' own light, and say that
-//! light of other dots is where there is none. So the longest is as short as the rows allow: a longer one has to fit
-//! most rows better, not a few of them much better.
+//! In an uneven medium, long exponentials also fit what one kernel misses of the rows' own light, and then predict light
+//! of other dots where there is none. So the shortest set of exponentials is taken that fits the rows no worse than all of
+//! them do, by a paired test over rows (`WORSE_SIGMA`).
 
 use super::fit::{ASSUMED_SD, Fit, Pair, Sample};
 use super::kernel::interpolate;
