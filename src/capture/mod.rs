@@ -24,7 +24,7 @@ pub(crate) use encoding::stated_encoding;
 pub use exif::ExposureFrom;
 pub(crate) use exr_file::decode_exr_bytes;
 pub use folder::Capture;
-pub use jpeg::{compression_variance, flat_variance};
+pub use jpeg::{NOISE_LEVELS, NOISE_STEP, change_of_variance, compression_variance, flat_variance};
 pub(crate) use jpeg_scan::check_jpeg_end;
 pub use kept::Kept;
 pub use manifest::{

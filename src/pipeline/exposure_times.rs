@@ -192,7 +192,7 @@ mod tests {
                 flicker_sd: None,
                 failed: false,
             };
-            let file = FileNoise { sixteen_bit: false, compression: [compression; 3], flat: [0.0; 3] };
+            let file = FileNoise { sixteen_bit: false, compression: [compression; 3], ..FileNoise::default() };
             judge(&fit, true, &settings, &BuildOptions::default(), file, &super::super::tests::capture(&[])).unwrap()
         };
         assert!(of([0.004, -0.004, 0.0], 1e-5, 0.0).is_empty());

@@ -8,6 +8,7 @@ mod steady_light;
 use super::BuildOptions;
 use super::dots_seen::DotSeen;
 use super::lattice::ShotResult;
+use super::remains;
 use super::scene::Scene;
 use super::sink::RowSink;
 use crate::capture::{Pattern, Window};
@@ -59,7 +60,9 @@ pub(super) fn judge(
 ) -> Result<Vec<Warning>> {
     let pairs = Compared::of(scene, results);
     let seen = pairs.look(scene, rows)?;
-    let mut warnings: Vec<Warning> = pairs.lag(&seen).map(|f| options.refuse(f)).transpose()?.into_iter().collect();
+    // Places away from all tails tell better: where they show none of the pattern before, tails lean for another reason.
+    let lag = pairs.lag(&seen).filter(|_| !remains::exclude(results, lag::LEAST_LAG));
+    let mut warnings: Vec<Warning> = lag.map(|f| options.refuse(f)).transpose()?.into_iter().collect();
     let common = pairs.common(&seen);
     if let Some(off) = pairs.levels(&seen, &common) {
         let shot = scene.photographs.name(scene.lattice()[off.shot]).to_owned();

@@ -278,15 +278,26 @@ pub(super) fn judge(results: &[ShotResult], options: &BuildOptions) -> Result<Op
     }
 }
 
+/// Whether places far from the shots' own dots show that less than `share` of a dot's light is left of the pattern
+/// before; `false` where too few are seen.
+pub(super) fn exclude(results: &[ShotResult], share: f64) -> bool {
+    let before = LATER.iter().position(|later| *later == -1);
+    let enough = values(results, -1, &[0, 1, 2]).len() >= LEAST_VALUES;
+    let found = before.and_then(|k| shares(results, &[0, 1, 2])[k]);
+    enough && found.is_some_and(|s| s.share + SIGMA * s.sd < share)
+}
+
+/// The shares of the patterns of [`LATER`], but for the last, in some channels together.
+fn shares(results: &[ShotResult], channels: &[usize]) -> [Option<Share>; 3] {
+    let all = LATER.map(|later| values(results, later, channels));
+    [0, 1, 2].map(|k| {
+        let others = (0..LATER.len()).filter(|o| *o != k).flat_map(|o| all[o].iter().copied());
+        share(&all[k], structure(&others.collect::<Vec<_>>()))
+    })
+}
+
 fn find(results: &[ShotResult]) -> Option<ConsistencyWarning> {
-    let of = |channels: &[usize]| {
-        let all = LATER.map(|later| values(results, later, channels));
-        let found = |k: usize| {
-            let others = (0..LATER.len()).filter(|o| *o != k).flat_map(|o| all[o].iter().copied());
-            share(&all[k], structure(&others.collect::<Vec<_>>()))
-        };
-        [0, 1, 2].map(found)
-    };
+    let of = |channels: &[usize]| shares(results, channels);
     let (together, each) = (of(&[0, 1, 2]), [0, 1, 2].map(|c| of(&[c])));
     let told = |shares: &[Option<Share>; 3]| {
         let told = (0..3).filter_map(|k| Some((k, shares[k].filter(Share::is_told)?)));

@@ -37,8 +37,13 @@ struct Contrast {
 }
 
 /// Stripes narrower than this, camera px, have no plateau of their own between two edges seen through the lens
-/// ([`find_edges`] looks 2.5 px to each side).
+/// ([`find_edges`] looks 2.5 px to each side at the least).
 const NARROWEST_STRIPE_PX: f64 = 4.0;
+/// An edge's blur ends so many projector px beside it: between the edges of the narrowest stripes, two apart. A blur of
+/// 0.3 px has 0.4 % of its step farther out.
+const EDGE_REACH_PROJECTOR_PX: f64 = 0.8;
+/// And so many pixels at the least, for the lens.
+const LEAST_REACH_PX: usize = 2;
 /// The finest bits are ignored when fewer than this share of the lit pixels are clearly dark or light under them: an
 /// edge's blur is as wide as the stripe then.
 const CLEAR_SHARE: f64 = 0.5;
@@ -138,7 +143,7 @@ pub fn register_projector(
 
     let mut edges = Vec::new();
     for contrast in &contrasts {
-        for q in find_edges(contrast, size_px, across[contrast.axis].along) {
+        for q in find_edges(contrast, size_px, &across[contrast.axis]) {
             let from = slab(q);
             let coarse = coarse_map.map(from)[contrast.axis];
             if let Some(to) = nearest_edge(coarse, contrast.bit) {
@@ -276,6 +281,13 @@ struct Across {
     px_per_projector_px: f64,
 }
 
+impl Across {
+    /// Pixels to each side of the two between which an edge lies that still belong to it.
+    fn reach_px(&self) -> usize {
+        ((EDGE_REACH_PROJECTOR_PX * self.px_per_projector_px) as usize).max(LEAST_REACH_PX)
+    }
+}
+
 /// Across which direction of the picture the stripes of each projector axis are looked at.
 ///
 /// Along the other an edge is seen aslant, its blur longer than the plateaus between which [`find_edges`] looks for it:
@@ -292,30 +304,31 @@ fn across_stripes(coarse_map: &Homography, size_px: [usize; 2], slab: &dyn Fn(Po
     })
 }
 
-/// Camera positions of a bit's edges along picture rows (`along` 0) or columns (1).
+/// Camera positions of a bit's edges.
 ///
-/// Between plateaus p and q two pixels before and three after a change of sign, the edge lies where the area under the
-/// contrast says: exact for a sharp edge seen through any symmetric blur narrower than that.
-fn find_edges(contrast: &Contrast, [width, height]: [usize; 2], along: usize) -> Vec<Point> {
+/// Between plateaus p and q, `reach` pixels before and after the two between which the sign changes, the edge lies where
+/// the area under the contrast says: exact for a sharp edge seen through any symmetric blur narrower than that.
+fn find_edges(contrast: &Contrast, [width, height]: [usize; 2], across: &Across) -> Vec<Point> {
+    let reach = across.reach_px();
     let mut edges = Vec::new();
     let (lines, length, step, line_step) =
-        if along == 0 { (height, width, 1, width) } else { (width, height, width, 1) };
+        if across.along == 0 { (height, width, 1, width) } else { (width, height, width, 1) };
     for line in 0..lines {
         let at = |k: usize| contrast.value[line * line_step + k * step];
-        for k in 2..length.saturating_sub(3) {
+        for k in reach..length.saturating_sub(reach + 1) {
             let (Some(a), Some(b)) = (at(k), at(k + 1)) else { continue };
             if (a > 0.0) == (b > 0.0) {
                 continue;
             }
-            let (Some(p), Some(q)) = (at(k - 2), at(k + 3)) else { continue };
-            let inner = (k - 1..=k + 2).map(at).sum::<Option<f32>>();
+            let (Some(p), Some(q)) = (at(k - reach), at(k + 1 + reach)) else { continue };
+            let inner = (k + 1 - reach..=k + reach).map(at).sum::<Option<f32>>();
             let Some(sum) = inner else { continue };
             if (p - q).abs() < EDGE_CONTRAST || (p > 0.0) != (a > 0.0) || (q > 0.0) != (b > 0.0) {
                 continue;
             }
-            let share = (sum - 4.0 * q) / (p - q);
-            let place = k as f64 - 1.5 + f64::from(share);
-            edges.push(if along == 0 { [place, line as f64] } else { [line as f64, place] });
+            let share = (sum - 2.0 * reach as f32 * q) / (p - q);
+            let place = k as f64 - reach as f64 + 0.5 + f64::from(share);
+            edges.push(if across.along == 0 { [place, line as f64] } else { [line as f64, place] });
         }
     }
     edges
@@ -502,6 +515,22 @@ mod tests {
         }
     }
 
+    /// Stripes crossed along the rows by a camera that has three pixels to one of the projector's.
+    const ROWS: Across = Across { along: 0, px_per_projector_px: 3.0 };
+
+    #[test]
+    fn an_edge_that_the_projector_blurs_over_many_pixels_is_found_where_it_is() {
+        // 19 camera px to a projector px: its blur of 0.3 px is 5.7 camera px.
+        let (width, at) = (150, 71.3);
+        let cdf = |x: f64| 0.5 * libm::erfc(-x / (5.7 * std::f64::consts::SQRT_2));
+        let value = (0..width).map(|k| Some((2.0 * cdf(k as f64 - at) - 1.0) as f32)).collect();
+        let across = Across { along: 0, px_per_projector_px: 19.0 };
+        let found = find_edges(&Contrast { axis: 0, bit: 1, value }, [width, 1], &across);
+        assert_eq!(found.len(), 1);
+        // 15 px to each side, 2.6 deviations, leave 0.5 % of the step outside: alike on both sides but for 0.2 px of 0.3.
+        assert!((found[0][0] - at).abs() < 0.02, "{found:?}");
+    }
+
     #[test]
     fn an_edge_is_where_the_area_under_the_contrast_says() {
         // Contrast along a line of a mean over a pixel of a step from 0.9 to −0.8 at 9.3, and the same down a column.
@@ -512,7 +541,11 @@ mod tests {
         let (width, height) = (17, 11);
         let along = |axis: usize, at: f64| {
             let value = (0..width * height).map(|k| step(at, [k % width, k / width][axis])).collect();
-            find_edges(&Contrast { axis: 0, bit: 0, value }, [width, height], axis)
+            find_edges(
+                &Contrast { axis: 0, bit: 0, value },
+                [width, height],
+                &Across { along: axis, px_per_projector_px: 3.0 },
+            )
         };
         for (axis, lines, at) in [(0, 11, 9.3), (1, 17, 5.75), (0, 11, 2.6)] {
             let edges = along(axis, at);
@@ -531,12 +564,12 @@ mod tests {
         // A contrast of 1 is half of what is possible; less is no edge.
         let weak = |high: f32, low: f32| {
             let value = (0..width * height).map(|k| Some(if k % width < 8 { high } else { low })).collect();
-            find_edges(&Contrast { axis: 0, bit: 0, value }, [width, height], 0).len()
+            find_edges(&Contrast { axis: 0, bit: 0, value }, [width, height], &ROWS).len()
         };
         assert_eq!((weak(0.6, -0.45), weak(0.5, -0.45), weak(-0.6, 0.45)), (11, 0, 11));
         let mut value: Vec<Option<f32>> = (0..width).map(|k| step(9.3, k)).collect();
         value[11] = None;
-        assert_eq!(find_edges(&Contrast { axis: 0, bit: 0, value }, [width, 1], 0).len(), 0);
+        assert_eq!(find_edges(&Contrast { axis: 0, bit: 0, value }, [width, 1], &ROWS).len(), 0);
     }
 
     #[test]

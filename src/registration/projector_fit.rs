@@ -1,6 +1,6 @@
 //! The projector's map and, when the stripes ask for it, its lens.
 
-use super::drift::scaled_deviation;
+use super::drift::{median, scaled_deviation};
 use super::fit::{Observation, fit_homography};
 use crate::geometry::{Homography, Lens, Point, SlabFromProjector};
 use rand::{RngExt, SeedableRng};
@@ -20,8 +20,8 @@ pub struct ProjectorFit {
     pub sd_px: f64,
     /// Number of edges.
     pub edges: usize,
-    /// Share of the edges that are off the map by half a projector pixel and more: of something that does not lie in
-    /// the plane. (Of those that are left out beside them most lie where prints end.)
+    /// Share of the edges that are off the map by half a projector pixel and more, otherwise than most of their picture of
+    /// the code: of something that does not lie in the plane. (Of those that are left out beside them most lie where prints end.)
     pub left_out: f64,
     /// Where the edges are off the map together, if anywhere: what no plane and no radial distortion explains.
     pub trend: Option<MapTrend>,
@@ -65,7 +65,7 @@ pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<(ProjectorFi
     let deciding: Vec<Observation> = edges.iter().copied().step_by(step).collect();
     // Mistaken edges are off by more than any lens; the plane that most agree on knows nothing of them, and a lens
     // brings back what it bends.
-    let first = plane_of_most(&deciding)?;
+    let first = plane_of_edges(&deciding)?;
     let (mut few, mut start) = (Vec::new(), (first, lens));
     for _ in 0..ROUNDS {
         let kept = near(&deciding, &start);
@@ -86,7 +86,9 @@ pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<(ProjectorFi
         }
     }
     let (_, chosen) = best?;
-    let far = edges.iter().filter(|o| off(o, &start) > ELSEWHERE_PX).count() as f64 / edges.len() as f64;
+    let moved = moved_pictures(&edges, &start);
+    let elsewhere = |o: &&Observation| (signed_off(o, &start.0, &start.1) - moved[&picture(o)]).abs() > ELSEWHERE_PX;
+    let far = edges.iter().filter(elsewhere).count() as f64 / edges.len() as f64;
     let edges = near(&edges, &start);
     let (h, rms_px) = fit_given(&edges, first, &chosen)?;
     let ideal_rms_px = if chosen.is_ideal() { rms_px } else { fit_given(&edges, first, &lens)?.1 };
@@ -123,9 +125,7 @@ pub(super) fn independent_edges(edges: &[Observation], off: &[f64]) -> f64 {
     let n = (edges.len() as f64 / ALIKE).max(1.0);
     let mut pictures: BTreeMap<(usize, u32), [f64; 3]> = BTreeMap::new();
     for (o, off) in edges.iter().zip(off) {
-        // Edges of bit j lie at odd multiples of 2^j, less half a pixel.
-        let bit = ((o.to + 0.5).round().max(0.0) as u64).trailing_zeros();
-        let sum = pictures.entry((o.axis, bit)).or_default();
+        let sum = pictures.entry(picture(o)).or_default();
         (sum[0], sum[1], sum[2]) = (sum[0] + 1.0, sum[1] + off, sum[2] + off * off);
     }
     let groups = pictures.len() as f64;
@@ -148,10 +148,43 @@ fn off(o: &Observation, (h, lens): &(Homography, Lens)) -> f64 {
     signed_off(o, h, lens).abs()
 }
 
-/// The edges that are not far off the map.
+/// The edges that are not far off the map: by their scatter and by how far whole pictures of the code are off it.
+///
+/// A projector that moves puts all edges of a picture beside their places. Where the others fill most of the area, their
+/// scatter alone would take such a picture for mistaken.
 fn near(edges: &[Observation], map: &(Homography, Lens)) -> Vec<Observation> {
-    let most = FAR_SIGMA * scaled_deviation(edges.iter().map(|o| off(o, map)), 0.0).max(LEAST_SD_PX);
+    let scatter = scaled_deviation(edges.iter().map(|o| off(o, map)), 0.0);
+    let moved = scaled_deviation(moved_pictures(edges, map).into_values(), 0.0);
+    let most = FAR_SIGMA * scatter.hypot(moved).max(LEAST_SD_PX);
     edges.iter().copied().filter(|o| off(o, map) <= most).collect()
+}
+
+/// How far most edges of each picture are off the map together, projector px.
+fn moved_pictures(edges: &[Observation], map: &(Homography, Lens)) -> BTreeMap<(usize, u32), f64> {
+    let mut pictures: BTreeMap<(usize, u32), Vec<f64>> = BTreeMap::new();
+    for o in edges {
+        pictures.entry(picture(o)).or_default().push(signed_off(o, &map.0, &map.1));
+    }
+    pictures.into_iter().map(|(picture, mut offs)| (picture, median(&mut offs))).collect()
+}
+
+/// Axis and bit of the code whose picture has the edge: edges of bit j lie at odd multiples of 2^j, less half a pixel.
+fn picture(o: &Observation) -> (usize, u32) {
+    (o.axis, ((o.to + 0.5).round().max(0.0) as u64).trailing_zeros())
+}
+
+/// The plane that the edges agree with, all of them or most: of both, that of the least sum of squares that end at
+/// [`ELSEWHERE_PX`].
+///
+/// Most edges may belong to few pictures of the code. Where these have moved, a homography fits most of the edges
+/// exactly, wrongly, and leaves the other pictures far off.
+fn plane_of_edges(edges: &[Observation]) -> Option<Homography> {
+    let cost = |h: &Homography| -> f64 {
+        edges.iter().map(|o| ((h.map(o.from)[o.axis] - o.to) / ELSEWHERE_PX).powi(2).min(1.0)).sum()
+    };
+    let all = fit_homography(edges).map(|(h, _)| h);
+    let found = [all, plane_of_most(edges)].into_iter().flatten();
+    found.min_by(|a, b| cost(a).total_cmp(&cost(b)))
 }
 
 /// Parts along each side into which the edges are sorted for their trend.
@@ -414,6 +447,48 @@ mod tests {
         };
         // Edges are off by a hundredth of a pixel: k1 is found to a hundredth of the bend.
         assert_eq!([0.15, 0.22, 0.28, 0.4].map(found), [false, false, true, true]);
+    }
+
+    #[test]
+    fn a_code_of_few_pictures_that_have_moved_is_fitted_by_all_of_them() {
+        // Bits 2 to 4 of x and 2 to 5 of y over 42 and 65 projector px: half of the edges are those of two pictures.
+        let h = Homography { matrix: [[-3.4, 0.5, 56.0], [0.4, 3.3, 13.0], [1e-3, 1e-3, 1.0]] };
+        let back = h.inverse().unwrap();
+        let moved = [[0.05, -0.23, 0.33, 0.0], [-0.03, 0.12, 0.04, -0.19]];
+        let mut seen = Vec::new();
+        for (axis, bits, size) in [(0usize, 2..5u32, 42.0), (1, 2..6, 65.0)] {
+            for bit in bits {
+                let edge = |m: usize| f64::from(1u32 << bit) * (2 * m + 1) as f64 - 0.5;
+                for to in (0..16).map(edge).filter(|to| *to < size) {
+                    seen.extend((0..80).map(|k| {
+                        let across = 3.0 + f64::from(k) * [0.75, 0.48][axis];
+                        let noise = 0.02 * (f64::from((k * 7919 + 31 * bit) % 1000) / 500.0 - 1.0);
+                        let off = moved[axis][bit as usize - 2] + noise;
+                        let q = if axis == 0 { [to + off, across] } else { [across, to + off] };
+                        Observation { from: back.map(q), axis, to }
+                    }));
+                }
+            }
+        }
+        let ideal = Lens::ideal([47.0, 39.0], 96.0);
+        let (fit, kept) = fit_projector(seen.clone(), ideal).unwrap();
+        assert_eq!(kept.len(), seen.len(), "no picture is left out");
+        // Least squares over seven pictures that are 0.19 px off RMS: as much in the middle, twice that in a corner.
+        for (q, most) in [([21.0, 32.0], 0.25), ([4.0, 5.0], 0.5), ([38.0, 60.0], 0.5), ([38.0, 5.0], 0.5)] {
+            let found = fit.slab_from_projector.projector_from_slab(back.map(q));
+            assert!((found[0] - q[0]).hypot(found[1] - q[1]) < most, "{found:?} {q:?}");
+        }
+        // What is in common to a picture counts as one: the deviation that is stated is of that size.
+        assert!(fit.sd_px > 0.1 && fit.sd_px < 0.4, "{}", fit.sd_px);
+        // A wall behind the plane, a third of all edges, is left out still.
+        let wall = Homography { matrix: [[-3.4, 0.5, 61.0], [0.4, 3.3, 8.0], [1e-3, 1e-3, 1.0]] };
+        let behind = |o: &Observation| o.from[1] > 11.0;
+        for o in seen.iter_mut().filter(|o| behind(o)) {
+            o.to += wall.map(o.from)[o.axis] - h.map(o.from)[o.axis];
+        }
+        let (_, kept) = fit_projector(seen.clone(), ideal).unwrap();
+        let share = kept.iter().filter(|o| behind(o)).count() as f64 / kept.len() as f64;
+        assert!(share < 0.02, "{share}");
     }
 
     #[test]

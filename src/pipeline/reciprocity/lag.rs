@@ -7,7 +7,7 @@ use crate::pipeline::scene::Scene;
 use crate::registration::median;
 
 /// Light of this share of a dot's own in the place of the dot before is no chance of a medium's structure.
-const LEAST_LAG: f64 = 0.03;
+pub(super) const LEAST_LAG: f64 = 0.03;
 /// Pairs tell how far tails are displaced where they lie along the displacement, by this cosine.
 const LEAST_ALONG: f64 = 0.4;
 /// Of values that a medium does not reach so many tell how far they may be off.

@@ -327,7 +327,11 @@ fn curved() -> Sensor {
     let table = |gamma: f64| (0..256).map(|z| 255.0 * (f64::from(z) / 255.0).powf(gamma)).collect::<Vec<_>>();
     let curve = Curve::new([1.4, 2.0, 2.8].map(table).into(), vec![vec![0.0; 256]; 3]);
     let noise = Noise { black_dn: 0.0, saturation_dn: 250.0, gain_dn_per_electron: 0.02, read_noise_electrons: 2.0 };
-    Sensor::with_curve(&noise, curve, FileNoise { sixteen_bit: false, compression: [0.3, 1.0, 3.0], flat: [0.0; 3] })
+    Sensor::with_curve(
+        &noise,
+        curve,
+        FileNoise { sixteen_bit: false, compression: [0.3, 1.0, 3.0], ..FileNoise::default() },
+    )
 }
 
 /// One sample of so much light in each exposure, looked at as a sample of channel `c`.

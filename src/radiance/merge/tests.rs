@@ -227,8 +227,11 @@ fn srgb(code: f64) -> (f64, f64) {
 fn encoded_photographs_add_the_variance_of_their_code_values_by_the_curves_slope() {
     let noise = Noise { black_dn: 0.0, saturation_dn: 250.0, gain_dn_per_electron: 0.01, read_noise_electrons: 3.0 };
     let compression = [0.3, 2.0, 0.02];
-    let sensor =
-        Sensor::with_curve(&noise, Some(Curve::srgb()), FileNoise { sixteen_bit: false, compression, flat: [0.0; 3] });
+    let sensor = Sensor::with_curve(
+        &noise,
+        Some(Curve::srgb()),
+        FileNoise { sixteen_bit: false, compression, ..FileNoise::default() },
+    );
     // Enough of them that a number of a sample is not taken for one of a channel.
     let rect = Rect { x: 0, y: 0, width: 40, height: 2 };
     let codes = [90u8, 120, 150, 60, 200, 180].repeat(40);

@@ -100,7 +100,7 @@ fn scene(gamma: [f64; 3]) -> (Stack, LightSum) {
 
 fn estimated(gamma: [f64; 3]) -> CurveEstimate {
     let (stack, sum) = scene(gamma);
-    let file = FileNoise { sixteen_bit: true, compression: [0.0; 3], flat: [0.0; 3] };
+    let file = FileNoise { sixteen_bit: true, ..FileNoise::default() };
     let options = CurveOptions { times_sd: 0.03, file };
     estimate_curve(&[stack], &[sum], 3, &NOISE, &options).unwrap()
 }
@@ -158,7 +158,7 @@ fn a_projector_that_moves_between_pattern_and_inverse_bends_no_curve() {
             .zip([230.0, 120.0, 60.0, 180.0])
             .map(|(moved, whole)| stripes(moved, whole, [gamma; 3]))
             .collect();
-        let file = FileNoise { sixteen_bit: true, compression: [0.0; 3], flat: [0.0; 3] };
+        let file = FileNoise { sixteen_bit: true, ..FileNoise::default() };
         // Times are nearly free: what settles the power is the sums.
         let options = CurveOptions { times_sd: 0.3, file };
         let found = estimate_curve(&[stack], &sums, 3, &NOISE, &options).unwrap();
@@ -191,7 +191,7 @@ fn three_power_laws_are_found_as_three_curves_in_their_order() {
 
 #[test]
 fn too_little_in_common_gives_no_curve() {
-    let file = FileNoise { sixteen_bit: true, compression: [0.0; 3], flat: [0.0; 3] };
+    let file = FileNoise { sixteen_bit: true, ..FileNoise::default() };
     let options = CurveOptions { times_sd: 0.03, file };
     assert!(estimate_curve(&[], &[], 2, &NOISE, &options).is_none());
     let lone = Exposure { samples: codes((0..300).map(|k| 20.0 + k as f64 * 0.5), [2.0; 3]), secs: 1.0 };
@@ -239,7 +239,7 @@ fn assert_sums(found: &System, rows: &[(Vec<f64>, f64, f64)]) {
 #[test]
 fn a_stacks_equations_are_those_of_curve_and_times_with_the_light_of_each_pixel_eliminated() {
     let (stack, _) = scene([1.6, 1.9, 2.3]);
-    let file = FileNoise { sixteen_bit: true, compression: [0.0; 3], flat: [0.0; 3] };
+    let file = FileNoise { sixteen_bit: true, ..FileNoise::default() };
     let options = CurveOptions { times_sd: 0.03, file };
     let stacks = [Stack { settings: vec![1, 0, 2], ..stack }];
     let problem = Problem { stacks: &stacks, sums: &[], settings: 3, noise: &NOISE, options: &options, moving: false };
@@ -312,7 +312,7 @@ fn a_light_sums_equations_are_the_parts_less_the_whole_at_the_values_that_fit() 
         codes((0..600).map(|k| whole(k) * if other { 1.0 - share(k) } else { share(k) }), [1.6, 1.9, 2.3])
     });
     sum.slope = [11, 13].map(|step| (0..600).map(|k| 9.0 - ((k * step) % 19) as f32).collect());
-    let file = FileNoise { sixteen_bit: true, compression: [0.0; 3], flat: [0.0; 3] };
+    let file = FileNoise { sixteen_bit: true, ..FileNoise::default() };
     let options = CurveOptions { times_sd: 0.03, file };
     let sums = [sum.clone(), sum];
     let problem = Problem { stacks: &[], sums: &sums, settings: 2, noise: &NOISE, options: &options, moving: true };
