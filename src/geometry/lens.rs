@@ -120,15 +120,43 @@ fn difference(a: Point, b: Point, h: f64) -> Point {
     [(a[0] - b[0]) / h, (a[1] - b[1]) / h]
 }
 
-/// Tangent of the line of sight from an eye (slab mm, z negative above the slab's top) to a place on the slab: how far
-/// towards the camera's foot light from below is seen, per depth.
-pub(crate) fn sight_tangent(eye_mm: [f64; 3], at_mm: Point) -> Point {
-    [0, 1].map(|a| (eye_mm[a] - at_mm[a]) / -eye_mm[2])
+/// Refractive index that is taken for the sample's. From 1.3 to 1.6 slopes at 30° differ from this one's by 1.2 % and
+/// −1.9 %.
+const REFRACTIVE_INDEX: f64 = 1.4;
+
+/// Slope of the line of sight, refracted by the sample's top, from an eye (slab mm, z negative above the top) to a place
+/// on the slab, times the refractive index: how far towards the camera's foot light from below is seen, per depth over
+/// refractive index. Of small angles it is the tangent.
+pub(crate) fn sight_slope(eye_mm: [f64; 3], at_mm: Point) -> Point {
+    let tangent = [0, 1].map(|a| (eye_mm[a] - at_mm[a]) / -eye_mm[2]);
+    let square = tangent[0] * tangent[0] + tangent[1] * tangent[1];
+    // n tan θ′ / tan θ by Snell's law: n cos θ / √(n² − sin² θ).
+    let n2 = REFRACTIVE_INDEX * REFRACTIVE_INDEX;
+    let bent = REFRACTIVE_INDEX / (n2 + (n2 - 1.0) * square).sqrt();
+    tangent.map(|t| bent * t)
+}
+
+/// The angle (rad) between normal and line of sight outside the sample of a [`sight_slope`] of that length.
+pub(crate) fn sight_angle(slope: f64) -> f64 {
+    let n2 = REFRACTIVE_INDEX * REFRACTIVE_INDEX;
+    (REFRACTIVE_INDEX * slope / (n2 + slope * slope).sqrt()).min(1.0).asin()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_line_of_sight_is_refracted_and_its_angle_outside_told_back() {
+        // From 30° off the normal along (3, 4): sin θ′ = 0.5 / 1.4.
+        let (outside, inside) = (30f64.to_radians(), (0.5f64 / 1.4).asin());
+        let slope = sight_slope([30.0 * outside.tan(), 40.0 * outside.tan(), -50.0], [0.0, 0.0]);
+        let expected = 1.4 * inside.tan();
+        assert!((slope[0] - 0.6 * expected).abs() < 1e-12 && (slope[1] - 0.8 * expected).abs() < 1e-12, "{slope:?}");
+        assert!((sight_angle(expected) - outside).abs() < 1e-12);
+        let small = sight_slope([0.1, 0.0, -100.0], [0.0, 0.0]);
+        assert!((small[0] / 1e-3 - 1.0).abs() < 1e-6 && small[1] == 0.0);
+    }
 
     #[test]
     fn a_view_tells_where_its_camera_is() {

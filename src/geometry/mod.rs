@@ -11,8 +11,8 @@ mod lens;
 mod projector;
 
 pub use homography::Homography;
-pub(crate) use lens::sight_tangent;
 pub use lens::{CameraView, Lens};
+pub(crate) use lens::{sight_angle, sight_slope};
 pub use projector::SlabFromProjector;
 
 pub use acquire_material::Point;

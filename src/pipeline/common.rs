@@ -8,7 +8,7 @@ use crate::transport::{CommonErrors, CommonOfAll};
 /// The errors that samples of a row, and rows, have in common. `left_by_others`: variance by sample that separating the
 /// dots of a shot has left.
 ///
-/// Not counted: the dot's size, which is taken from `capture.toml` as it is; reconstruction beside the peak, which counts
+/// Not counted: the dot's size in projector pixels, which is taken from `capture.toml` as it is; reconstruction beside the peak, which counts
 /// as independent.
 pub(super) fn common_errors(
     scene: &Scene<'_>,
@@ -23,7 +23,7 @@ pub(super) fn common_errors(
     let curve = scene.photographs.sensor.curve().map_or(0.0, Curve::relative_variance);
     let drift_sd_px = results.iter().filter_map(|r| r.drift).map(|d| d.common_sd_px).fold(0.0, f64::max);
     common.of_all = CommonOfAll {
-        scale_sd: [(white + curve).sqrt(); 3],
+        scale_sd: [(white + curve + scene.registration.dot_area_variance()).sqrt(); 3],
         position_sd_mm: scene.registration.position_sd_mm.hypot(drift_sd_px / scene.px_per_mm),
     };
     let (mut flux, mut lit_points) = ([0.0; 3], 0.0_f64);

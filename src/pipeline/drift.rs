@@ -122,7 +122,7 @@ impl Movements {
                 let located = locate(scene, shot, registration, windows, dots);
                 refuse_other_dots(scene, shot, &located)?;
                 let located: Vec<Located> = located.into_iter().flatten().collect();
-                let unknown = || Parallax::unknown([0.0, 0.0, -1.0]);
+                let unknown = || Parallax::unknown([0.0, 0.0, -1.0], scene.dot_side_px());
                 Ok(parallax.unwrap_or_else(unknown).drift(&located, registration))
             }
         }
@@ -177,7 +177,7 @@ fn drift_source(scene: &Scene<'_>) -> Result<DriftSource> {
         pilots.par_iter().map(seen).collect::<Result<Vec<_>>>()?.into_iter().unzip();
     let mut halves = halves.concat();
     let medium = (!halves.is_empty()).then(|| DepthOfMedium::of_half_light(median(&mut halves)));
-    Ok(DriftSource::Sample(dots, Some(Parallax::learn(&seen, eye_mm, scene.px_per_mm, medium))))
+    Ok(DriftSource::Sample(dots, Some(Parallax::learn(&seen, eye_mm, scene.px_per_mm, scene.dot_side_px(), medium))))
 }
 
 /// How far a dot's light is its own: half a window, or half the way to the next dot of its shot, camera px.

@@ -226,7 +226,8 @@ fn extract_shot(
     let seen = search.look(scene, shot, registration, drift, &windows);
 
     // What all samples of a row have in common: the lamp, and the response curve's own error.
-    let common_variance = flicker_variance + scene.photographs.sensor.curve().map_or(0.0, Curve::relative_variance);
+    let curve_variance = scene.photographs.sensor.curve().map_or(0.0, Curve::relative_variance);
+    let common_variance = flicker_variance + curve_variance + scene.registration.dot_area_variance();
     let mut weights = cell_weights(scene, windows.first().map_or(Sampling::WHOLE, Bracket::sampling));
     let centers: Vec<Point> =
         dots.iter().map(|&d| scene.nominal_mm(d)).map(|p| [p[0] + moved[0], p[1] + moved[1]]).collect();

@@ -31,9 +31,10 @@ pub struct SeenDepth {
     pub depth_mm: f64,
     /// Its standard deviation, mm.
     pub sd_mm: f64,
-    /// Tangent of the angle between line of sight and normal: by this times the depth dots are seen beside their
-    /// places.
-    pub tangent: f64,
+    /// Slope of the line of sight inside the sample, times the refractive index: by this times the depth dots are seen
+    /// beside their places.
+    #[serde(alias = "tangent")]
+    pub slope: f64,
 }
 
 /// A dot counts when its light is this many standard deviations above none.

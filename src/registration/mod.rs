@@ -62,6 +62,8 @@ pub struct Registration {
     pub projector_rms_px: f64,
     /// The same against a projector without distortion, projector px.
     pub projector_ideal_rms_px: f64,
+    /// Relative standard deviation of the scale of that map along the projector's axes: of a dot's area, both together.
+    pub projector_scale_sd: [f64; 2],
     /// Standard deviation per axis of where a projected point is on the slab, relative to the camera's samples, mm
     /// (without drift).
     pub position_sd_mm: f64,
@@ -79,6 +81,11 @@ impl Registration {
         moved.view.ideal_from_slab = Homography::similarity(1.0, camera_px).after(&self.view.ideal_from_slab);
         moved.view.lens.center_px = [0, 1].map(|a| self.view.lens.center_px[a] + camera_px[a]);
         moved
+    }
+
+    /// Relative variance of the area of a dot, by the map's scale.
+    pub fn dot_area_variance(&self) -> f64 {
+        self.projector_scale_sd.iter().map(|sd| sd * sd).sum()
     }
 
     /// Puts the two fits together for a slab of `size_mm`; `None` when the projector's map cannot be inverted.
@@ -108,6 +115,7 @@ impl Registration {
             lens,
             projector_rms_px: projector.rms_px,
             projector_ideal_rms_px: projector.ideal_rms_px,
+            projector_scale_sd: projector.scale_sd,
             position_sd_mm,
         })
     }
@@ -139,6 +147,7 @@ mod tests {
             rms_px: 0.22,
             ideal_rms_px: 0.33,
             sd_px: 0.06,
+            scale_sd: [0.01, 0.02],
             edges: 100,
             left_out: 0.0,
             trend: None,

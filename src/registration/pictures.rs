@@ -61,6 +61,7 @@ pub(super) fn registration() -> Registration {
         },
         projector_rms_px: 0.0,
         projector_ideal_rms_px: 0.0,
+        projector_scale_sd: [0.0; 2],
         position_sd_mm: 0.0,
     }
 }

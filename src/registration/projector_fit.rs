@@ -18,6 +18,8 @@ pub struct ProjectorFit {
     pub ideal_rms_px: f64,
     /// Standard deviation per axis of a modelled point, projector px.
     pub sd_px: f64,
+    /// Relative standard deviation of the map's scale along each axis of the projector.
+    pub scale_sd: [f64; 2],
     /// Number of edges.
     pub edges: usize,
     /// Share of the edges that are off the map by half a projector pixel and more, otherwise than most of their picture of
@@ -99,9 +101,10 @@ pub fn fit_projector(edges: Vec<Observation>, lens: Lens) -> Option<(ProjectorFi
         rms_px,
         ideal_rms_px,
         sd_px: rms_px * (parameters as f64 / independent).sqrt(),
+        scale_sd: [0, 1].map(|axis| scale_sd(&edges, axis, rms_px, independent)),
         edges: edges.len(),
         left_out: far,
-        trend: trend(&edges, &h, &chosen),
+        trend: trend(&edges, &(h, chosen)),
     };
     Some((fit, edges))
 }
@@ -192,9 +195,20 @@ const PARTS: usize = 6;
 /// Fewer edges than for so many independent ones (see [`ALIKE`]) tell no trend.
 const TREND_EDGES: f64 = 8.0;
 
+/// Relative standard deviation of a line's slope through an axis's edges, `independent` of all, that are off it by
+/// `rms_px`.
+fn scale_sd(edges: &[Observation], axis: usize, rms_px: f64, independent: f64) -> f64 {
+    let own = || edges.iter().filter(|o| o.axis == axis).map(|o| o.to);
+    let n = own().count() as f64;
+    let mean = own().sum::<f64>() / n;
+    let square_px2 = own().map(|to| (to - mean).powi(2)).sum::<f64>() / n;
+    rms_px / (independent * n / edges.len() as f64 * square_px2).sqrt()
+}
+
 /// The part of the plane, and the axis, whose edges are off the map together the most, beyond what their scatter
-/// explains.
-fn trend(edges: &[Observation], h: &Homography, lens: &Lens) -> Option<MapTrend> {
+/// explains and by how much their picture of the code has moved.
+fn trend(edges: &[Observation], map: &(Homography, Lens)) -> Option<MapTrend> {
+    let moved = moved_pictures(edges, map);
     let (mut low, mut high) = ([f64::MAX; 2], [f64::MIN; 2]);
     for o in edges {
         for a in 0..2 {
@@ -205,7 +219,7 @@ fn trend(edges: &[Observation], h: &Homography, lens: &Lens) -> Option<MapTrend>
     let part = |p: Point| [0, 1].map(|a| (((p[a] - low[a]) / side[a]) as usize).min(PARTS - 1));
     let mut sums = vec![[0.0; 3]; 2 * PARTS * PARTS];
     for o in edges {
-        let off = signed_off(o, h, lens);
+        let off = signed_off(o, &map.0, &map.1) - moved[&picture(o)];
         let [i, j] = part(o.from);
         let sum = &mut sums[(o.axis * PARTS + j) * PARTS + i];
         (sum[0], sum[1], sum[2]) = (sum[0] + 1.0, sum[1] + off, sum[2] + off * off);
@@ -480,6 +494,15 @@ mod tests {
         }
         // What is in common to a picture counts as one: the deviation that is stated is of that size.
         assert!(fit.sd_px > 0.1 && fit.sd_px < 0.4, "{}", fit.sd_px);
+        // So is that of the scale: the ends of a square of the grid are this far from their distance.
+        for axis in 0..2 {
+            let side = [34.0, 55.0][axis];
+            let ends = [[4.0, 5.0], if axis == 0 { [38.0, 5.0] } else { [4.0, 60.0] }];
+            let found = ends.map(|q| fit.slab_from_projector.projector_from_slab(back.map(q))[axis]);
+            let error = (found[1] - found[0]) / side - 1.0;
+            assert!(error.abs() < 3.0 * fit.scale_sd[axis] && fit.scale_sd[axis] < 0.02, "{error} {:?}", fit.scale_sd);
+        }
+        assert!(fit.trend.is_none(), "{:?}", fit.trend);
         // A wall behind the plane, a third of all edges, is left out still.
         let wall = Homography { matrix: [[-3.4, 0.5, 61.0], [0.4, 3.3, 8.0], [1e-3, 1e-3, 1.0]] };
         let behind = |o: &Observation| o.from[1] > 11.0;

@@ -8,17 +8,17 @@
 
 use super::drift::{centroid, median, robust_mean};
 use super::{DotShape, Drift, Registration, SeenDepth};
-use crate::geometry::{Point, sight_tangent};
+use crate::geometry::{Point, sight_slope};
 use crate::radiance::Radiance;
 
-/// What a dot on the sample is off by when nothing tells, px: the centroids of dots near an edge of two materials stray
-/// so far.
-const UNKNOWN_DOT_SD_PX: f64 = 0.1;
-/// Sharp dots are found this well at best, px.
-const FLOOR_PX: f64 = 0.01;
-/// Cores on a real material are not the model's footprint: what all dots of a capture are off by alike, px (simulated
-/// materials: up to 0.03).
-const COMMON_PX: f64 = 0.03;
+/// What a dot on the sample is off by when nothing tells, in sides of the dot: the centroids of dots near an edge of two
+/// materials stray so far.
+const UNKNOWN_DOT_SD: f64 = 0.044;
+/// Sharp dots are found this well at best, in sides.
+const DOT_FLOOR: f64 = 0.0044;
+/// Cores on a real material are not the model's footprint: what all dots of a capture are off by alike, in sides
+/// (simulated materials, dots of 2 to 15 px: up to that).
+const COMMON_DOT: f64 = 0.0133;
 /// A depth of this many standard deviations is believed where the medium says nothing.
 const BELIEVED_SIGMA: f64 = 4.0;
 /// Depth over refractive index of a dot's core, in radii of the half of its light, and its scatter from medium to
@@ -52,8 +52,10 @@ pub struct Located {
 pub struct Parallax {
     /// Where the camera is, slab mm.
     pub eye_mm: [f64; 3],
-    /// Effective depth over refractive index, mm: a dot is seen by this times the tangent of the line of sight nearer
-    /// to the camera's foot.
+    /// Side of a dot, px.
+    pub dot_side_px: f64,
+    /// Effective depth over refractive index, mm: a dot is seen by this times the slope of the line of sight nearer to the
+    /// camera's foot.
     pub depth_mm: f64,
     /// Its standard deviation, mm.
     pub depth_sd_mm: f64,
@@ -101,13 +103,13 @@ impl DepthOfMedium {
 
 impl Parallax {
     /// Nothing known but where the camera is.
-    pub fn unknown(eye_mm: [f64; 3]) -> Self {
-        Self { eye_mm, depth_mm: 0.0, depth_sd_mm: 0.0, dot_sd_px: UNKNOWN_DOT_SD_PX }
+    pub fn unknown(eye_mm: [f64; 3], dot_side_px: f64) -> Self {
+        Self { eye_mm, dot_side_px, depth_mm: 0.0, depth_sd_mm: 0.0, dot_sd_px: UNKNOWN_DOT_SD * dot_side_px }
     }
 
-    /// Tangent of the line of sight at `p`: towards the camera's foot, per depth.
-    fn tangent(&self, p: Point) -> Point {
-        sight_tangent(self.eye_mm, p)
+    /// Slope of the line of sight at `p`: towards the camera's foot, per depth over refractive index.
+    fn slope(&self, p: Point) -> Point {
+        sight_slope(self.eye_mm, p)
     }
 
     /// Learns the depth from the dots of several shots, each with a drift of its own: what pulls a shot's dots towards
@@ -116,19 +118,25 @@ impl Parallax {
     /// either the depth is unknown, and taken for none.
     ///
     /// Not detected: a pattern that has grown or shrunk since registration; it looks like depth.
-    pub fn learn(shots: &[Vec<Located>], eye_mm: [f64; 3], px_per_mm: f64, medium: Option<DepthOfMedium>) -> Self {
-        let depth = |d: DepthOfMedium| Self { depth_mm: d.depth_mm, depth_sd_mm: d.sd_mm, ..Self::unknown(eye_mm) };
-        let nothing = medium.map_or(Self::unknown(eye_mm), depth);
-        // Differences from the shot's mean are free of its drift: (tangent, displacement, weight that the mean takes
-        // away).
+    pub fn learn(
+        shots: &[Vec<Located>],
+        eye_mm: [f64; 3],
+        px_per_mm: f64,
+        dot_side_px: f64,
+        medium: Option<DepthOfMedium>,
+    ) -> Self {
+        let unknown = Self::unknown(eye_mm, dot_side_px);
+        let depth = |d: DepthOfMedium| Self { depth_mm: d.depth_mm, depth_sd_mm: d.sd_mm, ..unknown };
+        let nothing = medium.map_or(unknown, depth);
+        // Differences from the shot's mean are free of its drift: (slope, displacement, weight that the mean takes away).
         let mut pairs: Vec<(f64, f64)> = Vec::new();
         let mut lost = 0;
         for dots in shots.iter().filter(|s| s.len() >= 2) {
             for a in 0..2 {
                 let mean = |f: &dyn Fn(&Located) -> f64| dots.iter().map(f).sum::<f64>() / dots.len() as f64;
-                let (tangent, moved) = (|d: &Located| nothing.tangent(d.expected_mm)[a], |d: &Located| d.moved_mm[a]);
-                let (t0, m0) = (mean(&tangent), mean(&moved));
-                pairs.extend(dots.iter().map(|d| (tangent(d) - t0, moved(d) - m0)));
+                let (slope, moved) = (|d: &Located| nothing.slope(d.expected_mm)[a], |d: &Located| d.moved_mm[a]);
+                let (t0, m0) = (mean(&slope), mean(&moved));
+                pairs.extend(dots.iter().map(|d| (slope(d) - t0, moved(d) - m0)));
                 lost += 1;
             }
         }
@@ -160,7 +168,7 @@ impl Parallax {
             let freedom = (pairs.len() as f64 / (pairs.len() - lost) as f64).sqrt();
             spread = 1.4826 * median(&mut left) * freedom;
         }
-        Self { eye_mm, depth_mm, depth_sd_mm, dot_sd_px: (spread * px_per_mm).max(FLOOR_PX) }
+        Self { depth_mm, depth_sd_mm, dot_sd_px: (spread * px_per_mm).max(DOT_FLOOR * dot_side_px), ..unknown }
     }
 
     /// The displacement of a shot from the dots that were found; `None` for none.
@@ -168,19 +176,19 @@ impl Parallax {
         if dots.is_empty() {
             return None;
         }
-        let moved = |a: usize| dots.iter().map(move |d| d.moved_mm[a] - self.depth_mm * self.tangent(d.expected_mm)[a]);
+        let moved = |a: usize| dots.iter().map(move |d| d.moved_mm[a] - self.depth_mm * self.slope(d.expected_mm)[a]);
         let slab_mm = [0, 1].map(|a| robust_mean(moved(a).collect()).0);
         let jacobian = registration.view.jacobian(registration.center_mm);
         let px_per_mm = registration.px_per_mm();
         let camera_px = std::array::from_fn(|i| jacobian[i][0] * slab_mm[0] + jacobian[i][1] * slab_mm[1]);
         let n = dots.len() as f64;
-        let tangent = [0, 1].map(|a| dots.iter().map(|d| self.tangent(d.expected_mm)[a]).sum::<f64>() / n);
-        let tangent = tangent[0].hypot(tangent[1]);
-        let depth_px = self.depth_sd_mm * tangent * px_per_mm;
-        let depth = SeenDepth { depth_mm: self.depth_mm, sd_mm: self.depth_sd_mm, tangent };
+        let slope = [0, 1].map(|a| dots.iter().map(|d| self.slope(d.expected_mm)[a]).sum::<f64>() / n);
+        let slope = slope[0].hypot(slope[1]);
+        let depth_px = self.depth_sd_mm * slope * px_per_mm;
+        let depth = SeenDepth { depth_mm: self.depth_mm, sd_mm: self.depth_sd_mm, slope };
         let noise = dots.iter().map(|d| d.variance_px2).sum::<f64>() / n;
         // The spread between dots has the pixels' noise in it already; in dim captures that noise is more.
-        let common_sd_px = depth_px.hypot(COMMON_PX);
+        let common_sd_px = depth_px.hypot(COMMON_DOT * self.dot_side_px);
         let sd_px = (self.dot_sd_px.powi(2).max(noise) / n).sqrt().hypot(common_sd_px);
         Some(Drift { slab_mm, camera_px, sd_px, common_sd_px, dots: dots.len(), scale: None, depth: Some(depth) })
     }
@@ -192,49 +200,59 @@ mod tests {
 
     use super::super::pictures::{jitter, registration};
 
+    /// Of dots.
+    const SIDE_PX: f64 = 2.5;
+
     const EYE: [f64; 3] = [40.0, -30.0, -200.0];
 
     fn located(expected_mm: Point, moved_mm: Point, variance_px2: f64) -> Located {
         Located { expected_mm, moved_mm, variance_px2 }
     }
 
-    /// Shots of dots that are seen by `depth` times the tangent nearer to the camera's foot, after a drift of each
+    /// (40 − x, −30 − y) / 200, refracted into an index of 1.4 by Snell's law, times that index.
+    fn slope(p: Point) -> Point {
+        let tangent = [(40.0 - p[0]) / 200.0, (-30.0 - p[1]) / 200.0];
+        let outside = tangent[0].hypot(tangent[1]);
+        let inside = (outside.atan().sin() / 1.4).asin();
+        tangent.map(|t| 1.4 * inside.tan() * t / outside)
+    }
+
+    /// Shots of dots that are seen by `depth` times the slope nearer to the camera's foot, after a drift of each
     /// shot's own.
     fn shots(depth: f64, noise_mm: f64) -> Vec<Vec<Located>> {
         let dot = |shot: usize, k: usize| {
             let p = [2.0 + 11.0 * (k % 4) as f64, 3.0 + 9.0 * (k / 4) as f64];
-            // (40 − x, −30 − y) / 200
-            let tangent = [(40.0 - p[0]) / 200.0, (-30.0 - p[1]) / 200.0];
+            let slope = slope(p);
             let drift = [0.3 - 0.1 * shot as f64, -0.2 + 0.07 * shot as f64];
             let off = |a: usize| noise_mm * jitter(1000 * shot + 10 * k + a);
-            located(p, [0, 1].map(|a| drift[a] + depth * tangent[a] + off(a)), 1e-6)
+            located(p, [0, 1].map(|a| drift[a] + depth * slope[a] + off(a)), 1e-6)
         };
         (0..6).map(|shot| (0..12).map(|k| dot(shot, k)).collect()).collect()
     }
 
     #[test]
     fn the_line_of_sight_leans_towards_the_camera_s_foot() {
-        let tangent = Parallax::unknown(EYE).tangent([10.0, 20.0]);
-        assert_eq!(tangent, [0.15, -0.25]);
+        let found = Parallax::unknown(EYE, SIDE_PX).slope([10.0, 20.0]);
+        let expected = slope([10.0, 20.0]);
+        assert!((0..2).all(|a| (found[a] - expected[a]).abs() < 1e-14), "{found:?} {expected:?}");
     }
 
     #[test]
     fn depth_is_learnt_from_how_dots_of_a_shot_are_pulled_apart() {
-        let found = Parallax::learn(&shots(1.5, 0.0), EYE, 7.0, None);
+        let found = Parallax::learn(&shots(1.5, 0.0), EYE, 7.0, SIDE_PX, None);
         assert!((found.depth_mm - 1.5).abs() < 1e-9, "{found:?}");
-        assert_eq!((found.eye_mm, found.dot_sd_px), (EYE, FLOOR_PX));
+        assert_eq!((found.eye_mm, found.dot_sd_px), (EYE, DOT_FLOOR * SIDE_PX));
         // Noise that is even in ±0.02 mm has a median deviation of 0.01 mm: 0.0148 mm, or 0.104 px at 7 px a
         // millimetre.
-        let found = Parallax::learn(&shots(1.5, 0.02), EYE, 7.0, None);
+        let found = Parallax::learn(&shots(1.5, 0.02), EYE, 7.0, SIDE_PX, None);
         assert!((found.dot_sd_px / 0.104 - 1.0).abs() < 0.2, "144 differences: a tenth of it; {found:?}");
-        // Least squares: the noise over the root of the tangents' squares about each shot's mean.
-        let tangents =
-            |a: usize| shots(0.0, 0.0)[0].iter().map(|d| [40.0, -30.0][a] - d.expected_mm[a]).collect::<Vec<_>>();
+        // Least squares: the noise over the root of the slopes' squares about each shot's mean.
+        let slopes = |a: usize| shots(0.0, 0.0)[0].iter().map(|d| slope(d.expected_mm)[a]).collect::<Vec<_>>();
         let square: f64 = (0..2)
             .map(|a| {
-                let t = tangents(a);
+                let t = slopes(a);
                 let mean = t.iter().sum::<f64>() / 12.0;
-                t.iter().map(|t| ((t - mean) / 200.0).powi(2)).sum::<f64>()
+                t.iter().map(|t| (t - mean).powi(2)).sum::<f64>()
             })
             .sum();
         let sd = found.dot_sd_px / 7.0 / (6.0 * square).sqrt();
@@ -245,7 +263,7 @@ mod tests {
     #[test]
     fn a_depth_within_its_noise_or_behind_the_surface_is_taken_for_none() {
         for depth in [0.0, -1.5] {
-            let found = Parallax::learn(&shots(depth, 0.02), EYE, 7.0, None);
+            let found = Parallax::learn(&shots(depth, 0.02), EYE, 7.0, SIDE_PX, None);
             assert_eq!(found.depth_mm, 0.0);
             // Dots stray by 0.0148 mm over tangents of 0.61 in all; what was found and not believed counts beside it.
             assert!(found.depth_sd_mm > 0.02 && found.depth_sd_mm < 0.03_f64.hypot(1.2 * depth.abs()), "{found:?}");
@@ -263,15 +281,15 @@ mod tests {
         }
         // Shots of one dot, or none, tell nothing.
         let single: Vec<Vec<Located>> = shots(1.5, 0.0).into_iter().map(|s| s[..1].to_vec()).collect();
-        assert_eq!(Parallax::learn(&single, EYE, 7.0, None), Parallax::unknown(EYE));
-        assert_eq!(Parallax::learn(&[], EYE, 7.0, None), Parallax::unknown(EYE));
-        assert_eq!(Parallax::unknown(EYE).dot_sd_px, 0.1);
+        assert_eq!(Parallax::learn(&single, EYE, 7.0, SIDE_PX, None), Parallax::unknown(EYE, SIDE_PX));
+        assert_eq!(Parallax::learn(&[], EYE, 7.0, SIDE_PX, None), Parallax::unknown(EYE, SIDE_PX));
+        assert!((Parallax::unknown(EYE, SIDE_PX).dot_sd_px - 0.11).abs() < 1e-12);
     }
 
     #[test]
     fn what_the_medium_says_counts_by_its_deviation_and_alone_where_the_dots_say_nothing() {
         let medium = DepthOfMedium { depth_mm: 0.9, sd_mm: 0.3 };
-        let learn = |shots: &[Vec<Located>], medium| Parallax::learn(shots, EYE, 7.0, medium);
+        let learn = |shots: &[Vec<Located>], medium| Parallax::learn(shots, EYE, 7.0, SIDE_PX, medium);
         let (dots, both) = (learn(&shots(1.5, 0.02), None), learn(&shots(1.5, 0.02), Some(medium)));
         let (w, v) = (dots.depth_sd_mm.powi(-2), 0.3f64.powi(-2));
         assert!((both.depth_mm - (w * dots.depth_mm + v * 0.9) / (w + v)).abs() < 1e-9, "{both:?}");
@@ -285,25 +303,25 @@ mod tests {
                 shot.iter().map(|d| located(d.expected_mm, moved(d), 1e-6)).collect()
             })
             .collect();
-        let found = Parallax::learn(&telecentric, [4e4, -3e4, -2e5], 7.0, Some(medium));
+        let found = Parallax::learn(&telecentric, [4e4, -3e4, -2e5], 7.0, SIDE_PX, Some(medium));
         // The dots themselves tell it to some tens of millimetres.
         assert!((found.depth_mm - 0.9).abs() < 0.01 && (found.depth_sd_mm / 0.3 - 1.0).abs() < 0.01, "{found:?}");
         let alone = learn(&[], Some(medium));
-        assert_eq!((alone.depth_mm, alone.depth_sd_mm, alone.dot_sd_px), (0.9, 0.3, 0.1));
+        assert_eq!((alone.depth_mm, alone.depth_sd_mm, alone.dot_sd_px), (0.9, 0.3, UNKNOWN_DOT_SD * SIDE_PX));
     }
 
     #[test]
     fn a_mistaken_dot_does_not_bend_the_depth() {
         let mut some = shots(1.5, 0.001);
         some[3][7].moved_mm = [2.0, -1.0];
-        let found = Parallax::learn(&some, EYE, 7.0, None);
+        let found = Parallax::learn(&some, EYE, 7.0, SIDE_PX, None);
         // Its shot's mean is off by a twelfth of it: eleven dots more that count as mistaken.
         assert!((found.depth_mm - 1.5).abs() < 0.01, "{found:?}");
     }
 
     #[test]
     fn a_drift_is_what_the_depth_does_not_explain() {
-        let parallax = Parallax { eye_mm: EYE, depth_mm: 1.5, depth_sd_mm: 0.0, dot_sd_px: 1e-6 };
+        let parallax = Parallax { eye_mm: EYE, dot_side_px: SIDE_PX, depth_mm: 1.5, depth_sd_mm: 0.0, dot_sd_px: 1e-6 };
         let dots = &shots(1.5, 0.0)[2];
         let drift = parallax.drift(dots, &registration()).unwrap();
         // (0.3 − 0.2, −0.2 + 0.14) mm; 6 · 0.1 − 0.5 · 0.06 and −0.1 − 4 · 0.06 px.
@@ -317,38 +335,38 @@ mod tests {
         let sd = |depth_sd_mm: f64, dot_sd_px: f64, variance_px2: f64| {
             let dots: Vec<Located> =
                 [[10.0, 20.0], [30.0, 10.0], [14.0, 6.0]].map(|p| located(p, [0.0; 2], variance_px2)).to_vec();
-            let parallax = Parallax { eye_mm: EYE, depth_mm: 0.0, depth_sd_mm, dot_sd_px };
+            let parallax = Parallax { eye_mm: EYE, dot_side_px: SIDE_PX, depth_mm: 0.0, depth_sd_mm, dot_sd_px };
             parallax.drift(&dots, &registration()).unwrap().sd_px
         };
         let near = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-6;
-        // What all dots of a capture are off by alike.
-        assert!(near(sd(0.0, 0.0, 0.0), 0.03));
+        // What all dots of a capture are off by alike: 0.0133 of 2.5 px.
+        assert!(near(sd(0.0, 0.0, 0.0), 0.033_25));
         // Three dots of 0.6 px each, or of 0.36 px² by their pixels: whichever is more.
-        let three = (0.12f64 + 0.0009).sqrt();
+        let three = 0.12f64.sqrt().hypot(0.033_25);
         assert!(near(sd(0.0, 0.6, 0.0), three) && near(sd(0.0, 0.6, 0.3), three) && near(sd(0.0, 0.1, 0.36), three));
-        // The mean tangent is ((30 + 10 + 26) / 3, −(50 + 40 + 36) / 3) / 200 = (0.11, −0.21); √24.5 px a millimetre.
-        let depth = 2.0 * 0.11f64.hypot(0.21) * 24.5f64.sqrt();
-        assert!(near(sd(2.0, 0.0, 0.0), depth.hypot(0.03)));
+        // Tangents are (30, −50), (10, −40) and (26, −36) over 200; √24.5 px a millimetre.
+        let mean = |a: usize| [[10.0, 20.0], [30.0, 10.0], [14.0, 6.0]].map(|p| slope(p)[a] / 3.0).iter().sum::<f64>();
+        let depth = 2.0 * mean(0).hypot(mean(1)) * 24.5f64.sqrt();
+        assert!(near(sd(2.0, 0.0, 0.0), depth.hypot(0.033_25)));
     }
 
     #[test]
     fn two_dots_of_one_shot_are_enough_where_they_lie_apart() {
         let pair = |second: Point| {
-            let dot =
-                |p: Point| located(p, [0.2 + 1.5 * (40.0 - p[0]) / 200.0, 0.1 + 1.5 * (-30.0 - p[1]) / 200.0], 1e-6);
-            Parallax::learn(&[vec![dot([2.0, 3.0]), dot(second)]], EYE, 7.0, None)
+            let dot = |p: Point| located(p, [0.2 + 1.5 * slope(p)[0], 0.1 + 1.5 * slope(p)[1]], 1e-6);
+            Parallax::learn(&[vec![dot([2.0, 3.0]), dot(second)]], EYE, 7.0, SIDE_PX, None)
         };
         assert!((pair([30.0, 11.0]).depth_mm - 1.5).abs() < 1e-9);
-        assert_eq!(pair([2.0, 3.0]), Parallax::unknown(EYE));
+        assert_eq!(pair([2.0, 3.0]), Parallax::unknown(EYE, SIDE_PX));
     }
 
     #[test]
     fn a_dot_strays_by_what_the_depth_leaves_over_the_freedoms_that_are_left() {
-        let found = Parallax::learn(&shots(1.5, 0.02), EYE, 7.0, None);
+        let found = Parallax::learn(&shots(1.5, 0.02), EYE, 7.0, SIDE_PX, None);
         let mut left = Vec::new();
         for dots in shots(1.5, 0.02) {
             for a in 0..2 {
-                let part = |d: &Located| d.moved_mm[a] - found.depth_mm * ([40.0, -30.0][a] - d.expected_mm[a]) / 200.0;
+                let part = |d: &Located| d.moved_mm[a] - found.depth_mm * slope(d.expected_mm)[a];
                 let mean = dots.iter().map(part).sum::<f64>() / 12.0;
                 left.extend(dots.iter().map(|d| (part(d) - mean).abs()));
             }
@@ -383,8 +401,9 @@ mod tests {
     #[test]
     fn a_depth_is_believed_from_four_standard_deviations_on() {
         // Of dots that stray by 0.0148 mm over tangents of 0.61 in all: 0.024 mm. In steps of a twelfth of that.
-        let found: Vec<Parallax> =
-            (0..75).map(|k| Parallax::learn(&shots(0.05 + 0.002 * f64::from(k), 0.02), EYE, 7.0, None)).collect();
+        let found: Vec<Parallax> = (0..75)
+            .map(|k| Parallax::learn(&shots(0.05 + 0.002 * f64::from(k), 0.02), EYE, 7.0, SIDE_PX, None))
+            .collect();
         let believed: Vec<f64> =
             found.iter().filter(|f| f.depth_mm > 0.0).map(|f| f.depth_mm / f.depth_sd_mm).collect();
         let least = believed.iter().copied().fold(f64::INFINITY, f64::min);

@@ -4,6 +4,7 @@ use super::bounds::{
     BOARD_ELSEWHERE_PX, FRAME_MOVED_PX, MAP_BENDS_PX, MOVED_SIGMA, SPREAD_VARIES_PX, STRIPES_LEFT_OUT, STRONG_BLUR_PX,
 };
 use super::record::catalogue;
+use crate::geometry::sight_angle;
 use crate::registration::SeenDepth;
 use crate::words::count;
 use serde::{Deserialize, Serialize};
@@ -135,16 +136,16 @@ impl fmt::Display for RegistrationWarning {
                 write!(f, "the pattern jumped before {list}{more}; the jumps are corrected, but something was touched")
             }
             Self::DriftFromLatticeDots { depth: Some(d) }
-                if d.tangent * d.depth_mm.max(d.sd_mm) >= LEAST_DEPTH_TOLD_MM =>
+                if d.slope * d.depth_mm.max(d.sd_mm) >= LEAST_DEPTH_TOLD_MM =>
             {
                 write!(
                     f,
                     "the patterns have no reference dots: drift is measured on the lattice dots, which is biased near edges of materials; seen {:.0}° off the normal, from a depth of {:.3} ± {:.3} mm over the refractive index, they lie {:.3} ± {:.3} mm beside their places",
-                    d.tangent.atan().to_degrees(),
+                    sight_angle(d.slope).to_degrees(),
                     d.depth_mm,
                     d.sd_mm,
-                    d.tangent * d.depth_mm,
-                    d.tangent * d.sd_mm
+                    d.slope * d.depth_mm,
+                    d.slope * d.sd_mm
                 )
             }
             Self::DriftFromLatticeDots { .. } => write!(

@@ -100,7 +100,7 @@ const WRITTEN: &[&str] = &[
     r#"{"warning":"camera-moved","first":"lattice 1","shots":1,"measured":9,"largest_px":0.75}"#,
     r#"{"warning":"drift-jumps","jumps":[{"shot":"lattice 3","length_px":1.25}]}"#,
     r#"{"warning":"drift-from-lattice-dots","depth":null}"#,
-    r#"{"warning":"drift-from-lattice-dots","depth":{"depth_mm":0.125,"sd_mm":0.0625,"tangent":0.5}}"#,
+    r#"{"warning":"drift-from-lattice-dots","depth":{"depth_mm":0.125,"sd_mm":0.0625,"slope":0.5}}"#,
     r#"{"warning":"drift-unmeasured","first":"lattice 1","shots":1}"#,
     r#"{"warning":"point-spread-unmeasured"}"#,
     r#"{"warning":"point-spread-varies","psf_px":0.5,"range_px":[0.4,0.7]}"#,

@@ -3,7 +3,7 @@
 use super::{DotSeen, STEP_SHARE, step_mm};
 use crate::capture::Pattern;
 use crate::cholesky::solve_small;
-use crate::geometry::{Point, sight_tangent};
+use crate::geometry::{Point, sight_slope};
 use crate::pipeline::BuildOptions;
 use crate::pipeline::lattice::ShotResult;
 use crate::pipeline::scene::Scene;
@@ -11,9 +11,9 @@ use crate::registration::{DEPTH_OF_HALF_LIGHT, median, scaled_deviation};
 use crate::warning::bounds::REFUSED_PROJECTOR_PX;
 use crate::{ConsistencyWarning, Result, Warning};
 
-/// The sharpest of the capture's dots lie this near to their places, camera px (docs/accuracy.md, "Geometry"): nearer
-/// is not told.
-const LEAST_PX: f64 = 0.12;
+/// The sharpest of the capture's dots lie this near to their places, in sides of a dot (docs/accuracy.md, "Geometry"):
+/// nearer is not told.
+const LEAST_DOT: f64 = 0.053;
 /// An offset is told from so many standard deviations on.
 const SIGMA: f64 = 6.0;
 /// A sample that is seen obliquely shows its dots beside their places, as their light leaves it from below: from no
@@ -33,8 +33,8 @@ const BOARD_LEAVES: f64 = 0.5;
 #[derive(Debug, Clone, Copy)]
 struct OffDot {
     dot: [usize; 2],
-    /// How far it is seen per depth that its light comes from: towards the camera's foot.
-    tangent: Point,
+    /// How far it is seen per depth over refractive index that its light comes from: towards the camera's foot.
+    lean: Point,
     off_mm: Point,
 }
 
@@ -45,8 +45,8 @@ pub(super) struct Common {
     half_light_mm: f64,
     /// What the radii of half of a row's light differ by: from the tenth to the ninetieth of a hundred.
     half_light_spread_mm: f64,
-    /// Medians: of the tangent of the line of sight, and of what dots are off by, mm.
-    tangent: Point,
+    /// Medians: of how far dots are seen per depth, and of what dots are off by, mm.
+    lean: Point,
     offset_mm: Point,
     /// The part of it that light from no depth explains, mm.
     unexplained_mm: Point,
@@ -69,8 +69,8 @@ impl Common {
                 all += 1;
                 if let DotSeen::At { off_mm } = at {
                     let p = scene.nominal_mm(dot);
-                    let tangent = eye_mm.map_or([0.0; 2], |eye| sight_tangent(eye, p));
-                    seen.push(OffDot { dot, tangent, off_mm: *off_mm });
+                    let lean = eye_mm.map_or([0.0; 2], |eye| sight_slope(eye, p));
+                    seen.push(OffDot { dot, lean, off_mm: *off_mm });
                 }
             }
         }
@@ -84,17 +84,17 @@ impl Common {
         let seen = if near.len() >= 3.max(seen.len() / 20) { near } else { seen };
         let middle = |of: &dyn Fn(&OffDot) -> f64| median(&mut seen.iter().map(of).collect::<Vec<_>>());
         let offset_mm = [0, 1].map(|a| middle(&|s| s.off_mm[a]));
-        let tangent = [0, 1].map(|a| middle(&|s| s.tangent[a]));
-        let square = tangent[0].powi(2) + tangent[1].powi(2);
-        let depth = (offset_mm[0] * tangent[0] + offset_mm[1] * tangent[1]) / square.max(1e-12);
+        let lean = [0, 1].map(|a| middle(&|s| s.lean[a]));
+        let square = lean[0].powi(2) + lean[1].powi(2);
+        let depth = (offset_mm[0] * lean[0] + offset_mm[1] * lean[1]) / square.max(1e-12);
         let half_light_mm = median(&mut depths);
         let [low, high] = [0.1, 0.9].map(|share| depths[(share * (depths.len() - 1) as f64).round() as usize]);
         let half_light_spread_mm = high - low;
         let depth_mm = depth.clamp(0.0, DEEPEST * half_light_mm);
-        let unexplained_mm = [0, 1].map(|a| offset_mm[a] - depth_mm * tangent[a]);
+        let unexplained_mm = [0, 1].map(|a| offset_mm[a] - depth_mm * lean[a]);
         let spread = [0, 1].map(|a| scaled_deviation(seen.iter().map(|s| s.off_mm[a]), offset_mm[a]));
         let sd_mm = scene.registration.position_sd_mm.hypot(spread[0].max(spread[1]) / (seen.len() as f64).sqrt());
-        Some(Self { seen, half_light_mm, half_light_spread_mm, tangent, offset_mm, unexplained_mm, sd_mm, found })
+        Some(Self { seen, half_light_mm, half_light_spread_mm, lean, offset_mm, unexplained_mm, sd_mm, found })
     }
 
     /// What a dot is off by beyond what all are.
@@ -117,8 +117,8 @@ impl Common {
         let scatter_mm = x.scatter.max(y.scatter);
         let found_mm = [0, 1].map(|k| [x.slope[k], y.slope[k]]);
         // The same of the line of sight, per depth: light from one depth is seen nearer to the camera's foot.
-        let tangents = [0, 1].map(|a| plane(&self.seen, grid.points, |s| s.tangent[a]).map_or([0.0; 2], |p| p.slope));
-        let leans = [0, 1].map(|k| [tangents[0][k], tangents[1][k]]);
+        let leanings = [0, 1].map(|a| plane(&self.seen, grid.points, |s| s.lean[a]).map_or([0.0; 2], |p| p.slope));
+        let leans = [0, 1].map(|k| [leanings[0][k], leanings[1][k]]);
         // An axis that is not stretched tells the depth: the one whose depth is nearer to what media have.
         let depth_of = |k: usize| {
             let square = leans[k][0].powi(2) + leans[k][1].powi(2);
@@ -130,14 +130,21 @@ impl Common {
         let depth_mm = depths.min_by(|a, b| (a - usual_mm).abs().total_cmp(&(b - usual_mm).abs())).unwrap_or(0.0);
         let far_mm = [0, 1].map(|k| [0, 1].map(|a| found_mm[k][a] - depth_mm * leans[k][a]));
         let length = |v: Point| v[0].hypot(v[1]);
-        let sd_far_mm = scatter_mm * (12.0 / self.seen.len() as f64).sqrt();
+        // The map that says where dots should be has a scale of its own uncertainty.
+        let map_mm = [0, 1].map(|k| {
+            let side_px = steps[k] * grid.step_projector_px[k];
+            let [[a, b], [c, d]] = scene.registration.slab_from_projector.jacobian(middle);
+            scene.registration.projector_scale_sd[k] * side_px * if k == 0 { a.hypot(c) } else { b.hypot(d) }
+        });
+        let sd_far_mm = (scatter_mm * (12.0 / self.seen.len() as f64).sqrt()).hypot(map_mm[0].max(map_mm[1]));
         // Of two media light comes from different depths.
-        let all = |a: usize| self.seen.iter().map(move |s| s.tangent[a].abs());
+        let all = |a: usize| self.seen.iter().map(move |s| s.lean[a].abs());
         let aslant = [0, 1].map(|a| all(a).fold(0.0, f64::max));
         let explained_mm =
             (self.half_light_spread_mm * length(aslant)).max(scatter_mm / RAMP_SCATTER).max(SIGMA * sd_far_mm);
         let far_px = |far_mm: Point| length(projector_px(scene, middle, far_mm));
-        let is_told = |far_mm: &Point| length(*far_mm) > explained_mm.max(LEAST_PX / scene.px_per_mm);
+        let is_told =
+            |far_mm: &Point| length(*far_mm) > explained_mm.max(LEAST_DOT * scene.dot_side_px() / scene.px_per_mm);
         let told: Vec<f64> = far_mm.iter().filter(|far| is_told(far)).map(|far| far_px(*far)).collect();
         let Some(most_px) = told.into_iter().reduce(f64::max).filter(|_| self.found >= 0.5) else { return Ok(None) };
         let per_step = |k: usize| projector_px(scene, middle, far_mm[k]).map(|v| v / steps[k].max(1.0));
@@ -168,7 +175,10 @@ impl Common {
         let length_mm = self.unexplained_mm[0].hypot(self.unexplained_mm[1]);
         let unexplained_px = projector_px(scene, middle, self.unexplained_mm);
         let unexplained_px = unexplained_px[0].hypot(unexplained_px[1]);
-        if length_mm * scene.px_per_mm < LEAST_PX || length_mm < SIGMA * self.sd_mm || self.found < 0.5 {
+        if length_mm * scene.px_per_mm < LEAST_DOT * scene.dot_side_px()
+            || length_mm < SIGMA * self.sd_mm
+            || self.found < 0.5
+        {
             return Ok(None);
         }
         // Which of them moved: at the first shot the one that lies where the Gray code puts it is right.
@@ -194,7 +204,7 @@ impl Common {
     /// one axis or both: a mirrored or turned board says that it does.
     fn fits_another_board(&self, unexplained_mm: f64) -> bool {
         [[-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]].into_iter().any(|side| {
-            let t = [0, 1].map(|a| side[a] * self.tangent[a]);
+            let t = [0, 1].map(|a| side[a] * self.lean[a]);
             let along = |v: Point| v[0] * t[0] + v[1] * t[1];
             let depth_mm = along(self.offset_mm) / along(t).max(1e-12);
             let left = [0, 1].map(|a| self.offset_mm[a] - depth_mm * t[a]);
@@ -269,7 +279,7 @@ mod tests {
         places
             .map(|dot| {
                 let off = off(dot[0] as f64 / 6.0 - 0.5, dot[1] as f64 / 4.0 - 0.5) + noise(dot);
-                OffDot { dot, tangent: [0.0; 2], off_mm: [off, 0.0] }
+                OffDot { dot, lean: [0.0; 2], off_mm: [off, 0.0] }
             })
             .collect()
     }

@@ -2,7 +2,7 @@
 
 use super::{Compared, FARTHEST, LEAST_VALUES, SEEN_SIGMA, SIGMA, Seen, of, sd_of_median};
 use crate::ConsistencyWarning;
-use crate::geometry::{Point, sight_tangent};
+use crate::geometry::{Point, sight_slope};
 use crate::pipeline::scene::Scene;
 use crate::registration::median;
 
@@ -19,7 +19,7 @@ impl Compared {
     pub(super) fn offset_of_depth(&self, scene: &Scene<'_>) -> Point {
         let Some(eye_mm) = scene.registration.view.eye_mm() else { return self.offset_mm };
         let middle = |a: usize| median(&mut self.lit.iter().flatten().map(|l| l.at_mm[a]).collect::<Vec<_>>());
-        let tangent = sight_tangent(eye_mm, [middle(0), middle(1)]);
+        let tangent = sight_slope(eye_mm, [middle(0), middle(1)]);
         let [x, y] = self.way().map_or([0.0; 2], |way| {
             let step = scene.steps_mm();
             [0, 1].map(|a| way[0] as f64 * step[0][a] + way[1] as f64 * step[1][a])
