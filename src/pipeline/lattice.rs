@@ -11,7 +11,7 @@ use super::sink::RowSink;
 use crate::capture::{Sampling, Window};
 use crate::geometry::Point;
 use crate::progress::Progress;
-use crate::radiance::{Bracket, Curve, Radiance, StrayLight};
+use crate::radiance::{Bracket, Radiance, StrayLight};
 use crate::registration::{CameraMotion, Drift};
 use crate::response::{CellWeights, Flux, LitDot, RowFindings, WindowGrid, extract_row, window_rect};
 use crate::transport::Row;
@@ -226,8 +226,8 @@ fn extract_shot(
     let seen = search.look(scene, shot, registration, drift, &windows);
 
     // What all samples of a row have in common: the lamp, and the response curve's own error.
-    let curve_variance = scene.photographs.sensor.curve().map_or(0.0, Curve::relative_variance);
-    let common_variance = flicker_variance + curve_variance + scene.registration.dot_area_variance();
+    let codes_variance = scene.photographs.sensor.codes_variance();
+    let common_variance = flicker_variance + codes_variance + scene.registration.dot_area_variance();
     let mut weights = cell_weights(scene, windows.first().map_or(Sampling::WHOLE, Bracket::sampling));
     let centers: Vec<Point> =
         dots.iter().map(|&d| scene.nominal_mm(d)).map(|p| [p[0] + moved[0], p[1] + moved[1]]).collect();

@@ -105,6 +105,9 @@ const WHOLE_RANGE: f32 = 100.0;
 /// Standard deviation of floating-point values of a rig without noise (a rendered capture), of the range: what sums of
 /// f32 are good to. The best sensors have a hundred times as much.
 const LEAST_SD: f32 = 1e-6;
+/// What the light of a capture is off by in a channel, relative, over what the mean of a flat patch is, code values. Of 12
+/// random JPEG captures (quality 95: 0.5 code values) albedos are off by 0.17, 0.47 and 0.31 % RMS in R, G, B.
+const LIGHT_PER_FLAT_CODE: f64 = 0.007;
 /// Entries of the table of variances.
 const ROOTS: usize = 1024;
 
@@ -274,6 +277,14 @@ impl Sensor {
         self.encoding.as_ref().map(|e| e.light.clone())
     }
 
+    /// Relative variance of light by its code values, which all rows have in common: of the curve, where it was
+    /// estimated, and of colours that compression rounds alike wherever they are.
+    pub fn codes_variance(&self) -> f64 {
+        let curve = self.curve().map_or(0.0, Curve::relative_variance);
+        let flat = if self.is_compressed() { self.file.flat.iter().sum::<f64>() / 3.0 } else { 0.0 };
+        curve + LIGHT_PER_FLAT_CODE * LIGHT_PER_FLAT_CODE * flat
+    }
+
     /// The response curve; `None` when it is linear.
     pub fn curve(&self) -> Option<&Curve> {
         self.encoding.as_ref().map(|e| &e.curve)
@@ -365,6 +376,10 @@ mod tests {
             assert_eq!(compressed.rounding(150.0, c), 0.0);
         }
         assert!(!FileNoise::default().is_compressed());
+        // 0.007 · √0.25 of light: a third of a per cent.
+        let flat = FileNoise { compression: [1.0; 3], flat: [0.1, 0.25, 0.4], ..FileNoise::default() };
+        assert!((Sensor::with_curve(&NOISE, None, flat).codes_variance() - 3.5e-3f64.powi(2)).abs() < 1e-15);
+        assert_eq!(sensor.codes_variance(), 0.0);
         assert!(FileNoise { sixteen_bit: true, compression: [0.0, 0.0, 0.1], ..FileNoise::default() }.is_compressed());
     }
 
