@@ -165,7 +165,9 @@ impl SimulatedScene {
         let reach = 0.1 * (self.slab_size_mm[0] + 2.0 * self.frame_mm);
         let corner = [n, n / 2].map(|bit| if bit.is_multiple_of(2) { reach } else { -reach });
         let c = self.center_mm();
-        let place = [c[0] + corner[0], c[1] + corner[1], -0.35 * self.eye_mm[2]];
+        // Along the line of sight, so that an oblique camera keeps it in view.
+        let at = [c[0] + corner[0], c[1] + corner[1], 0.0];
+        let place: [f64; 3] = std::array::from_fn(|a| at[a] + 0.35 * (at[a] - self.eye_mm[a]));
         let from = |v: [f64; 3], one: f64| {
             std::array::from_fn::<f64, 3, _>(|i| x[i] * v[0] + y[i] * v[1] + z[i] * v[2] + one * t[i])
         };
