@@ -1,6 +1,7 @@
 //! What stands where a matrix is to go: replaced only when this program has made it, and nobody has changed it since.
 
 use super::checksum::{self, Checksums};
+use super::store_files::StoreFiles;
 use crate::{Error, Result};
 use serde_json::{Map, Value};
 use std::path::{Path, PathBuf};
@@ -50,7 +51,7 @@ fn unchanged(path: &Path, attributes: &Map<String, Value>) -> bool {
     let Some(covered) = attributes.get(checksum::GROUP).map(|group| &group["attributes"]) else { return true };
     let known =
         |name: &String| name == checksum::GROUP || covered.as_array().is_some_and(|a| a.iter().any(|v| v == name));
-    attributes.keys().all(known) && matches!(Checksums::open(path, attributes), Ok(Some(_)))
+    attributes.keys().all(known) && matches!(Checksums::open(&StoreFiles::at(path), attributes), Ok(Some(_)))
 }
 
 /// A file in the folder of a matrix that is none of its own.

@@ -2,6 +2,8 @@
 
 pub mod arrays;
 mod checksum;
+mod chunk_grid;
+mod chunk_writer;
 pub mod common;
 mod earlier;
 pub mod normalize;
@@ -13,6 +15,7 @@ mod row_array;
 pub mod rows;
 mod scratch_rows;
 mod store;
+mod store_files;
 mod whole_chunk;
 mod writer;
 

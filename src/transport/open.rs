@@ -4,6 +4,7 @@
 use super::checksum::Checksums;
 use super::row_array::{AXES, RowArray, RowLayout, check_chunks, check_metadata, dimension_names, wide_numbers};
 use super::store::{COMMON, FORMATS, LARGEST_MM, MOST_POINTS, MOST_SAMPLES, MatrixHeader, ShotRecord};
+use super::store_files::StoreFiles;
 use super::{CHANNELS, CommonErrors};
 use crate::geometry::Point;
 use crate::{Error, Result};
@@ -12,7 +13,6 @@ use serde_json::{Map, Value};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use zarrs::array::{Array, ArrayCreateError, data_type};
-use zarrs::filesystem::FilesystemStore;
 
 /// Lit points up to this number are believed whatever a store holds: their places take 40 MB.
 const FEW_POINTS: usize = 1 << 20;
@@ -249,7 +249,7 @@ pub(super) fn distance(lit_mm: &[Point], [nx, ny]: [usize; 2], axis: usize) -> O
 /// The group of a store, and its arrays by name.
 struct StoreGroup {
     path: PathBuf,
-    store: Arc<FilesystemStore>,
+    store: Arc<StoreFiles>,
     attributes: Map<String, Value>,
     checksums: Option<Checksums>,
 }
@@ -267,23 +267,22 @@ impl StoreGroup {
             expected: expected.into(),
             found,
         };
-        if !["zarr.json", ".zgroup"].iter().any(|name| path.join(name).is_file()) {
-            let found = match (path.join(".zarray").is_file(), path.is_dir()) {
+        let store = Arc::new(StoreFiles::at(path));
+        if !["zarr.json", ".zgroup"].iter().any(|name| store.is_file(name)) {
+            let found = match (store.is_file(".zarray"), path.is_dir()) {
                 (true, _) => "an array",
                 (false, true) => "a folder without zarr.json",
                 (false, false) => "a file",
             };
             return Err(unfit("a Zarr group with the array response", found.into()));
         }
-        let store = FilesystemStore::new(path).map_err(|e| unfit("a Zarr group", e.to_string()))?;
-        let store = Arc::new(store);
         let group = zarrs::group::Group::open(store.clone(), "/")
             .map_err(|e| unfit("a Zarr group with the array response", e.to_string()))?;
         let mut group =
             Self { path: path.to_path_buf(), store, attributes: group.attributes().clone(), checksums: None };
         // Before the checksum: a later version may have another.
         group.check_format()?;
-        group.checksums = Checksums::open(path, &group.attributes).map_err(|reason| group.broken(reason))?;
+        group.checksums = Checksums::open(&group.store, &group.attributes).map_err(|reason| group.broken(reason))?;
         Ok(group)
     }
 
@@ -319,16 +318,15 @@ impl StoreGroup {
         }
     }
 
-    fn array(&self, name: &str) -> Result<Option<Array<FilesystemStore>>> {
-        let folder = self.path.join(name);
-        if !["zarr.json", ".zarray"].iter().any(|file| folder.join(file).is_file()) {
-            return match folder.is_dir() {
+    fn array(&self, name: &str) -> Result<Option<Array<StoreFiles>>> {
+        if !["zarr.json", ".zarray"].iter().any(|file| self.store.is_file(&format!("{name}/{file}"))) {
+            return match self.store.is_folder(name) {
                 true => Err(self.broken(format!("array {name}: zarr.json is missing"))),
                 false => Ok(None),
             };
         }
         let part = format!("array {name}");
-        check_metadata(&folder).map_err(|reason| self.broken(format!("{part}: {reason}")))?;
+        check_metadata(&self.store, name).map_err(|reason| self.broken(format!("{part}: {reason}")))?;
         match Array::open(self.store.clone(), &format!("/{name}")) {
             Ok(array) => Ok(Some(array)),
             Err(e @ ArrayCreateError::CodecsCreateError(_)) => {
@@ -365,7 +363,7 @@ impl StoreGroup {
     }
 
     /// Refuses another unit than this store's, where an array states one.
-    fn check_unit(&self, name: &str, array: &Array<FilesystemStore>) -> Result<()> {
+    fn check_unit(&self, name: &str, array: &Array<StoreFiles>) -> Result<()> {
         let unit = match name {
             "response" | "common_sd" => 0,
             "variance" => 1,
@@ -474,28 +472,12 @@ impl StoreGroup {
         if rows <= FEW_POINTS {
             return Ok(());
         }
-        let bytes = size(&self.path.join("response")).map_err(Error::io("read", &self.path))?;
+        let bytes = self.store.bytes("response").map_err(Error::io("read", &self.path))?;
         match rows / POINTS_A_BYTE <= usize::try_from(bytes).unwrap_or(usize::MAX) {
             true => Ok(()),
             false => Err(self.broken(format!("array response: {rows} rows in {bytes} bytes"))),
         }
     }
-}
-
-/// Bytes of all files of a folder.
-fn size(folder: &Path) -> std::io::Result<u64> {
-    let mut sum = 0;
-    let mut folders = vec![folder.to_path_buf()];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder)? {
-            let entry = entry?;
-            match entry.file_type()?.is_dir() {
-                true => folders.push(entry.path()),
-                false => sum += entry.metadata()?.len(),
-            }
-        }
-    }
-    Ok(sum)
 }
 
 /// Long values at a glance.

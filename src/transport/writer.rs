@@ -1,5 +1,6 @@
 //! Writing a matrix: rows wait until all are there, then the store is written and takes its place.
 
+use super::chunk_writer::{Chunking, RowsArray};
 use super::part::RowsAt;
 use super::scratch_rows::ScratchRows;
 use super::store::{COMMON, FORMAT, MatrixHeader, Row, RowBlock};
@@ -10,18 +11,16 @@ use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use zarrs::array::codec::{Crc32cCodec, ZstdCodec};
-use zarrs::array::{Array, ArrayBuilder, ArraySubset, BytesToBytesCodecTraits, ChunkKeySeparator, data_type};
+use zarrs::array::{ArrayBuilder, BytesToBytesCodecTraits, data_type};
 use zarrs::filesystem::FilesystemStore;
 
 /// Whatever the Zarr crate answers; turned into ours at the public functions.
-type BoxedError = Box<dyn std::error::Error + Send + Sync>;
+pub(super) type BoxedError = Box<dyn std::error::Error + Send + Sync>;
 /// Gives consecutive rows.
 type BlockSource<'a> = dyn Fn(std::ops::Range<usize>) -> Result<RowBlock> + Sync + 'a;
-/// A chunk holds about this many bytes of responses: large enough for the disk, small enough to stream.
-const CHUNK_BYTES: usize = 4 << 20;
 /// Negative levels leave the bytes that do not repeat as they are: decoding is twice as fast as at level 1, for a tenth
 /// more bytes of measured noise, which no level compresses by much.
-const ZSTD_LEVEL: i32 = -1;
+pub(super) const ZSTD_LEVEL: i32 = -1;
 
 /// Writes a matrix. Rows come in any order from any thread; nothing appears under the final name before
 /// [`Self::finish`].
@@ -36,6 +35,8 @@ pub struct MatrixWriter {
     rows: ScratchRows,
     /// Whether rows outlive the writing of the store.
     stays: bool,
+    /// Instead of [`Chunking::of`] the header.
+    chunking: Option<Chunking>,
 }
 
 impl MatrixWriter {
@@ -77,7 +78,13 @@ impl MatrixWriter {
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let folder = scratch(parent, path)?;
         let rows = ScratchRows::new(&folder, header.rows(), header.row_len()).map_err(Error::io("create", path))?;
-        Ok(Self { path: path.clone(), header, folder, replaces, rows, stays: false })
+        Ok(Self { path: path.clone(), header, folder, replaces, rows, stays: false, chunking: None })
+    }
+
+    /// With chunks and shards as they are asked for: those of large matrices, in small ones.
+    #[cfg(test)]
+    pub(super) fn chunked(self, chunking: Chunking) -> Self {
+        Self { chunking: Some(chunking), ..self }
     }
 
     /// What will be written besides the rows.
@@ -206,33 +213,39 @@ impl MatrixWriter {
         attributes.insert("findings".into(), serde_json::to_value(findings)?);
         self.write_coordinates(&store)?;
 
-        let arrays =
-            ["response", "variance"].map(|name| rows_array(header, &store, name, data_type::float32(), f32::NAN));
-        let [response, variance] = arrays;
-        let (response, variance) = (response?, variance?);
-        let valid = rows_array(header, &store, "valid", data_type::uint8(), u8::MAX)?;
-        for array in [&response, &variance, &valid] {
-            array.store_metadata()?;
-        }
-        let chunks: Vec<_> = chunks(header).collect();
-        chunks.into_par_iter().try_for_each(|rows| {
-            let mut block = block(rows.clone())?;
-            let n = rows.len() * header.row_len();
-            if [block.response.len(), block.variance.len(), block.valid.len()] != [n; 3] {
-                return Err(Error::internal(format_args!("rows {rows:?} do not fit the matrix")).into());
-            }
-            let not = block.valid.iter().enumerate().filter(|(_, v)| **v == 0).map(|(k, _)| k);
-            not.for_each(|k| (block.response[k], block.variance[k]) = (f32::NAN, f32::NAN));
-            let subset = subset(header, rows);
-            response.store_array_subset(&subset, block.response)?;
-            variance.store_array_subset(&subset, block.variance)?;
-            valid.store_array_subset(&subset, block.valid)?;
-            Ok::<_, BoxedError>(())
-        })?;
+        self.write_rows(store_path, block)?;
         // Last, as it has the checksum of all metadata.
         attributes.insert(checksum::GROUP.into(), checksum::seal(store_path, &attributes)?);
         zarrs::group::GroupBuilder::new().attributes(attributes).build(store, "/")?.store_metadata()?;
         Ok(())
+    }
+
+    fn write_rows(&self, root: &Path, block: &BlockSource<'_>) -> Result<(), BoxedError> {
+        let header = &self.header;
+        let chunking = self.chunking.unwrap_or(Chunking::of(header));
+        let response = RowsArray::create(header, chunking, root, "response", data_type::float32(), f32::NAN)?;
+        let variance = RowsArray::create(header, chunking, root, "variance", data_type::float32(), f32::NAN)?;
+        let valid = RowsArray::create(header, chunking, root, "valid", data_type::uint8(), u8::MAX)?;
+        chunking.files(header).into_par_iter().try_for_each(|chunks| {
+            let first = chunks[0].start;
+            let (mut responses, mut variances) = (response.file(first)?, variance.file(first)?);
+            let mut flags = valid.file(first)?;
+            for rows in chunks {
+                let mut block = block(rows.clone())?;
+                let n = rows.len() * header.row_len();
+                if [block.response.len(), block.variance.len(), block.valid.len()] != [n; 3] {
+                    return Err(Error::internal(format_args!("rows {rows:?} do not fit the matrix")).into());
+                }
+                let not = block.valid.iter().enumerate().filter(|(_, v)| **v == 0).map(|(k, _)| k);
+                not.for_each(|k| (block.response[k], block.variance[k]) = (f32::NAN, f32::NAN));
+                responses.put(rows.start, block.response)?;
+                variances.put(rows.start, block.variance)?;
+                flags.put(rows.start, block.valid)?;
+            }
+            responses.finish()?;
+            variances.finish()?;
+            flags.finish()
+        })
     }
 
     fn write_coordinates(&self, store: &Arc<FilesystemStore>) -> Result<(), BoxedError> {
@@ -273,31 +286,8 @@ impl MatrixWriter {
     }
 }
 
-/// Ranges of rows that lie in one chunk each.
-pub(super) fn chunks(header: &MatrixHeader) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
-    let (nx, step) = (header.points[0], chunk_rows(header));
-    (0..header.points[1]).flat_map(move |y| (0..nx).step_by(step).map(move |x| y * nx + x..y * nx + (x + step).min(nx)))
-}
-
-fn chunk_rows(header: &MatrixHeader) -> usize {
-    let most = (CHUNK_BYTES / (4 * header.row_len())).clamp(1, header.points[0]);
-    let nx = header.points[0];
-    // Equal chunks along a line, of at least half as many rows as may be; else the last one is padded to the size of
-    // the others.
-    let equal = (most.div_ceil(2)..=most).rev().find(|&n| nx.is_multiple_of(n));
-    equal.unwrap_or(nx.div_ceil(nx.div_ceil(most)))
-}
-
-/// The part of a row array that holds `rows`, all of one y_i.
-fn subset(header: &MatrixHeader, rows: std::ops::Range<usize>) -> ArraySubset {
-    let (nx, [wx, wy]) = (header.points[0], header.window);
-    let (y, x) = ((rows.start / nx) as u64, (rows.start % nx) as u64);
-    let n = rows.len() as u64;
-    ArraySubset::new_with_ranges(&[y..y + 1, x..x + n, 0..wy as u64, 0..wx as u64, 0..CHANNELS as u64])
-}
-
 /// The attributes of an array: its unit, and what else there is to say.
-fn units(name: &str, more: &[(&str, &str)]) -> serde_json::Map<String, serde_json::Value> {
+pub(super) fn units(name: &str, more: &[(&str, &str)]) -> serde_json::Map<String, serde_json::Value> {
     let unit = match name {
         "response" => "mm^-2",
         "variance" => "mm^-4",
@@ -307,29 +297,6 @@ fn units(name: &str, more: &[(&str, &str)]) -> serde_json::Map<String, serde_jso
     };
     let all = [("units", unit)].into_iter().chain(more.iter().copied());
     all.map(|(key, value)| (key.to_owned(), value.into())).collect()
-}
-
-fn rows_array<F>(
-    header: &MatrixHeader,
-    store: &Arc<FilesystemStore>,
-    name: &str,
-    data_type: zarrs::array::DataType,
-    fill: F,
-) -> Result<Array<FilesystemStore>, zarrs::array::ArrayCreateError>
-where
-    F: Into<zarrs::array::FillValue>,
-{
-    let ([nx, ny], [wx, wy]) = (header.points, header.window);
-    let shape = [ny, nx, wy, wx, CHANNELS].map(|n| n as u64);
-    let chunk = [1, chunk_rows(header), wy, wx, CHANNELS].map(|n| n as u64);
-    ArrayBuilder::new(shape.to_vec(), chunk.to_vec(), data_type, fill.into())
-        .dimension_names(["y_i", "x_i", "dy", "dx", "channel"].into())
-        // The CF convention by which xarray takes the lit points' places for coordinates.
-        .attributes(units(name, &[("coordinates", "x_i_mm y_i_mm")]))
-        .bytes_to_bytes_codecs(vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, false)), Arc::new(Crc32cCodec::new())])
-        // One file a chunk in one folder: five nested folders for each would cost more than the data.
-        .chunk_key_encoding_default_separator(ChunkKeySeparator::Dot)
-        .build(store.clone(), &format!("/{name}"))
 }
 
 fn small_array<T: zarrs::array::Element>(

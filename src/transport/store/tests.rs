@@ -1,5 +1,5 @@
 use super::*;
-use crate::transport::writer::chunks;
+use crate::transport::chunk_writer::Chunking;
 use crate::transport::{CommonOfAll, MatrixReader, MatrixWriter, checksum};
 use std::path::Path;
 use std::sync::Arc;
@@ -190,7 +190,7 @@ fn rows_of_several_chunks_are_read_across_their_borders() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.rd.zarr");
     let header = MatrixHeader { window: [301, 201], ..header([7, 2], [301, 201]) };
-    assert_eq!(chunks(&header).collect::<Vec<_>>(), [0..4, 4..7, 7..11, 11..14]);
+    assert_eq!(Chunking::of(&header).files(&header), [0..4, 4..7, 7..11, 11..14].map(|chunk| vec![chunk]));
     let n = header.row_len();
     let writer = MatrixWriter::create(&path, header).unwrap();
     for index in 0..14 {
