@@ -25,7 +25,7 @@ pub(super) const GROUP: &str = "checksum";
 /// The arrays of rows, in many chunks.
 pub(super) const ROWS: [&str; 3] = ["response", "variance", "valid"];
 /// All arrays of a store.
-pub(super) const ARRAYS: [&str; 11] = [
+pub(super) const ARRAYS: [&str; 14] = [
     "common_sd",
     "dx",
     "dy",
@@ -33,6 +33,9 @@ pub(super) const ARRAYS: [&str; 11] = [
     "response",
     "row_scale_sd",
     "shot",
+    "shot_drift_px",
+    "shot_drift_sd_px",
+    "shot_name",
     "valid",
     "variance",
     "x_i_mm",
@@ -40,6 +43,8 @@ pub(super) const ARRAYS: [&str; 11] = [
 ];
 /// Those that are there with the attribute [`COMMON`] only.
 pub(super) const OF_COMMON: [&str; 2] = ["common_sd", "row_scale_sd"];
+/// Those that are there when the attribute `shots` counts some.
+pub(super) const OF_SHOTS: [&str; 3] = ["shot_drift_px", "shot_drift_sd_px", "shot_name"];
 /// In the list for a chunk that is not written, as nothing in it was measured.
 const NO_CHUNK: [u8; CHECKSUM] = [0xff; CHECKSUM];
 
@@ -49,7 +54,7 @@ const NO_CHUNK: [u8; CHECKSUM] = [0xff; CHECKSUM];
 /// # Errors
 /// In words, what cannot be read or written.
 pub(super) fn seal(root: &Path, attributes: &Map<String, Value>) -> Result<Value, String> {
-    let files = StoreFiles::at(root);
+    let files = StoreFiles::Folder(root.to_path_buf());
     let mut arrays = metadata(&files)?;
     for (name, array) in &mut arrays {
         let grid = ChunkGrid::of(name, array)?;
@@ -116,7 +121,10 @@ impl Checksums {
         if arrays.is_empty() || !arrays.iter().all(|(name, array)| as_written(name, array)) {
             return Ok(None);
         }
-        let expected = |name: &&str| !OF_COMMON.contains(name) || attributes.contains_key(COMMON);
+        let shots = attributes.get("shots").and_then(Value::as_u64).is_some_and(|shots| shots > 0);
+        let expected = |name: &&str| {
+            (!OF_COMMON.contains(name) || attributes.contains_key(COMMON)) && (!OF_SHOTS.contains(name) || shots)
+        };
         if let Some(name) = ARRAYS.into_iter().filter(expected).find(|name| !arrays.contains_key(name)) {
             return Err(format!("array {name}: zarr.json is missing"));
         }
@@ -156,7 +164,8 @@ impl Checksums {
     /// Whether the folder of an array of rows has the files of all its chunks and of no others.
     fn check_names(&self, name: &str) -> Result<(), String> {
         let Some((grid, sums)) = self.arrays.get(name) else { return Ok(()) };
-        let mut found = self.files.names(name).map_err(|e| format!("array {name}: {e}"))?;
+        let found = self.files.names(name).map_err(|e| format!("array {name}: {e}"))?;
+        let Some(mut found) = found else { return Ok(()) };
         let mut before = String::new();
         for (at, sum) in sums.iter().enumerate() {
             let file = file_name(&grid.file(at));
@@ -205,13 +214,22 @@ fn file_name(chunk: &str) -> String {
     chunk.rsplit('/').next().unwrap_or_default().to_owned()
 }
 
+/// Whether the numbers of a small array repeat often, or are nearly constant.
+pub(super) fn is_compressed(name: &str) -> bool {
+    OF_COMMON.contains(&name) || OF_SHOTS.contains(&name)
+}
+
 /// Whether an array's chunks have the codecs and names that this program gives them.
 fn as_written(name: &str, array: &Value) -> bool {
     if ROWS.contains(&name) {
         return rows_as_written(array);
     }
     let separator = array.pointer("/chunk_key_encoding/configuration/separator");
-    let expected = if OF_COMMON.contains(&name) { "bytes zstd crc32c" } else { "bytes crc32c" };
+    let expected = match name {
+        "shot_name" => "vlen-utf8 zstd crc32c",
+        _ if is_compressed(name) => "bytes zstd crc32c",
+        _ => "bytes crc32c",
+    };
     codecs(&array["codecs"]) == expected && separator.is_none_or(|s| s == "/")
 }
 

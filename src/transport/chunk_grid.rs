@@ -124,7 +124,7 @@ impl ChunkGrid {
         format!("{}/{folder}{}", self.name, indices.join(separator))
     }
 
-    /// Whether a shard has several chunks: its file is there though none of them may be written.
+    /// Whether chunks are in shards, whose files are there though none of their chunks may be written.
     pub(super) fn is_sharded(&self) -> bool {
         self.shards.is_some()
     }

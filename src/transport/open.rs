@@ -3,9 +3,10 @@
 
 use super::checksum::Checksums;
 use super::row_array::{AXES, RowArray, RowLayout, check_chunks, check_metadata, dimension_names, wide_numbers};
-use super::store::{COMMON, FORMATS, LARGEST_MM, MOST_POINTS, MOST_SAMPLES, MatrixHeader, ShotRecord};
+use super::store::{COMMON, FORMATS, LARGEST_MM, MOST_POINTS, MOST_SAMPLES, MatrixHeader, ShotRecord, most_shots};
 use super::store_files::StoreFiles;
 use super::{CHANNELS, CommonErrors};
+use crate::files::is_url;
 use crate::geometry::Point;
 use crate::{Error, Result};
 use serde::de::DeserializeOwned;
@@ -159,9 +160,7 @@ fn header(group: &StoreGroup, layout: &RowLayout, pitch_mm: f64) -> Result<Matri
         position_sd_mm: Vec::new(),
         shot_of: Vec::new(),
         common: None,
-        shots: group
-            .attribute::<Vec<ShotRecord>>("shots", "a list of {name, drift_px, drift_sd_px}")?
-            .unwrap_or_default(),
+        shots: shots(group, points[0] * points[1])?,
         camera_px_per_mm: group.attribute("camera_px_per_mm", "a number")?,
         warnings: group.attribute("warnings", "findings that this version of acquire knows")?.unwrap_or_default(),
         provenance: group.attributes.get("provenance").cloned().unwrap_or_default(),
@@ -193,11 +192,7 @@ fn header(group: &StoreGroup, layout: &RowLayout, pitch_mm: f64) -> Result<Matri
     let shots = header.shots.len() as f64;
     let shot = group.over_points("shot", points)?.unwrap_or_else(|| vec![-1.0; header.rows()]);
     if let Some(v) = shot.iter().find(|v| **v >= shots || **v < -1.0 || v.fract() != 0.0) {
-        return Err(group.unfit(
-            "array shot",
-            format!("-1, or numbers below {shots}, the length of the attribute shots"),
-            v,
-        ));
+        return Err(group.unfit("array shot", format!("-1, or numbers below {shots}, of which there are names"), v));
     }
     header.shot_of = shot.into_iter().map(|v| (v >= 0.0).then_some(v as usize)).collect();
     header.common = common_errors(group, layout)?;
@@ -223,6 +218,30 @@ fn common_errors(group: &StoreGroup, layout: &RowLayout) -> Result<Option<Common
         common.sample_sd[at..at + CHANNELS].copy_from_slice(&sd);
     }
     Ok(Some(common))
+}
+
+/// The lattice shots: arrays that the attribute `shots` counts; in older stores, and in those of others, a list there.
+fn shots(group: &StoreGroup, rows: usize) -> Result<Vec<ShotRecord>> {
+    let Some(count) = group.attributes.get("shots").and_then(Value::as_u64) else {
+        let expected = "the number of the lattice shots, or a list of {name, drift_px, drift_sd_px}";
+        return Ok(group.attribute("shots", expected)?.unwrap_or_default());
+    };
+    let most = most_shots(rows);
+    let count = usize::try_from(count).ok().filter(|count| *count <= most);
+    let count = count.ok_or_else(|| group.unfit("attribute shots", format!("at most {most}"), "more"))?;
+    // Whoever writes a part of a store anew may leave out the arrays, and takes the attributes along.
+    if count == 0 || group.array("shot_name")?.is_none() {
+        return Ok(Vec::new());
+    }
+    let names = group.texts("shot_name", count)?;
+    let drift = group.numbers("shot_drift_px", &[count, 2])?;
+    let sd = group.numbers("shot_drift_sd_px", &[count])?;
+    let records = names.into_iter().enumerate().map(|(k, name)| ShotRecord {
+        name,
+        drift_px: [drift[2 * k], drift[2 * k + 1]],
+        drift_sd_px: Some(sd[k]).filter(|sd| !sd.is_nan()),
+    });
+    Ok(records.collect())
 }
 
 /// Values of a small array, its shape, the names of its dimensions.
@@ -256,7 +275,10 @@ struct StoreGroup {
 
 impl StoreGroup {
     fn open(path: &Path) -> Result<Self> {
-        std::fs::metadata(path).map_err(Error::io("read", path))?;
+        let store = Arc::new(StoreFiles::at(path)?);
+        if !is_url(path) {
+            std::fs::metadata(path).map_err(Error::io("read", path))?;
+        }
         if path.to_str().is_none() {
             let reason = "the path of a matrix must be UTF-8";
             return Err(Error::io("read", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
@@ -267,10 +289,11 @@ impl StoreGroup {
             expected: expected.into(),
             found,
         };
-        let store = Arc::new(StoreFiles::at(path));
-        if !["zarr.json", ".zgroup"].iter().any(|name| store.is_file(name)) {
-            let found = match (store.is_file(".zarray"), path.is_dir()) {
+        let has = |names: &[&str]| store.has("", names).map_err(Error::io("read", path));
+        if !has(&["zarr.json", ".zgroup"])? {
+            let found = match (has(&[".zarray"])?, path.is_dir()) {
                 (true, _) => "an array",
+                (false, _) if is_url(path) => "no zarr.json",
                 (false, true) => "a folder without zarr.json",
                 (false, false) => "a file",
             };
@@ -297,7 +320,7 @@ impl StoreGroup {
     }
 
     fn broken(&self, reason: String) -> Error {
-        Error::BrokenMatrix { path: self.path.clone(), reason }
+        self.store.broken(&self.path, reason)
     }
 
     fn unfit(&self, part: &str, expected: impl Into<String>, found: impl std::fmt::Display) -> Error {
@@ -319,7 +342,8 @@ impl StoreGroup {
     }
 
     fn array(&self, name: &str) -> Result<Option<Array<StoreFiles>>> {
-        if !["zarr.json", ".zarray"].iter().any(|file| self.store.is_file(&format!("{name}/{file}"))) {
+        let there = self.store.has(name, &["zarr.json", ".zarray"]).map_err(Error::io("read", &self.path))?;
+        if !there {
             return match self.store.is_folder(name) {
                 true => Err(self.broken(format!("array {name}: zarr.json is missing"))),
                 false => Ok(None),
@@ -362,12 +386,36 @@ impl StoreGroup {
         Ok(Some((values, shape, dimension_names(&array))))
     }
 
+    /// The numbers of a small array that has to be there, of this shape.
+    fn numbers(&self, name: &str, expected: &[usize]) -> Result<Vec<f64>> {
+        match self.small(name, expected.iter().product())? {
+            Some((values, shape, _)) if shape == expected => Ok(values),
+            other => {
+                let found = other.map_or("none".to_owned(), |(_, shape, _)| format!("{shape:?}"));
+                Err(self.unfit(&format!("array {name}"), format!("shape {expected:?}"), found))
+            }
+        }
+    }
+
+    /// The strings of an array that has to be there, so many.
+    fn texts(&self, name: &str, count: usize) -> Result<Vec<String>> {
+        let part = format!("array {name}");
+        let array = self.array(name)?.ok_or_else(|| self.unfit(&part, format!("{count} strings"), "none"))?;
+        if *array.data_type() != data_type::string() || array.shape() != [count as u64] {
+            let found = format!("shape {:?} of {}", array.shape(), array.data_type());
+            return Err(self.unfit(&part, format!("{count} strings"), found));
+        }
+        check_chunks(&array).map_err(|[expected, found]| self.unfit(&part, expected, found))?;
+        array.retrieve_array_subset(&array.subset_all()).map_err(|e| self.broken(format!("{part}: {e}")))
+    }
+
     /// Refuses another unit than this store's, where an array states one.
     fn check_unit(&self, name: &str, array: &Array<StoreFiles>) -> Result<()> {
         let unit = match name {
             "response" | "common_sd" => 0,
             "variance" => 1,
-            "valid" | "shot" | "row_scale_sd" => return Ok(()),
+            "valid" | "row_scale_sd" => return Ok(()),
+            _ if name.starts_with("shot") => return Ok(()),
             _ => 2,
         };
         let (expected, spelled) = UNITS[unit];
@@ -472,7 +520,11 @@ impl StoreGroup {
         if rows <= FEW_POINTS {
             return Ok(());
         }
-        let bytes = self.store.bytes("response").map_err(Error::io("read", &self.path))?;
+        let bytes = match self.store.bytes("response") {
+            // A plain server does not tell.
+            Err(e) if e.kind() == std::io::ErrorKind::Unsupported => return Ok(()),
+            bytes => bytes.map_err(Error::io("read", &self.path))?,
+        };
         match rows / POINTS_A_BYTE <= usize::try_from(bytes).unwrap_or(usize::MAX) {
             true => Ok(()),
             false => Err(self.broken(format!("array response: {rows} rows in {bytes} bytes"))),

@@ -69,6 +69,14 @@ impl MatrixReader {
         &self.path
     }
 
+    /// Bytes of all its files.
+    ///
+    /// # Errors
+    /// [`Error::Io`], also for a matrix at `https://`, where there is no way to ask which files there are.
+    pub fn bytes_file(&self) -> Result<u64> {
+        self.response.files().bytes("").map_err(Error::io("read", &self.path))
+    }
+
     /// What tells it from every other matrix; `None` for one without checksums.
     pub(crate) fn digest(&self) -> Option<&str> {
         self.checksums.as_ref().map(|c| c.digest.as_str())
@@ -168,7 +176,7 @@ impl MatrixReader {
                 expected: "numbers of type float32, float64 or float16".into(),
                 found: reason,
             },
-            false => Error::BrokenMatrix { path: self.path.clone(), reason: format!("array {name}: {reason}") },
+            false => self.response.files().broken(&self.path, format!("array {name}: {reason}")),
         };
         let sums = self.checksums.as_ref();
         if self.layout.stored != self.layout.window {

@@ -7,6 +7,7 @@ use super::store_files::StoreFiles;
 use super::whole_chunk::WholeChunks;
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::Arc;
 use zarrs::array::{Array, ArrayShardedExt, ArraySubset, ElementOwned, FromArrayBytes, data_type};
 
 /// A chunk is decoded whole, however little of it an array has: it may be this much larger than the array.
@@ -80,6 +81,11 @@ impl RowArray {
         let missing = missing(&array).map_err(|found| ["a number as _FillValue".into(), found])?;
         let whole_chunks = WholeChunks::of(&array).filter(|_| missing.is_none());
         Ok(Self { array, has, sides, missing, whole_chunks })
+    }
+
+    /// Where it is.
+    pub(super) fn files(&self) -> Arc<StoreFiles> {
+        self.array.storage()
     }
 
     /// Lit points along x and y that one chunk has (of a shard, one of its chunks).
@@ -173,7 +179,7 @@ impl RowArray {
         let name = self.array.path().as_str().trim_start_matches('/');
         if let Some(chunks) = self.whole_chunks.as_ref().filter(|_| layout.stored == layout.window) {
             let sum = sums.and_then(|sums| sums.of_row(name, rows.start));
-            if chunks.read(&self.array.storage(), rows, sum, out) {
+            if chunks.read(&self.array.storage(), rows, sum, out)? {
                 return Ok(true);
             }
         }
@@ -319,9 +325,13 @@ pub(super) fn dimension_names(array: &Array<StoreFiles>) -> Option<Vec<String>> 
 /// `name`: the Zarr crate reckons with their sides when it opens the array. Says what was expected and found.
 pub(super) fn check_metadata(files: &StoreFiles, array: &str) -> Result<(), String> {
     let path = |name: &str| format!("{array}/{name}").trim_start_matches('/').to_owned();
-    let there = ["zarr.json", ".zarray"].into_iter().find(|name| files.is_file(&path(name)));
-    let Some(name) = there else { return Ok(()) };
-    let text = files.read(&path(name)).map_err(|e| format!("{name}: {e}"))?;
+    let read = |name: &str| match files.read(&path(name)) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        text => text.map(|text| Some((name.to_owned(), text))).map_err(|e| format!("{name}: {e}")),
+    };
+    let Some((name, text)) = read("zarr.json")?.map_or_else(|| read(".zarray"), |found| Ok(Some(found)))? else {
+        return Ok(());
+    };
     let mut rest: Vec<serde_json::Value> = vec![serde_json::from_slice(&text).map_err(|e| format!("{name}: {e}"))?];
     while let Some(value) = rest.pop() {
         match value {

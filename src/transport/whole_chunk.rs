@@ -39,32 +39,37 @@ impl WholeChunks {
     }
 
     /// Decodes rows of one chunk into `out`; `sum` is what its CRC-32C is to be, where that is known. False when the
-    /// rows are of several chunks, or theirs is missing, damaged or another: the general way then has the words for the
-    /// error.
+    /// rows are of several chunks, or theirs is missing or another: the general way then has the words for the error.
+    ///
+    /// # Errors
+    /// In words, that the chunk is damaged.
     pub(super) fn read(
         &self,
         files: &StoreFiles,
         rows: &Range<usize>,
         sum: Option<[u8; CHECKSUM]>,
         out: &mut [u8],
-    ) -> bool {
+    ) -> Result<bool, String> {
         if rows.is_empty() || out.len() != rows.len() * self.row_bytes {
-            return false;
+            return Ok(false);
         }
         let at = self.grid.of_row(rows.start);
-        let first = self.grid.rows(at).start;
+        let from = (rows.start - self.grid.rows(at).start) * self.row_bytes;
         let whole = self.grid.points()[1] * self.row_bytes;
-        let Ok(Some(encoded)) = self.grid.read(files, at) else { return false };
-        self.grid.of_row(rows.end - 1) == at && decode(&encoded, sum, (rows.start - first) * self.row_bytes, whole, out)
+        let Ok(Some(encoded)) = self.grid.read(files, at) else { return Ok(false) };
+        let Some((packed, checksum)) = encoded.split_last_chunk::<CHECKSUM>() else { return Ok(false) };
+        if self.grid.of_row(rows.end - 1) != at || sum.is_some_and(|sum| sum != *checksum) {
+            return Ok(false);
+        }
+        match crc32c::crc32c(packed).to_le_bytes() == *checksum {
+            true => Ok(decode(packed, from, whole, out)),
+            false => Err(format!("{} is damaged: its CRC-32C is another", self.grid.words(at))),
+        }
     }
 }
 
-/// `out.len()` bytes from `from` on of a chunk of `whole` bytes; says whether it is what it is to be.
-fn decode(encoded: &[u8], sum: Option<[u8; CHECKSUM]>, from: usize, whole: usize, out: &mut [u8]) -> bool {
-    let Some((packed, checksum)) = encoded.split_last_chunk::<CHECKSUM>() else { return false };
-    if sum.is_some_and(|sum| sum != *checksum) || crc32c::crc32c(packed).to_le_bytes() != *checksum {
-        return false;
-    }
+/// `out.len()` bytes from `from` on of a chunk of `whole` bytes; says whether it is such a chunk.
+fn decode(packed: &[u8], from: usize, whole: usize, out: &mut [u8]) -> bool {
     let Ok(mut decompressor) = zstd::bulk::Decompressor::new() else { return false };
     if out.len() == whole {
         return decompressor.decompress_to_buffer(packed, out).is_ok_and(|n| n == whole);

@@ -1,10 +1,12 @@
 //! Writing a matrix: rows wait until all are there, then the store is written and takes its place.
 
 use super::chunk_writer::{Chunking, RowsArray};
+use super::objects::Objects;
 use super::part::RowsAt;
 use super::scratch_rows::ScratchRows;
 use super::store::{COMMON, FORMAT, MatrixHeader, Row, RowBlock};
 use super::{CHANNELS, checksum, earlier};
+use crate::files::is_url;
 use crate::output::{Earlier, ScratchFolder, WorkLog, put};
 use crate::{Error, FindingRecord, Result, Warning};
 use rayon::prelude::*;
@@ -37,6 +39,8 @@ pub struct MatrixWriter {
     stays: bool,
     /// Instead of [`Chunking::of`] the header.
     chunking: Option<Chunking>,
+    /// Where the store goes, unless to a folder.
+    objects: Option<Objects>,
 }
 
 impl MatrixWriter {
@@ -73,12 +77,19 @@ impl MatrixWriter {
             return Err(Error::io("create", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
         }
         let replaces = earlier::check(path, true)?;
+        let objects = if is_url(path) { Some(Objects::open(path)?) } else { None };
         // Where a link leads: it stays.
-        let path = &if replaces { path.canonicalize().map_err(Error::io("create", path))? } else { path.to_path_buf() };
+        let path = &if replaces && objects.is_none() {
+            path.canonicalize().map_err(Error::io("create", path))?
+        } else {
+            path.to_path_buf()
+        };
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let folder = scratch(parent, path)?;
+        // A store is made whole on this machine before any of it goes elsewhere.
+        let temporary = std::env::temp_dir();
+        let folder = scratch(if objects.is_some() { &temporary } else { parent }, path)?;
         let rows = ScratchRows::new(&folder, header.rows(), header.row_len()).map_err(Error::io("create", path))?;
-        Ok(Self { path: path.clone(), header, folder, replaces, rows, stays: false, chunking: None })
+        Ok(Self { path: path.clone(), header, folder, replaces, rows, stays: false, chunking: None, objects })
     }
 
     /// With chunks and shards as they are asked for: those of large matrices, in small ones.
@@ -193,7 +204,11 @@ impl MatrixWriter {
             }
         })?;
         earlier::check(&self.path, self.replaces)?;
-        put(&self.folder, &self.path, self.replaces).map_err(Error::io("write", &self.path))
+        let put = match &self.objects {
+            Some(objects) => objects.replace(&store_path, self.replaces),
+            None => put(&self.folder, &self.path, self.replaces),
+        };
+        put.map_err(Error::io("write", &self.path))
     }
 
     fn write_store(&self, store_path: &Path, block: &BlockSource<'_>) -> Result<(), BoxedError> {
@@ -205,6 +220,8 @@ impl MatrixWriter {
         if let serde_json::Value::Object(fields) = serde_json::to_value(header)? {
             attributes.extend(fields);
         }
+        // Themselves they are arrays: there may be hundreds of thousands.
+        attributes.insert("shots".into(), header.shots.len().into());
         if let Some(common) = &header.common {
             attributes.insert(COMMON.into(), serde_json::to_value(common.of_all)?);
         }
@@ -282,7 +299,22 @@ impl MatrixWriter {
             let values = common.sample_sd.clone();
             small_array(store, "common_sd", &shape, &names, data_type::float64(), f64::NAN, values)?;
         }
-        Ok(())
+        self.write_shots(store)
+    }
+
+    fn write_shots(&self, store: &Arc<FilesystemStore>) -> Result<(), BoxedError> {
+        let shots = &self.header.shots;
+        if shots.is_empty() {
+            return Ok(());
+        }
+        let (n, names) = (shots.len() as u64, ["lattice_shot", "axis"]);
+        let drift: Vec<f64> = shots.iter().flat_map(|s| s.drift_px).collect();
+        small_array(store, "shot_drift_px", &[n, 2], &names, data_type::float64(), f64::NAN, drift)?;
+        // NaN is data here: no number is missing otherwise. No deviation is negative.
+        let sd: Vec<f64> = shots.iter().map(|s| s.drift_sd_px.unwrap_or(f64::NAN)).collect();
+        small_array(store, "shot_drift_sd_px", &[n], &names[..1], data_type::float64(), -1.0, sd)?;
+        let text: Vec<String> = shots.iter().map(|s| s.name.clone()).collect();
+        small_array(store, "shot_name", &[n], &names[..1], data_type::string(), Vec::<u8>::new(), text)
     }
 }
 
@@ -293,9 +325,11 @@ pub(super) fn units(name: &str, more: &[(&str, &str)]) -> serde_json::Map<String
         "variance" => "mm^-4",
         "valid" | "shot" | "row_scale_sd" => "1",
         "common_sd" => "mm^-2",
+        "shot_drift_px" | "shot_drift_sd_px" => "px",
+        "shot_name" => "",
         _ => "mm",
     };
-    let all = [("units", unit)].into_iter().chain(more.iter().copied());
+    let all = [("units", unit)].into_iter().filter(|(_, unit)| !unit.is_empty()).chain(more.iter().copied());
     all.map(|(key, value)| (key.to_owned(), value.into())).collect()
 }
 
@@ -312,8 +346,7 @@ where
     Vec<T>: zarrs::array::IntoArrayBytes<'static>,
 {
     let checked: Arc<dyn BytesToBytesCodecTraits> = Arc::new(Crc32cCodec::new());
-    let codecs = match checksum::OF_COMMON.contains(&name) {
-        // Often zero, or nearly constant.
+    let codecs = match checksum::is_compressed(name) {
         true => vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, false)), checked],
         false => vec![checked],
     };

@@ -1,6 +1,7 @@
 //! Arrays from files: NPY, NPZ, and Zarr groups that are no matrix yet.
 
 use super::{ArrayOf, MatrixArrays};
+use crate::files::is_url;
 use crate::npy::NpyHeader;
 use crate::transport::MatrixReader;
 use crate::transport::row_array::{check_chunks, check_metadata, wide_numbers};
@@ -38,8 +39,7 @@ trait Named {
 /// # Errors
 /// [`Error::Io`]; [`Error::Arrays`] naming file and array; those of [`MatrixReader::open`].
 pub fn open_arrays(path: &Path, full: bool, instead: &Map<String, Value>) -> Result<ArraysInput> {
-    let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
-    if kind.is_dir() {
+    if is_url(path) || std::fs::metadata(path).map_err(Error::io("read", path))?.is_dir() {
         return from_zarr(path, full, instead);
     }
     let mut start = [0; 6];
@@ -149,8 +149,7 @@ struct Zarr<'a> {
 impl Zarr<'_> {
     fn open(&self, name: &str) -> Result<Option<Array<StoreFiles>>> {
         let folder = if self.only { "" } else { name };
-        let files = ["zarr.json", ".zarray"].map(|file| format!("{folder}/{file}"));
-        let there = files.iter().any(|file| self.store.is_file(file.trim_start_matches('/')));
+        let there = self.store.has(folder, &["zarr.json", ".zarray"]).map_err(Error::io("read", self.path))?;
         if !there || self.only && name != "response" {
             return Ok(None);
         }
@@ -189,9 +188,9 @@ fn from_zarr(path: &Path, full: bool, instead: &Map<String, Value>) -> Result<Ar
     if path.to_str().is_none() {
         return Err(refused(path, "group", "a path in UTF-8", "another".into()));
     }
-    let store = Arc::new(StoreFiles::at(path));
+    let store = Arc::new(StoreFiles::at(path)?);
     let broken = |e: String| refused(path, "group", "a Zarr group with the array response, or a Zarr array", e);
-    if !["zarr.json", ".zgroup", ".zarray"].iter().any(|name| store.is_file(name)) {
+    if !store.has("", &["zarr.json", ".zgroup", ".zarray"]).map_err(Error::io("read", path))? {
         return Err(broken("a folder without zarr.json".into()));
     }
     let group = zarrs::group::Group::open(store.clone(), "/");

@@ -3,6 +3,7 @@ use super::super::{MatrixHeader, MatrixReader, MatrixWriter, RowBlock};
 use super::*;
 use crate::Error;
 use crate::transport::checksum::ROWS;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use zarrs::array::ArraySubset;
 
@@ -181,14 +182,12 @@ fn a_shard_that_is_cut_damaged_missing_or_another_is_told_with_its_file_and_rows
             );
         }
         // One bit of a chunk's numbers, and of its CRC-32C.
-        for at in [7, in_shard(&bytes, 9)[0].clone().unwrap().end - 1] {
+        let end = in_shard(&bytes, 9)[0].clone().unwrap().end;
+        for (at, words) in [(7, "damaged: its CRC-32C is another"), (end - 1, "not the one that was written there")] {
             let mut changed = bytes.clone();
             changed[at] ^= 8;
             std::fs::write(&shard, changed).unwrap();
-            let said = said(false);
-            let words =
-                [format!("{prefix} is not the one that was written there"), format!("array {name}: the checksum")];
-            assert!(words.iter().any(|w| said.starts_with(w)) || said.contains("checksum"), "{said}");
+            assert_eq!(said(false), format!("{prefix} is {words}"));
         }
         std::fs::remove_file(&shard).unwrap();
         assert_eq!(said(true), format!("array {name}: shard c.2.0.0.0.0 of rows 42 to 48 is missing"));
@@ -229,4 +228,53 @@ fn a_matrix_in_shards_is_replaced_by_the_next_and_a_changed_one_is_not() {
     assert_eq!(MatrixReader::open(&path).unwrap().read(0..49).unwrap(), expected(&header, 0..49));
     std::fs::remove_file(path.join("valid").join(NAMES[2])).unwrap();
     assert!(matches!(MatrixWriter::create(&path, header), Err(Error::Changed { .. })));
+}
+
+/// What shards cost and save at the paper's size: `cargo test --release --lib the_cost_of_shards -- --ignored
+/// --nocapture`. Takes 6 GB of TMPDIR.
+#[test]
+#[ignore = "some minutes"]
+fn the_cost_of_shards_at_the_size_of_the_paper() {
+    let (folder, points, window) = (tempfile::tempdir().unwrap(), [256, 256], [61, 61]);
+    let header = header(points, window);
+    let n = header.row_len();
+    // One per cent of noise on a fall to all sides, as measured rows have it.
+    let value = |k: usize| {
+        let noise = (k as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(23) >> 40;
+        (1.0 + 0.01 * noise as f32 / (1 << 24) as f32) / (1 + (k % n).abs_diff(n / 2)) as f32
+    };
+    let rows = |range: Range<usize>| {
+        let response: Vec<f32> = (range.start * n..range.end * n).map(value).collect();
+        let variance = response.iter().map(|v| 1e-4 * v * v).collect();
+        RowBlock { first: range.start, rows: range.len(), valid: vec![1; response.len()], response, variance }
+    };
+    let sharded = Chunking::of(&header);
+    println!("| files an array | to write, s | to open, s | all rows, s | one row, ms |\n|---|---|---|---|---|");
+    for (name, chunking) in [("plain", Chunking { shard: None, ..sharded }), ("sharded", sharded)] {
+        let path = folder.path().join(name);
+        let writer = MatrixWriter::create(&path, header.clone()).unwrap().chunked(chunking);
+        let timed = |work: &mut dyn FnMut()| {
+            let start = std::time::Instant::now();
+            work();
+            start.elapsed().as_secs_f64()
+        };
+        let mut writer = Some(writer);
+        let write = timed(&mut || writer.take().unwrap().finish_with(|range| Ok(rows(range))).unwrap());
+        let mut reader = None;
+        let open = timed(&mut || reader = Some(MatrixReader::open(&path).unwrap()));
+        let reader = reader.unwrap();
+        let all = timed(&mut || reader.chunks().into_par_iter().for_each(|rows| drop(reader.read(rows).unwrap())));
+        let mut each: Vec<f64> = (0..101)
+            .map(|k| {
+                let row = k * 40_503 % header.rows();
+                let secs =
+                    timed(&mut || assert_eq!(reader.read(row..row + 1).unwrap().response[7], value(row * n + 7)));
+                1e3 * secs
+            })
+            .collect();
+        each.sort_by(f64::total_cmp);
+        let files = std::fs::read_dir(path.join("response")).unwrap().count() - 1;
+        assert_eq!(files, if name == "plain" { 1024 } else { 32 });
+        println!("| {files} | {write:.1} | {open:.3} | {all:.2} | {:.2} |", each[50]);
+    }
 }
