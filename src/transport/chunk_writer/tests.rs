@@ -196,9 +196,11 @@ fn a_shard_that_is_cut_damaged_missing_or_another_is_told_with_its_file_and_rows
         std::fs::write(&other, &bytes).unwrap();
         assert_eq!(said(true), format!("array {name}: c.3.0.0.0.0 is no chunk of it"));
         std::fs::remove_file(&other).unwrap();
-        // Another shard, whole, under this name.
-        std::fs::copy(path.join(name).join(NAMES[0]), &shard).unwrap();
-        assert_eq!(said(false), format!("{prefix} is not the one that was written there"));
+        // Another shard, whole, under this name; those of validity are equal, as every row has every other number.
+        if name != "valid" {
+            std::fs::copy(path.join(name).join(NAMES[0]), &shard).unwrap();
+            assert_eq!(said(false), format!("{prefix} is not the one that was written there"));
+        }
         std::fs::write(&shard, bytes).unwrap();
     }
     MatrixReader::open(&path).unwrap().read(0..49).unwrap();
