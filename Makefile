@@ -2,6 +2,7 @@
 # make test: set-up, then the tests; CI=true adds the slow ones, formatting, lints and documentation.
 # SLOW=1 adds the slow tests only.
 # make python: the Python module's tests, in virtual environments under target/python; part of make test when CI=true.
+# make cloud: matrices in object stores, against a local S3 server in a virtual environment; part of make test when CI=true.
 # make figures: Figures 1 to 3 of docs/rendering.md, in results/figures; FIGURES="--figure 3 --points 32 --width 160 --spp 64": only that one, quicker.
 # Needs what make python needs, LLVM 16 or later (Debian: libllvm19), and from PyPI Mitsuba, scikit-image, xatlas, flip-evaluator and Pillow.
 # make mutants: small faults that no test notices (docs/testing.md); some hours, for a night. MUTANTS=src/evaluate: only there; STEP=4: every fourth.
@@ -11,10 +12,11 @@ DEMO  ?= results/demo
 TARGET = $(or $(CARGO_TARGET_DIR),target)
 ACQUIRE = $(TARGET)/release/acquire
 
-# With the Python module in CI only: its dependencies would build much of the program's a second time.
-WORKSPACE = --workspace $(if $(filter true,$(CI)),,--exclude acquire-python)
+# With the Python module and object stores in CI only: the module's dependencies would build much of the program's a second
+# time, and object stores have 120 crates of their own.
+WORKSPACE = --workspace $(if $(filter true,$(CI)),--features acquire/cloud,--exclude acquire-python)
 
-.PHONY: demo test check build python figures mutants setup
+.PHONY: demo test check build python cloud figures mutants setup
 
 demo: build
 	rm -rf $(DEMO)
@@ -24,6 +26,8 @@ demo: build
 
 # One profile for program and tests, so that OpenCV's bindings are built once.
 test: setup
+	$(if $(filter true,$(CI)),scripts/setup.sh python && scripts/test_cloud.sh install)
+	ACQUIRE_S3_SERVER=$(abspath $(TARGET))/python/s3/bin/moto_server \
 	$(CARGO) test --release --locked $(WORKSPACE) $(if $(filter true,$(CI))$(SLOW),-- --include-ignored)
 	$(if $(filter true,$(CI)),$(MAKE) check python)
 
@@ -31,6 +35,10 @@ test: setup
 python: $(if $(filter true,$(CI)),setup,build)
 	@scripts/setup.sh python
 	$(if $(filter true,$(CI)),FEATURES=opencv) scripts/test_python.sh
+
+cloud: setup
+	@scripts/setup.sh python
+	scripts/test_cloud.sh
 
 figures:
 	@scripts/setup.sh python

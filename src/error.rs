@@ -23,6 +23,14 @@ pub enum Error {
         /// The system's answer.
         source: std::io::Error,
     },
+    /// A place that this program was built without.
+    #[error("{}: needs a program with the feature `{feature}`", path.display())]
+    NeedsFeature {
+        /// The place.
+        path: PathBuf,
+        /// The feature.
+        feature: &'static str,
+    },
     /// The folder is not a capture.
     #[error("{}: no capture.toml in this folder", path.display())]
     NoManifest {

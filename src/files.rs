@@ -4,6 +4,12 @@ use std::fs::File;
 use std::io::{Error, ErrorKind, Read, Result};
 use std::path::Path;
 
+/// Whether a path names a place in an object store.
+pub(crate) fn is_url(path: &Path) -> bool {
+    let schemes = ["s3://", "gs://", "https://", "http://"];
+    path.to_str().is_some_and(|path| schemes.iter().any(|scheme| path.starts_with(scheme)))
+}
+
 /// Opens a file for reading.
 ///
 /// # Errors

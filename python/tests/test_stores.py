@@ -44,6 +44,19 @@ def test_ours_opens_in_xarray_and_means_skip_what_was_not_measured(tmp_path):
     assert not rows.valid[0, 2, 3].any() and np.isnan(rows.variance[0, 2, 3]).all()
 
 
+def test_ours_in_shards_opens_in_zarr_python(tmp_path):
+    # A line of points is a chunk at least: 1,025 lines are more than files of their own are made for.
+    response = np.random.default_rng(3).random((1025, 2, 3, 5, 3)).astype("f4")
+    response[700, 1, 2, 4] = np.nan
+    acquire.write_matrix(tmp_path / "m.rd.zarr", response, pitch_mm=0.5)
+    array = zarr.open_group(tmp_path / "m.rd.zarr", mode="r")["response"]
+    assert (array.chunks, array.shards) == ((1, 2, 3, 5, 3), (32, 2, 3, 5, 3))
+    assert len(list((tmp_path / "m.rd.zarr" / "response").iterdir())) == 33 + 1
+    np.testing.assert_array_equal(array[:], response)
+    np.testing.assert_array_equal(array[32:35, 1], response[32:35, 1])
+    np.testing.assert_array_equal(acquire.Matrix.open(tmp_path / "m.rd.zarr").response, response)
+
+
 CHUNKS = {
     "whole": {},
     "lines": {"y_i": 1},

@@ -46,6 +46,9 @@ pub(super) fn hint(error: &Error) -> Option<String> {
             "choose an output path in a folder that exists and can be written, with --out"
         }
         Error::Io { .. } => "check the path and its permissions",
+        Error::NeedsFeature { feature, .. } => {
+            return Some(format!("build it with `cargo build --release --features {feature}`"));
+        }
         Error::NoManifest { .. } => {
             "name the folder that holds capture.toml; docs/captures.md describes it, and `acquire simulate DIR` writes an example"
         }

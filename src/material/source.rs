@@ -1,6 +1,7 @@
 //! A matrix or a material, told apart by what is on disk, and read the same way.
 
 use super::{Material, Responses, Shape};
+use crate::files::is_url;
 use crate::transport::{MatrixReader, RowBlock};
 use crate::{Error, Result};
 use std::ops::Range;
@@ -19,13 +20,13 @@ pub enum Source {
 }
 
 impl Source {
-    /// Opens either: a folder is a matrix, a file a material.
+    /// Opens either: a folder is a matrix, a URL too, and a file a material.
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::BrokenMatrix`], [`Error::BrokenMaterial`].
     pub fn open(path: &Path) -> Result<Self> {
-        let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
-        match kind.is_dir() {
+        let is_folder = || std::fs::metadata(path).map(|kind| kind.is_dir()).map_err(Error::io("read", path));
+        match is_url(path) || is_folder()? {
             true => Ok(Self::Matrix(Box::new(MatrixReader::open(path)?))),
             false => Ok(Self::Material(Box::new(super::load(path)?), path.to_path_buf())),
         }
@@ -82,14 +83,10 @@ impl Source {
     /// # Errors
     /// [`Error::Io`].
     pub fn bytes_file(&self) -> Result<u64> {
-        fn size(path: &Path) -> std::io::Result<u64> {
-            let kind = std::fs::symlink_metadata(path)?;
-            if !kind.is_dir() {
-                return Ok(kind.len());
-            }
-            std::fs::read_dir(path)?.map(|entry| size(&entry?.path())).sum()
+        match self {
+            Self::Matrix(reader) => reader.bytes_file(),
+            Self::Material(_, path) => Ok(std::fs::metadata(path).map_err(Error::io("read", path))?.len()),
         }
-        size(self.path()).map_err(Error::io("read", self.path()))
     }
 
     /// Every stored number as 4 bytes: all responses of a matrix, see [`Material::bytes_f32`] for a material.

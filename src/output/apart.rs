@@ -1,5 +1,6 @@
 //! Inputs and outputs lie apart.
 
+use crate::files::is_url;
 use crate::{Error, Result};
 use std::path::{Component, Path, PathBuf};
 
@@ -9,6 +10,17 @@ use std::path::{Component, Path, PathBuf};
 /// # Errors
 /// [`Error::Setting`], [`Error::Io`].
 pub(crate) fn check_apart<P: AsRef<Path>>(setting: &'static str, out: &Path, inputs: &[P]) -> Result<()> {
+    if is_url(out) {
+        let same = inputs.iter().find(|input| input.as_ref() == out);
+        return match same {
+            Some(_) => Err(Error::Setting {
+                setting,
+                expected: "a place apart from the inputs".into(),
+                found: format!("{}, which is the input", out.display()),
+            }),
+            None => Ok(()),
+        };
+    }
     let place = real(out).map_err(Error::io("create", out))?;
     for input in inputs {
         let input = input.as_ref();

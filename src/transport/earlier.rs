@@ -1,6 +1,8 @@
 //! What stands where a matrix is to go: replaced only when this program has made it, and nobody has changed it since.
 
 use super::checksum::{self, Checksums};
+use super::store_files::StoreFiles;
+use crate::files::is_url;
 use crate::{Error, Result};
 use serde_json::{Map, Value};
 use std::path::{Path, PathBuf};
@@ -10,6 +12,9 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// [`Error::NotEmpty`] unless `force`; [`Error::NotOurs`], [`Error::Changed`]; [`Error::Io`].
 pub(crate) fn check(path: &Path, force: bool) -> Result<bool> {
+    if is_url(path) {
+        return check_objects(path, force);
+    }
     match std::fs::read_dir(path).map(|mut entries| entries.next().is_none()) {
         Ok(true) => return Ok(false),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound && path.symlink_metadata().is_err() => return Ok(false),
@@ -22,16 +27,46 @@ pub(crate) fn check(path: &Path, force: bool) -> Result<bool> {
     }
     let root = path.join("zarr.json");
     let text = crate::files::read(&root).ok();
-    let group = text.and_then(|text| serde_json::from_slice::<Value>(&text).ok());
-    let attributes = group.as_ref().and_then(|g| g["attributes"].as_object()).filter(|a| has_mark(a));
-    let Some(attributes) = attributes else { return Err(Error::NotOurs { path: path.to_path_buf() }) };
+    let Some(attributes) = marked(text) else { return Err(Error::NotOurs { path: path.to_path_buf() }) };
     if let Some(path) = other_file(path)? {
         return Err(Error::NotOurs { path });
     }
-    match unchanged(path, attributes) {
+    match unchanged(&StoreFiles::Folder(path.to_path_buf()), &attributes) {
         true => Ok(true),
         false => Err(Error::Changed { path: root }),
     }
+}
+
+/// [`check`] of a URL.
+fn check_objects(path: &Path, force: bool) -> Result<bool> {
+    if path.to_str().is_some_and(|url| url.starts_with("http")) {
+        let expected = "a folder, s3:// or gs://: a plain server is read only";
+        return Err(Error::Setting { setting: "out", expected: expected.into(), found: path.display().to_string() });
+    }
+    let files = StoreFiles::at(path)?;
+    let StoreFiles::Objects(objects) = &files else { return Err(Error::internal("no folder")) };
+    let all = objects.all("").map_err(Error::io("create", path))?;
+    if all.is_empty() {
+        return Ok(false);
+    }
+    if !force {
+        return Err(Error::NotEmpty { path: path.to_path_buf() });
+    }
+    if let Some(other) = all.keys().find(|name| !is_ours(name)) {
+        return Err(Error::NotOurs { path: path.join(other) });
+    }
+    let text = files.read("zarr.json").ok();
+    let Some(attributes) = marked(text) else { return Err(Error::NotOurs { path: path.to_path_buf() }) };
+    match unchanged(&files, &attributes) {
+        true => Ok(true),
+        false => Err(Error::Changed { path: path.join("zarr.json") }),
+    }
+}
+
+/// The attributes of a group that has the mark of this program.
+fn marked(text: Option<Vec<u8>>) -> Option<Map<String, Value>> {
+    let group: Value = serde_json::from_slice(&text?).ok()?;
+    group["attributes"].as_object().filter(|attributes| has_mark(attributes)).cloned()
 }
 
 /// Whether attributes are such as this program alone writes. Others write format 2, too, by `docs/matrix-format.md`,
@@ -46,11 +81,11 @@ fn has_mark(attributes: &Map<String, Value>) -> bool {
 
 /// Whether attributes and metadata are as they were written, with nothing added. Stores of the format that had no
 /// checksums pass.
-fn unchanged(path: &Path, attributes: &Map<String, Value>) -> bool {
+fn unchanged(files: &StoreFiles, attributes: &Map<String, Value>) -> bool {
     let Some(covered) = attributes.get(checksum::GROUP).map(|group| &group["attributes"]) else { return true };
     let known =
         |name: &String| name == checksum::GROUP || covered.as_array().is_some_and(|a| a.iter().any(|v| v == name));
-    attributes.keys().all(known) && matches!(Checksums::open(path, attributes), Ok(Some(_)))
+    attributes.keys().all(known) && matches!(Checksums::open(files, attributes), Ok(Some(_)))
 }
 
 /// A file in the folder of a matrix that is none of its own.

@@ -2,9 +2,14 @@
 
 pub mod arrays;
 mod checksum;
+mod chunk_grid;
+mod chunk_writer;
 pub mod common;
 mod earlier;
 pub mod normalize;
+#[cfg_attr(feature = "cloud", path = "objects.rs")]
+#[cfg_attr(not(feature = "cloud"), path = "no_objects.rs")]
+mod objects;
 mod open;
 mod part;
 mod positioned;
@@ -13,6 +18,7 @@ mod row_array;
 pub mod rows;
 mod scratch_rows;
 mod store;
+mod store_files;
 mod whole_chunk;
 mod writer;
 

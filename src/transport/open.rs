@@ -3,8 +3,10 @@
 
 use super::checksum::Checksums;
 use super::row_array::{AXES, RowArray, RowLayout, check_chunks, check_metadata, dimension_names, wide_numbers};
-use super::store::{COMMON, FORMATS, LARGEST_MM, MOST_POINTS, MOST_SAMPLES, MatrixHeader, ShotRecord};
+use super::store::{COMMON, FORMATS, LARGEST_MM, MOST_POINTS, MOST_SAMPLES, MatrixHeader, ShotRecord, most_shots};
+use super::store_files::StoreFiles;
 use super::{CHANNELS, CommonErrors};
+use crate::files::is_url;
 use crate::geometry::Point;
 use crate::{Error, Result};
 use serde::de::DeserializeOwned;
@@ -12,7 +14,6 @@ use serde_json::{Map, Value};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use zarrs::array::{Array, ArrayCreateError, data_type};
-use zarrs::filesystem::FilesystemStore;
 
 /// Lit points up to this number are believed whatever a store holds: their places take 40 MB.
 const FEW_POINTS: usize = 1 << 20;
@@ -159,9 +160,7 @@ fn header(group: &StoreGroup, layout: &RowLayout, pitch_mm: f64) -> Result<Matri
         position_sd_mm: Vec::new(),
         shot_of: Vec::new(),
         common: None,
-        shots: group
-            .attribute::<Vec<ShotRecord>>("shots", "a list of {name, drift_px, drift_sd_px}")?
-            .unwrap_or_default(),
+        shots: shots(group, points[0] * points[1])?,
         camera_px_per_mm: group.attribute("camera_px_per_mm", "a number")?,
         warnings: group.attribute("warnings", "findings that this version of acquire knows")?.unwrap_or_default(),
         provenance: group.attributes.get("provenance").cloned().unwrap_or_default(),
@@ -193,11 +192,7 @@ fn header(group: &StoreGroup, layout: &RowLayout, pitch_mm: f64) -> Result<Matri
     let shots = header.shots.len() as f64;
     let shot = group.over_points("shot", points)?.unwrap_or_else(|| vec![-1.0; header.rows()]);
     if let Some(v) = shot.iter().find(|v| **v >= shots || **v < -1.0 || v.fract() != 0.0) {
-        return Err(group.unfit(
-            "array shot",
-            format!("-1, or numbers below {shots}, the length of the attribute shots"),
-            v,
-        ));
+        return Err(group.unfit("array shot", format!("-1, or numbers below {shots}, of which there are names"), v));
     }
     header.shot_of = shot.into_iter().map(|v| (v >= 0.0).then_some(v as usize)).collect();
     header.common = common_errors(group, layout)?;
@@ -225,6 +220,30 @@ fn common_errors(group: &StoreGroup, layout: &RowLayout) -> Result<Option<Common
     Ok(Some(common))
 }
 
+/// The lattice shots: arrays that the attribute `shots` counts; in older stores, and in those of others, a list there.
+fn shots(group: &StoreGroup, rows: usize) -> Result<Vec<ShotRecord>> {
+    let Some(count) = group.attributes.get("shots").and_then(Value::as_u64) else {
+        let expected = "the number of the lattice shots, or a list of {name, drift_px, drift_sd_px}";
+        return Ok(group.attribute("shots", expected)?.unwrap_or_default());
+    };
+    let most = most_shots(rows);
+    let count = usize::try_from(count).ok().filter(|count| *count <= most);
+    let count = count.ok_or_else(|| group.unfit("attribute shots", format!("at most {most}"), "more"))?;
+    // Whoever writes a part of a store anew may leave out the arrays, and takes the attributes along.
+    if count == 0 || group.array("shot_name")?.is_none() {
+        return Ok(Vec::new());
+    }
+    let names = group.texts("shot_name", count)?;
+    let drift = group.numbers("shot_drift_px", &[count, 2])?;
+    let sd = group.numbers("shot_drift_sd_px", &[count])?;
+    let records = names.into_iter().enumerate().map(|(k, name)| ShotRecord {
+        name,
+        drift_px: [drift[2 * k], drift[2 * k + 1]],
+        drift_sd_px: Some(sd[k]).filter(|sd| !sd.is_nan()),
+    });
+    Ok(records.collect())
+}
+
 /// Values of a small array, its shape, the names of its dimensions.
 type Small = (Vec<f64>, Vec<usize>, Option<Vec<String>>);
 
@@ -249,14 +268,17 @@ pub(super) fn distance(lit_mm: &[Point], [nx, ny]: [usize; 2], axis: usize) -> O
 /// The group of a store, and its arrays by name.
 struct StoreGroup {
     path: PathBuf,
-    store: Arc<FilesystemStore>,
+    store: Arc<StoreFiles>,
     attributes: Map<String, Value>,
     checksums: Option<Checksums>,
 }
 
 impl StoreGroup {
     fn open(path: &Path) -> Result<Self> {
-        std::fs::metadata(path).map_err(Error::io("read", path))?;
+        let store = Arc::new(StoreFiles::at(path)?);
+        if !is_url(path) {
+            std::fs::metadata(path).map_err(Error::io("read", path))?;
+        }
         if path.to_str().is_none() {
             let reason = "the path of a matrix must be UTF-8";
             return Err(Error::io("read", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
@@ -267,23 +289,23 @@ impl StoreGroup {
             expected: expected.into(),
             found,
         };
-        if !["zarr.json", ".zgroup"].iter().any(|name| path.join(name).is_file()) {
-            let found = match (path.join(".zarray").is_file(), path.is_dir()) {
+        let has = |names: &[&str]| store.has("", names).map_err(Error::io("read", path));
+        if !has(&["zarr.json", ".zgroup"])? {
+            let found = match (has(&[".zarray"])?, path.is_dir()) {
                 (true, _) => "an array",
+                (false, _) if is_url(path) => "no zarr.json",
                 (false, true) => "a folder without zarr.json",
                 (false, false) => "a file",
             };
             return Err(unfit("a Zarr group with the array response", found.into()));
         }
-        let store = FilesystemStore::new(path).map_err(|e| unfit("a Zarr group", e.to_string()))?;
-        let store = Arc::new(store);
         let group = zarrs::group::Group::open(store.clone(), "/")
             .map_err(|e| unfit("a Zarr group with the array response", e.to_string()))?;
         let mut group =
             Self { path: path.to_path_buf(), store, attributes: group.attributes().clone(), checksums: None };
         // Before the checksum: a later version may have another.
         group.check_format()?;
-        group.checksums = Checksums::open(path, &group.attributes).map_err(|reason| group.broken(reason))?;
+        group.checksums = Checksums::open(&group.store, &group.attributes).map_err(|reason| group.broken(reason))?;
         Ok(group)
     }
 
@@ -298,7 +320,7 @@ impl StoreGroup {
     }
 
     fn broken(&self, reason: String) -> Error {
-        Error::BrokenMatrix { path: self.path.clone(), reason }
+        self.store.broken(&self.path, reason)
     }
 
     fn unfit(&self, part: &str, expected: impl Into<String>, found: impl std::fmt::Display) -> Error {
@@ -319,16 +341,16 @@ impl StoreGroup {
         }
     }
 
-    fn array(&self, name: &str) -> Result<Option<Array<FilesystemStore>>> {
-        let folder = self.path.join(name);
-        if !["zarr.json", ".zarray"].iter().any(|file| folder.join(file).is_file()) {
-            return match folder.is_dir() {
+    fn array(&self, name: &str) -> Result<Option<Array<StoreFiles>>> {
+        let there = self.store.has(name, &["zarr.json", ".zarray"]).map_err(Error::io("read", &self.path))?;
+        if !there {
+            return match self.store.is_folder(name) {
                 true => Err(self.broken(format!("array {name}: zarr.json is missing"))),
                 false => Ok(None),
             };
         }
         let part = format!("array {name}");
-        check_metadata(&folder).map_err(|reason| self.broken(format!("{part}: {reason}")))?;
+        check_metadata(&self.store, name).map_err(|reason| self.broken(format!("{part}: {reason}")))?;
         match Array::open(self.store.clone(), &format!("/{name}")) {
             Ok(array) => Ok(Some(array)),
             Err(e @ ArrayCreateError::CodecsCreateError(_)) => {
@@ -364,12 +386,36 @@ impl StoreGroup {
         Ok(Some((values, shape, dimension_names(&array))))
     }
 
+    /// The numbers of a small array that has to be there, of this shape.
+    fn numbers(&self, name: &str, expected: &[usize]) -> Result<Vec<f64>> {
+        match self.small(name, expected.iter().product())? {
+            Some((values, shape, _)) if shape == expected => Ok(values),
+            other => {
+                let found = other.map_or("none".to_owned(), |(_, shape, _)| format!("{shape:?}"));
+                Err(self.unfit(&format!("array {name}"), format!("shape {expected:?}"), found))
+            }
+        }
+    }
+
+    /// The strings of an array that has to be there, so many.
+    fn texts(&self, name: &str, count: usize) -> Result<Vec<String>> {
+        let part = format!("array {name}");
+        let array = self.array(name)?.ok_or_else(|| self.unfit(&part, format!("{count} strings"), "none"))?;
+        if *array.data_type() != data_type::string() || array.shape() != [count as u64] {
+            let found = format!("shape {:?} of {}", array.shape(), array.data_type());
+            return Err(self.unfit(&part, format!("{count} strings"), found));
+        }
+        check_chunks(&array).map_err(|[expected, found]| self.unfit(&part, expected, found))?;
+        array.retrieve_array_subset(&array.subset_all()).map_err(|e| self.broken(format!("{part}: {e}")))
+    }
+
     /// Refuses another unit than this store's, where an array states one.
-    fn check_unit(&self, name: &str, array: &Array<FilesystemStore>) -> Result<()> {
+    fn check_unit(&self, name: &str, array: &Array<StoreFiles>) -> Result<()> {
         let unit = match name {
             "response" | "common_sd" => 0,
             "variance" => 1,
-            "valid" | "shot" | "row_scale_sd" => return Ok(()),
+            "valid" | "row_scale_sd" => return Ok(()),
+            _ if name.starts_with("shot") => return Ok(()),
             _ => 2,
         };
         let (expected, spelled) = UNITS[unit];
@@ -474,28 +520,16 @@ impl StoreGroup {
         if rows <= FEW_POINTS {
             return Ok(());
         }
-        let bytes = size(&self.path.join("response")).map_err(Error::io("read", &self.path))?;
+        let bytes = match self.store.bytes("response") {
+            // A plain server does not tell.
+            Err(e) if e.kind() == std::io::ErrorKind::Unsupported => return Ok(()),
+            bytes => bytes.map_err(Error::io("read", &self.path))?,
+        };
         match rows / POINTS_A_BYTE <= usize::try_from(bytes).unwrap_or(usize::MAX) {
             true => Ok(()),
             false => Err(self.broken(format!("array response: {rows} rows in {bytes} bytes"))),
         }
     }
-}
-
-/// Bytes of all files of a folder.
-fn size(folder: &Path) -> std::io::Result<u64> {
-    let mut sum = 0;
-    let mut folders = vec![folder.to_path_buf()];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder)? {
-            let entry = entry?;
-            match entry.file_type()?.is_dir() {
-                true => folders.push(entry.path()),
-                false => sum += entry.metadata()?.len(),
-            }
-        }
-    }
-    Ok(sum)
 }
 
 /// Long values at a glance.

@@ -69,6 +69,14 @@ impl MatrixReader {
         &self.path
     }
 
+    /// Bytes of all its files.
+    ///
+    /// # Errors
+    /// [`Error::Io`], also for a matrix at `https://`, where there is no way to ask which files there are.
+    pub fn bytes_file(&self) -> Result<u64> {
+        self.response.files().bytes("").map_err(Error::io("read", &self.path))
+    }
+
     /// What tells it from every other matrix; `None` for one without checksums.
     pub(crate) fn digest(&self) -> Option<&str> {
         self.checksums.as_ref().map(|c| c.digest.as_str())
@@ -168,13 +176,9 @@ impl MatrixReader {
                 expected: "numbers of type float32, float64 or float16".into(),
                 found: reason,
             },
-            false => Error::BrokenMatrix { path: self.path.clone(), reason: format!("array {name}: {reason}") },
+            false => self.response.files().broken(&self.path, format!("array {name}: {reason}")),
         };
-        if let Some(checksums) = &self.checksums {
-            let mut read = ["response", "valid"].into_iter().chain((!variance.is_empty()).then_some("variance"));
-            let checked: Result<(), String> = read.try_for_each(|name| checksums.check_rows(name, &rows));
-            checked.map_err(|reason| Error::BrokenMatrix { path: self.path.clone(), reason })?;
-        }
+        let sums = self.checksums.as_ref();
         if self.layout.stored != self.layout.window {
             // Nothing is read there.
             response.fill(f32::NAN);
@@ -182,10 +186,10 @@ impl MatrixReader {
             valid.fill(0);
         }
         let (a, b) = rayon::join(
-            || self.response.read(rows.clone(), &self.layout, response).map_err(|e| unread("response", e)),
+            || self.response.read(rows.clone(), &self.layout, sums, response).map_err(|e| unread("response", e)),
             || match &self.variance {
                 Some(array) if !variance.is_empty() => {
-                    array.read(rows.clone(), &self.layout, variance).map_err(|e| unread("variance", e))
+                    array.read(rows.clone(), &self.layout, sums, variance).map_err(|e| unread("variance", e))
                 }
                 _ => {
                     variance.fill(0.0);
@@ -195,7 +199,7 @@ impl MatrixReader {
         );
         a.and(b)?;
         match &self.valid {
-            Some(array) => array.read_flags(rows.clone(), &self.layout, valid).map_err(|e| unread("valid", e))?,
+            Some(array) => array.read_flags(rows.clone(), &self.layout, sums, valid).map_err(|e| unread("valid", e))?,
             None => valid.iter_mut().zip(&*response).for_each(|(valid, v)| *valid = u8::from(!v.is_nan())),
         }
         self.settle(rows.start, response, variance, valid)

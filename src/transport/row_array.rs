@@ -2,17 +2,18 @@
 //! wrote it.
 
 use super::CHANNELS;
+use super::checksum::Checksums;
+use super::store_files::StoreFiles;
 use super::whole_chunk::WholeChunks;
 use rayon::prelude::*;
 use std::ops::Range;
-use std::path::Path;
+use std::sync::Arc;
 use zarrs::array::{Array, ArrayShardedExt, ArraySubset, ElementOwned, FromArrayBytes, data_type};
-use zarrs::filesystem::FilesystemStore;
 
 /// A chunk is decoded whole, however little of it an array has: it may be this much larger than the array.
 const CHUNK_OVER_ARRAY: u64 = 8;
 /// Nor may it have more numbers than this, 16 GiB of f32.
-const CHUNK_NUMBERS: u64 = 1 << 32;
+pub(super) const CHUNK_NUMBERS: u64 = 1 << 32;
 /// Chunks below this many numbers are never too large.
 const SMALL_CHUNK: u64 = 1 << 20;
 
@@ -36,7 +37,7 @@ pub(super) struct RowLayout {
 /// An array whose axes are some of [`AXES`].
 #[derive(Debug)]
 pub(super) struct RowArray {
-    pub(super) array: Array<FilesystemStore>,
+    pub(super) array: Array<StoreFiles>,
     /// Which of [`AXES`] it has; the others are of length one.
     has: [bool; 5],
     /// Numbers along each of [`AXES`].
@@ -50,7 +51,7 @@ pub(super) struct RowArray {
 impl RowArray {
     /// Of an array, with its axes told by their names, or by their number where it has none. Says what is wrong, and
     /// what was expected and found.
-    pub(super) fn new(array: Array<FilesystemStore>) -> Result<Self, [String; 2]> {
+    pub(super) fn new(array: Array<StoreFiles>) -> Result<Self, [String; 2]> {
         check_chunks(&array)?;
         let shape = array.shape();
         let names = dimension_names(&array);
@@ -80,6 +81,11 @@ impl RowArray {
         let missing = missing(&array).map_err(|found| ["a number as _FillValue".into(), found])?;
         let whole_chunks = WholeChunks::of(&array).filter(|_| missing.is_none());
         Ok(Self { array, has, sides, missing, whole_chunks })
+    }
+
+    /// Where it is.
+    pub(super) fn files(&self) -> Arc<StoreFiles> {
+        self.array.storage()
     }
 
     /// Lit points along x and y that one chunk has (of a shard, one of its chunks).
@@ -112,8 +118,14 @@ impl RowArray {
 
     /// Numbers of lit points, row-major; a range is part of one line of points, or some whole lines. Samples that are
     /// not stored are left as they are in `out`.
-    pub(super) fn read(&self, rows: Range<usize>, layout: &RowLayout, out: &mut [f32]) -> Result<(), String> {
-        if self.read_whole(&rows, layout, bytemuck::cast_slice_mut(out)) {
+    pub(super) fn read(
+        &self,
+        rows: Range<usize>,
+        layout: &RowLayout,
+        sums: Option<&Checksums>,
+        out: &mut [f32],
+    ) -> Result<(), String> {
+        if self.read_whole(&rows, layout, sums, bytemuck::cast_slice_mut(out))? {
             return Ok(());
         }
         let is = |t: zarrs::array::DataType| *self.array.data_type() == t;
@@ -133,8 +145,14 @@ impl RowArray {
     }
 
     /// The same of flags: of any whole numbers or truths; those above 255 are 255.
-    pub(super) fn read_flags(&self, rows: Range<usize>, layout: &RowLayout, out: &mut [u8]) -> Result<(), String> {
-        if self.read_whole(&rows, layout, out) {
+    pub(super) fn read_flags(
+        &self,
+        rows: Range<usize>,
+        layout: &RowLayout,
+        sums: Option<&Checksums>,
+        out: &mut [u8],
+    ) -> Result<(), String> {
+        if self.read_whole(&rows, layout, sums, out)? {
             return Ok(());
         }
         let is = |t: zarrs::array::DataType| *self.array.data_type() == t;
@@ -149,9 +167,23 @@ impl RowArray {
         Ok(())
     }
 
-    fn read_whole(&self, rows: &Range<usize>, layout: &RowLayout, out: &mut [u8]) -> bool {
-        let chunks = self.whole_chunks.as_ref().filter(|_| layout.stored == layout.window);
-        chunks.is_some_and(|chunks| chunks.read(&self.array, rows, out))
+    /// Reads rows of one chunk as this program writes it; false when they must be read otherwise. Whichever way, they
+    /// are those of the chunk that was written there.
+    fn read_whole(
+        &self,
+        rows: &Range<usize>,
+        layout: &RowLayout,
+        sums: Option<&Checksums>,
+        out: &mut [u8],
+    ) -> Result<bool, String> {
+        let name = self.array.path().as_str().trim_start_matches('/');
+        if let Some(chunks) = self.whole_chunks.as_ref().filter(|_| layout.stored == layout.window) {
+            let sum = sums.and_then(|sums| sums.of_row(name, rows.start));
+            if chunks.read(&self.array.storage(), rows, sum, out)? {
+                return Ok(true);
+            }
+        }
+        sums.map_or(Ok(()), |sums| sums.check_rows(name, rows)).map(|()| false)
     }
 
     fn subset(&self, rows: &Range<usize>, nx: usize) -> ArraySubset {
@@ -281,7 +313,7 @@ impl RowArray {
 }
 
 /// The names of an array's dimensions; those of Zarr v2 are in an attribute.
-pub(super) fn dimension_names(array: &Array<FilesystemStore>) -> Option<Vec<String>> {
+pub(super) fn dimension_names(array: &Array<StoreFiles>) -> Option<Vec<String>> {
     if let Some(names) = array.dimension_names() {
         return names.iter().cloned().collect();
     }
@@ -289,12 +321,17 @@ pub(super) fn dimension_names(array: &Array<FilesystemStore>) -> Option<Vec<Stri
     names.iter().map(|name| name.as_str().map(str::to_owned)).collect()
 }
 
-/// Refuses chunks, and chunks of shards, of no numbers or of more than [`CHUNK_NUMBERS`], from the metadata of an array
-/// in `folder`: the Zarr crate reckons with their sides when it opens the array. Says what was expected and found.
-pub(super) fn check_metadata(folder: &Path) -> Result<(), String> {
-    let there = ["zarr.json", ".zarray"].into_iter().find(|name| folder.join(name).is_file());
-    let Some(name) = there else { return Ok(()) };
-    let text = crate::files::read(&folder.join(name)).map_err(|e| format!("{name}: {e}"))?;
+/// Refuses chunks, and chunks of shards, of no numbers or of more than [`CHUNK_NUMBERS`], from the metadata of the array
+/// `name`: the Zarr crate reckons with their sides when it opens the array. Says what was expected and found.
+pub(super) fn check_metadata(files: &StoreFiles, array: &str) -> Result<(), String> {
+    let path = |name: &str| format!("{array}/{name}").trim_start_matches('/').to_owned();
+    let read = |name: &str| match files.read(&path(name)) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        text => text.map(|text| Some((name.to_owned(), text))).map_err(|e| format!("{name}: {e}")),
+    };
+    let Some((name, text)) = read("zarr.json")?.map_or_else(|| read(".zarray"), |found| Ok(Some(found)))? else {
+        return Ok(());
+    };
     let mut rest: Vec<serde_json::Value> = vec![serde_json::from_slice(&text).map_err(|e| format!("{name}: {e}"))?];
     while let Some(value) = rest.pop() {
         match value {
@@ -325,7 +362,7 @@ fn check_sides(sides: &[serde_json::Value]) -> Result<(), String> {
 }
 
 /// Refuses chunks that memory could not hold.
-pub(super) fn check_chunks(array: &Array<FilesystemStore>) -> Result<(), [String; 2]> {
+pub(super) fn check_chunks(array: &Array<StoreFiles>) -> Result<(), [String; 2]> {
     let product = |sides: &[u64]| sides.iter().try_fold(1u64, |all, &n| all.checked_mul(n));
     let numbers = product(array.shape()).unwrap_or(u64::MAX);
     let most = numbers.saturating_mul(CHUNK_OVER_ARRAY).clamp(SMALL_CHUNK, CHUNK_NUMBERS);
@@ -339,7 +376,7 @@ pub(super) fn check_chunks(array: &Array<FilesystemStore>) -> Result<(), [String
 }
 
 /// `_FillValue` where it is a number: xarray writes it as such, or as its bytes in base64.
-fn missing(array: &Array<FilesystemStore>) -> Result<Option<f64>, String> {
+fn missing(array: &Array<StoreFiles>) -> Result<Option<f64>, String> {
     use base64::Engine;
     let Some(value) = array.attributes().get("_FillValue") else { return Ok(None) };
     let number = match value {
@@ -355,7 +392,7 @@ fn missing(array: &Array<FilesystemStore>) -> Result<Option<f64>, String> {
 }
 
 /// Numbers of any type, as f64.
-pub(super) fn wide_numbers(array: &Array<FilesystemStore>, subset: &ArraySubset) -> Result<Vec<f64>, String> {
+pub(super) fn wide_numbers(array: &Array<StoreFiles>, subset: &ArraySubset) -> Result<Vec<f64>, String> {
     macro_rules! read {
         ($($kind:ident: $type:ty => $as:expr),*) => {
             $(if *array.data_type() == data_type::$kind() {

@@ -8,7 +8,7 @@ use crate::{Error, Result};
 use std::fs::File;
 use std::io;
 use std::path::Path;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// The file of rows in a scratch folder.
 const ROWS: &str = "rows";
@@ -20,7 +20,8 @@ pub(super) struct ScratchRows {
     put: Arc<File>,
     /// Those in the place of others.
     replaced: File,
-    state: Mutex<Vec<State>>,
+    /// A lock a row: threads that put rows never wait for each other.
+    state: Vec<Mutex<State>>,
     row_len: usize,
 }
 
@@ -39,7 +40,8 @@ impl ScratchRows {
         let path = folder.path().join(ROWS);
         let put = File::options().create(true).truncate(false).read(true).write(true).open(path)?;
         let replaced = tempfile::tempfile_in(folder.path())?;
-        Ok(Self { put: Arc::new(put), replaced, state: Mutex::new(vec![State::Missing; rows]), row_len })
+        let state = (0..rows).map(|_| Mutex::new(State::Missing)).collect();
+        Ok(Self { put: Arc::new(put), replaced, state, row_len })
     }
 
     fn bytes(&self) -> usize {
@@ -52,8 +54,7 @@ impl ScratchRows {
     /// [`Error::Io`] for `path`; [`Error::Internal`] when the row has another length, or a value is not finite.
     pub(super) fn put(&self, index: usize, row: &Row, replaces: bool, path: &Path) -> Result<()> {
         let n = self.row_len;
-        let rows = self.state.lock().map_err(Error::internal)?.len();
-        if index >= rows || [row.response.len(), row.variance.len(), row.valid.len()] != [n; 3] {
+        if index >= self.state.len() || [row.response.len(), row.variance.len(), row.valid.len()] != [n; 3] {
             return Err(Error::internal(format_args!("row {index} does not fit the matrix")));
         }
         if let Some(value) = row.response.iter().chain(&row.variance).find(|v| !v.is_finite()) {
@@ -61,7 +62,7 @@ impl ScratchRows {
         }
         let (file, state) = if replaces { (&self.replaced, State::Replaced) } else { (&*self.put, State::Put) };
         write_all_at(file, &row.bytes(), (index * self.bytes()) as u64).map_err(Error::io("write", path))?;
-        self.state.lock().map_err(Error::internal)?[index] = state;
+        *self.state[index].lock().unwrap_or_else(PoisonError::into_inner) = state;
         Ok(())
     }
 
@@ -100,11 +101,11 @@ impl ScratchRows {
 
     /// Says where rows are, if there are such rows.
     fn set(&self, indices: &[usize], of: impl Fn(usize) -> State) -> bool {
-        // Locked only now: other threads put rows while these are read.
-        let Ok(mut state) = self.state.lock() else { return false };
-        let all = indices.iter().all(|&index| index < state.len());
+        let all = indices.iter().all(|&index| index < self.state.len());
         if all {
-            indices.iter().enumerate().for_each(|(k, &index)| state[index] = of(k));
+            for (k, &index) in indices.iter().enumerate() {
+                *self.state[index].lock().unwrap_or_else(PoisonError::into_inner) = of(k);
+            }
         }
         all
     }
@@ -121,8 +122,8 @@ impl ScratchRows {
     }
 
     fn state(&self, index: usize) -> State {
-        let state = self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        state.get(index).cloned().unwrap_or(State::Missing)
+        let state = self.state.get(index).map(|state| state.lock().unwrap_or_else(PoisonError::into_inner).clone());
+        state.unwrap_or(State::Missing)
     }
 
     fn read(&self, index: usize, block: &mut RowBlock, k: usize) -> io::Result<()> {

@@ -8,7 +8,10 @@
 //! | `x_i_mm`, `y_i_mm` f64 | y_i, x_i | where the light really fell, mm |
 //! | `position_sd_mm` f64 | y_i, x_i | standard deviation of that place per axis, mm |
 //! | `dx`, `dy` f64 | dx; dy | offset of the cell's centre from the lit point, mm |
-//! | `shot` i32 | y_i, x_i | number of the shot that lit it, an index into the attribute `shots` |
+//! | `shot` i32 | y_i, x_i | number of the lattice shot that lit it, counted from 0 |
+//! | `shot_name` string | lattice_shot | its name in `capture.toml` |
+//! | `shot_drift_px` f64 | lattice_shot, axis | its drift along x and y, camera px |
+//! | `shot_drift_sd_px` f64 | lattice_shot | standard deviation of it per axis, camera px; NaN where not measured |
 //! | `row_scale_sd` f64 | y_i, x_i, channel | relative standard deviation of what a row's samples have in common; may be missing |
 //! | `common_sd` f64 | dy, dx, channel | standard deviation that all rows have in common, mm⁻²; may be missing |
 //!
@@ -32,6 +35,8 @@ pub(super) const COMMON: &str = "common_errors";
 pub(super) const MOST_POINTS: usize = 1 << 16;
 /// The most samples of a window along an axis.
 pub(super) const MOST_SAMPLES: usize = 4095;
+/// Lattice shots up to this number are believed, and more where there are more lit points: each lights one at least.
+const FEW_SHOTS: usize = 1 << 20;
 /// No slab is larger, and no length is smaller than one over it, mm.
 pub(super) const LARGEST_MM: f64 = 1e9;
 
@@ -113,6 +118,9 @@ impl MatrixHeader {
         if let Some(common) = &self.common {
             common.check(self.rows(), self.row_len())?;
         }
+        if self.shots.len() > most_shots(self.rows()) {
+            return Err(format!("shots: expected at most {}, found {}", most_shots(self.rows()), self.shots.len()));
+        }
         let drift = |s: &ShotRecord| s.drift_px.into_iter().chain(s.drift_sd_px).all(f64::is_finite);
         match self.shots.iter().find(|s| !drift(s)) {
             Some(shot) => {
@@ -138,6 +146,11 @@ impl MatrixHeader {
     pub fn offset_px(&self, sample: [usize; 2]) -> [isize; 2] {
         std::array::from_fn(|a| sample[a] as isize - (self.window[a] / 2) as isize)
     }
+}
+
+/// The most lattice shots of a matrix of so many rows.
+pub(super) fn most_shots(rows: usize) -> usize {
+    rows.max(FEW_SHOTS)
 }
 
 /// Refuses a length, mm, that no slab has.

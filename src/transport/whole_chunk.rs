@@ -2,88 +2,82 @@
 //! three times, into memory that is new each time: of a matrix in memory that is two thirds of reading it.
 
 use super::CHANNELS;
-use super::checksum::rows_as_written;
-use std::fs::File;
-use std::io::Read;
+use super::checksum::{inner_codecs, rows_as_written};
+use super::chunk_grid::{CHECKSUM, ChunkGrid};
+use super::store_files::StoreFiles;
 use std::ops::Range;
-use std::path::PathBuf;
 use zarrs::array::Array;
-use zarrs::filesystem::FilesystemStore;
-
-/// Bytes of a CRC-32C.
-const CHECKSUM: usize = 4;
 
 /// An array of rows as [`rows_as_written`] has it: a chunk holds whole windows of lit points of one line, compressed by
 /// zstd and followed by their CRC-32C.
 #[derive(Debug)]
 pub(super) struct WholeChunks {
-    /// Lit points of a line, and of a chunk.
-    across: usize,
-    side: usize,
+    grid: ChunkGrid,
     /// Bytes of a row.
     row_bytes: usize,
 }
 
 impl WholeChunks {
     /// `None` for an array with other chunks.
-    pub(super) fn of(array: &Array<FilesystemStore>) -> Option<Self> {
+    pub(super) fn of(array: &Array<StoreFiles>) -> Option<Self> {
         let metadata = serde_json::to_value(array.metadata()).ok()?;
-        let little = metadata["codecs"][0]["configuration"]["endian"].as_str().is_none_or(|e| e == "little");
+        let codecs = inner_codecs(&metadata);
+        let little = codecs[0]["configuration"]["endian"].as_str().is_none_or(|e| e == "little");
         let bytes = match metadata["data_type"].as_str()? {
             "float32" => 4,
             "uint8" => 1,
             _ => return None,
         };
         let shape: [u64; 5] = array.shape().try_into().ok()?;
-        let chunk = array.chunk_shape(&[0; 5]).ok()?;
         let here = little && cfg!(target_endian = "little");
         if !(here && rows_as_written(&metadata) && shape[4] == CHANNELS as u64) {
             return None;
         }
+        let grid = ChunkGrid::of(array.path().as_str().trim_start_matches('/'), &metadata).ok()?;
         let row = usize::try_from(shape[2] * shape[3] * shape[4]).ok()?;
-        Some(Self {
-            across: usize::try_from(shape[1]).ok()?,
-            side: usize::try_from(chunk[1].get()).ok()?,
-            row_bytes: row.checked_mul(bytes)?,
-        })
+        Some(Self { grid, row_bytes: row.checked_mul(bytes)? })
     }
 
-    /// Decodes the chunk of exactly these rows into `out`. False when the rows are not those of one chunk, or its file
-    /// is missing or damaged: the general way then has the words for the error.
-    pub(super) fn read(&self, array: &Array<FilesystemStore>, rows: &Range<usize>, out: &mut [u8]) -> bool {
-        let x = rows.start % self.across;
-        let whole = x.is_multiple_of(self.side) && rows.len() == self.side.min(self.across - x);
-        if !whole || out.len() != rows.len() * self.row_bytes {
-            return false;
+    /// Decodes rows of one chunk into `out`; `sum` is what its CRC-32C is to be, where that is known. False when the
+    /// rows are of several chunks, or theirs is missing or another: the general way then has the words for the error.
+    ///
+    /// # Errors
+    /// In words, that the chunk is damaged.
+    pub(super) fn read(
+        &self,
+        files: &StoreFiles,
+        rows: &Range<usize>,
+        sum: Option<[u8; CHECKSUM]>,
+        out: &mut [u8],
+    ) -> Result<bool, String> {
+        if rows.is_empty() || out.len() != rows.len() * self.row_bytes {
+            return Ok(false);
         }
-        let key = array.chunk_key(&[(rows.start / self.across) as u64, (x / self.side) as u64, 0, 0, 0]);
-        let path = array.storage().key_to_fspath(&key);
-        decode(path, out, self.side * self.row_bytes).is_some()
+        let at = self.grid.of_row(rows.start);
+        let from = (rows.start - self.grid.rows(at).start) * self.row_bytes;
+        let whole = self.grid.points()[1] * self.row_bytes;
+        let Ok(Some(encoded)) = self.grid.read(files, at) else { return Ok(false) };
+        let Some((packed, checksum)) = encoded.split_last_chunk::<CHECKSUM>() else { return Ok(false) };
+        if self.grid.of_row(rows.end - 1) != at || sum.is_some_and(|sum| sum != *checksum) {
+            return Ok(false);
+        }
+        match crc32c::crc32c(packed).to_le_bytes() == *checksum {
+            true => Ok(decode(packed, from, whole, out)),
+            false => Err(format!("{} is damaged: its CRC-32C is another", self.grid.words(at))),
+        }
     }
 }
 
-/// The first bytes of a chunk of `whole` bytes.
-fn decode(path: PathBuf, out: &mut [u8], whole: usize) -> Option<()> {
-    let mut file = File::open(path).ok()?;
-    let len = usize::try_from(file.metadata().ok()?.len()).ok()?;
-    // What does not compress is a thousandth longer.
-    if len > whole + whole / 64 + 1024 {
-        return None;
-    }
-    let mut encoded = Vec::with_capacity(len + 1);
-    file.read_to_end(&mut encoded).ok()?;
-    let (packed, checksum) = encoded.split_last_chunk::<CHECKSUM>()?;
-    if crc32c::crc32c(packed).to_le_bytes() != *checksum {
-        return None;
-    }
-    let mut decompressor = zstd::bulk::Decompressor::new().ok()?;
+/// `out.len()` bytes from `from` on of a chunk of `whole` bytes; says whether it is such a chunk.
+fn decode(packed: &[u8], from: usize, whole: usize, out: &mut [u8]) -> bool {
+    let Ok(mut decompressor) = zstd::bulk::Decompressor::new() else { return false };
     if out.len() == whole {
-        return (decompressor.decompress_to_buffer(packed, out).ok()? == whole).then_some(());
+        return decompressor.decompress_to_buffer(packed, out).is_ok_and(|n| n == whole);
     }
-    // The last chunk of a line goes on beyond it.
-    let all = decompressor.decompress(packed, whole).ok()?;
-    out.copy_from_slice(all.get(..out.len()).filter(|_| all.len() == whole)?);
-    Some(())
+    // Some rows of it, or the last chunk of a line, which goes on beyond it.
+    let all = decompressor.decompress(packed, whole).ok().filter(|all| all.len() == whole);
+    let part = all.as_ref().and_then(|all| all.get(from..)?.get(..out.len()));
+    part.inspect(|part| out.copy_from_slice(part)).is_some()
 }
 
 #[cfg(test)]
@@ -114,7 +108,7 @@ mod tests {
         let header = header(POINTS, WINDOW);
         MatrixWriter::create(&path, header).unwrap().finish_with(|range| Ok(rows(range))).unwrap();
         let reader = MatrixReader::open(&path).unwrap();
-        // All chunks; one that is padded; parts of two, which go the general way.
+        // All chunks; one that is padded; parts of two.
         for range in [0..22, 6..11, 17..22, 3..8, 10..13] {
             let (found, made) = (reader.read(range.clone()).unwrap(), rows(range.clone()));
             assert!(found.response == made.response && found.variance == made.variance, "{range:?}");

@@ -1,27 +1,28 @@
 //! Writing a matrix: rows wait until all are there, then the store is written and takes its place.
 
+use super::chunk_writer::{Chunking, RowsArray};
+use super::objects::Objects;
 use super::part::RowsAt;
 use super::scratch_rows::ScratchRows;
 use super::store::{COMMON, FORMAT, MatrixHeader, Row, RowBlock};
 use super::{CHANNELS, checksum, earlier};
+use crate::files::is_url;
 use crate::output::{Earlier, ScratchFolder, WorkLog, put};
 use crate::{Error, FindingRecord, Result, Warning};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use zarrs::array::codec::{Crc32cCodec, ZstdCodec};
-use zarrs::array::{Array, ArrayBuilder, ArraySubset, BytesToBytesCodecTraits, ChunkKeySeparator, data_type};
+use zarrs::array::{ArrayBuilder, BytesToBytesCodecTraits, data_type};
 use zarrs::filesystem::FilesystemStore;
 
 /// Whatever the Zarr crate answers; turned into ours at the public functions.
-type BoxedError = Box<dyn std::error::Error + Send + Sync>;
+pub(super) type BoxedError = Box<dyn std::error::Error + Send + Sync>;
 /// Gives consecutive rows.
 type BlockSource<'a> = dyn Fn(std::ops::Range<usize>) -> Result<RowBlock> + Sync + 'a;
-/// A chunk holds about this many bytes of responses: large enough for the disk, small enough to stream.
-const CHUNK_BYTES: usize = 4 << 20;
 /// Negative levels leave the bytes that do not repeat as they are: decoding is twice as fast as at level 1, for a tenth
 /// more bytes of measured noise, which no level compresses by much.
-const ZSTD_LEVEL: i32 = -1;
+pub(super) const ZSTD_LEVEL: i32 = -1;
 
 /// Writes a matrix. Rows come in any order from any thread; nothing appears under the final name before
 /// [`Self::finish`].
@@ -36,6 +37,10 @@ pub struct MatrixWriter {
     rows: ScratchRows,
     /// Whether rows outlive the writing of the store.
     stays: bool,
+    /// Instead of [`Chunking::of`] the header.
+    chunking: Option<Chunking>,
+    /// Where the store goes, unless to a folder.
+    objects: Option<Objects>,
 }
 
 impl MatrixWriter {
@@ -72,12 +77,25 @@ impl MatrixWriter {
             return Err(Error::io("create", path)(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason)));
         }
         let replaces = earlier::check(path, true)?;
+        let objects = if is_url(path) { Some(Objects::open(path)?) } else { None };
         // Where a link leads: it stays.
-        let path = &if replaces { path.canonicalize().map_err(Error::io("create", path))? } else { path.to_path_buf() };
+        let path = &if replaces && objects.is_none() {
+            path.canonicalize().map_err(Error::io("create", path))?
+        } else {
+            path.to_path_buf()
+        };
         let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let folder = scratch(parent, path)?;
+        // A store is made whole on this machine before any of it goes elsewhere.
+        let temporary = std::env::temp_dir();
+        let folder = scratch(if objects.is_some() { &temporary } else { parent }, path)?;
         let rows = ScratchRows::new(&folder, header.rows(), header.row_len()).map_err(Error::io("create", path))?;
-        Ok(Self { path: path.clone(), header, folder, replaces, rows, stays: false })
+        Ok(Self { path: path.clone(), header, folder, replaces, rows, stays: false, chunking: None, objects })
+    }
+
+    /// With chunks and shards as they are asked for: those of large matrices, in small ones.
+    #[cfg(test)]
+    pub(super) fn chunked(self, chunking: Chunking) -> Self {
+        Self { chunking: Some(chunking), ..self }
     }
 
     /// What will be written besides the rows.
@@ -186,7 +204,11 @@ impl MatrixWriter {
             }
         })?;
         earlier::check(&self.path, self.replaces)?;
-        put(&self.folder, &self.path, self.replaces).map_err(Error::io("write", &self.path))
+        let put = match &self.objects {
+            Some(objects) => objects.replace(&store_path, self.replaces),
+            None => put(&self.folder, &self.path, self.replaces),
+        };
+        put.map_err(Error::io("write", &self.path))
     }
 
     fn write_store(&self, store_path: &Path, block: &BlockSource<'_>) -> Result<(), BoxedError> {
@@ -198,6 +220,8 @@ impl MatrixWriter {
         if let serde_json::Value::Object(fields) = serde_json::to_value(header)? {
             attributes.extend(fields);
         }
+        // Themselves they are arrays: there may be hundreds of thousands.
+        attributes.insert("shots".into(), header.shots.len().into());
         if let Some(common) = &header.common {
             attributes.insert(COMMON.into(), serde_json::to_value(common.of_all)?);
         }
@@ -206,33 +230,39 @@ impl MatrixWriter {
         attributes.insert("findings".into(), serde_json::to_value(findings)?);
         self.write_coordinates(&store)?;
 
-        let arrays =
-            ["response", "variance"].map(|name| rows_array(header, &store, name, data_type::float32(), f32::NAN));
-        let [response, variance] = arrays;
-        let (response, variance) = (response?, variance?);
-        let valid = rows_array(header, &store, "valid", data_type::uint8(), u8::MAX)?;
-        for array in [&response, &variance, &valid] {
-            array.store_metadata()?;
-        }
-        let chunks: Vec<_> = chunks(header).collect();
-        chunks.into_par_iter().try_for_each(|rows| {
-            let mut block = block(rows.clone())?;
-            let n = rows.len() * header.row_len();
-            if [block.response.len(), block.variance.len(), block.valid.len()] != [n; 3] {
-                return Err(Error::internal(format_args!("rows {rows:?} do not fit the matrix")).into());
-            }
-            let not = block.valid.iter().enumerate().filter(|(_, v)| **v == 0).map(|(k, _)| k);
-            not.for_each(|k| (block.response[k], block.variance[k]) = (f32::NAN, f32::NAN));
-            let subset = subset(header, rows);
-            response.store_array_subset(&subset, block.response)?;
-            variance.store_array_subset(&subset, block.variance)?;
-            valid.store_array_subset(&subset, block.valid)?;
-            Ok::<_, BoxedError>(())
-        })?;
+        self.write_rows(store_path, block)?;
         // Last, as it has the checksum of all metadata.
         attributes.insert(checksum::GROUP.into(), checksum::seal(store_path, &attributes)?);
         zarrs::group::GroupBuilder::new().attributes(attributes).build(store, "/")?.store_metadata()?;
         Ok(())
+    }
+
+    fn write_rows(&self, root: &Path, block: &BlockSource<'_>) -> Result<(), BoxedError> {
+        let header = &self.header;
+        let chunking = self.chunking.unwrap_or(Chunking::of(header));
+        let response = RowsArray::create(header, chunking, root, "response", data_type::float32(), f32::NAN)?;
+        let variance = RowsArray::create(header, chunking, root, "variance", data_type::float32(), f32::NAN)?;
+        let valid = RowsArray::create(header, chunking, root, "valid", data_type::uint8(), u8::MAX)?;
+        chunking.files(header).into_par_iter().try_for_each(|chunks| {
+            let first = chunks[0].start;
+            let (mut responses, mut variances) = (response.file(first)?, variance.file(first)?);
+            let mut flags = valid.file(first)?;
+            for rows in chunks {
+                let mut block = block(rows.clone())?;
+                let n = rows.len() * header.row_len();
+                if [block.response.len(), block.variance.len(), block.valid.len()] != [n; 3] {
+                    return Err(Error::internal(format_args!("rows {rows:?} do not fit the matrix")).into());
+                }
+                let not = block.valid.iter().enumerate().filter(|(_, v)| **v == 0).map(|(k, _)| k);
+                not.for_each(|k| (block.response[k], block.variance[k]) = (f32::NAN, f32::NAN));
+                responses.put(rows.start, block.response)?;
+                variances.put(rows.start, block.variance)?;
+                flags.put(rows.start, block.valid)?;
+            }
+            responses.finish()?;
+            variances.finish()?;
+            flags.finish()
+        })
     }
 
     fn write_coordinates(&self, store: &Arc<FilesystemStore>) -> Result<(), BoxedError> {
@@ -269,67 +299,38 @@ impl MatrixWriter {
             let values = common.sample_sd.clone();
             small_array(store, "common_sd", &shape, &names, data_type::float64(), f64::NAN, values)?;
         }
-        Ok(())
+        self.write_shots(store)
+    }
+
+    fn write_shots(&self, store: &Arc<FilesystemStore>) -> Result<(), BoxedError> {
+        let shots = &self.header.shots;
+        if shots.is_empty() {
+            return Ok(());
+        }
+        let (n, names) = (shots.len() as u64, ["lattice_shot", "axis"]);
+        let drift: Vec<f64> = shots.iter().flat_map(|s| s.drift_px).collect();
+        small_array(store, "shot_drift_px", &[n, 2], &names, data_type::float64(), f64::NAN, drift)?;
+        // NaN is data here: no number is missing otherwise. No deviation is negative.
+        let sd: Vec<f64> = shots.iter().map(|s| s.drift_sd_px.unwrap_or(f64::NAN)).collect();
+        small_array(store, "shot_drift_sd_px", &[n], &names[..1], data_type::float64(), -1.0, sd)?;
+        let text: Vec<String> = shots.iter().map(|s| s.name.clone()).collect();
+        small_array(store, "shot_name", &[n], &names[..1], data_type::string(), Vec::<u8>::new(), text)
     }
 }
 
-/// Ranges of rows that lie in one chunk each.
-pub(super) fn chunks(header: &MatrixHeader) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
-    let (nx, step) = (header.points[0], chunk_rows(header));
-    (0..header.points[1]).flat_map(move |y| (0..nx).step_by(step).map(move |x| y * nx + x..y * nx + (x + step).min(nx)))
-}
-
-fn chunk_rows(header: &MatrixHeader) -> usize {
-    let most = (CHUNK_BYTES / (4 * header.row_len())).clamp(1, header.points[0]);
-    let nx = header.points[0];
-    // Equal chunks along a line, of at least half as many rows as may be; else the last one is padded to the size of
-    // the others.
-    let equal = (most.div_ceil(2)..=most).rev().find(|&n| nx.is_multiple_of(n));
-    equal.unwrap_or(nx.div_ceil(nx.div_ceil(most)))
-}
-
-/// The part of a row array that holds `rows`, all of one y_i.
-fn subset(header: &MatrixHeader, rows: std::ops::Range<usize>) -> ArraySubset {
-    let (nx, [wx, wy]) = (header.points[0], header.window);
-    let (y, x) = ((rows.start / nx) as u64, (rows.start % nx) as u64);
-    let n = rows.len() as u64;
-    ArraySubset::new_with_ranges(&[y..y + 1, x..x + n, 0..wy as u64, 0..wx as u64, 0..CHANNELS as u64])
-}
-
 /// The attributes of an array: its unit, and what else there is to say.
-fn units(name: &str, more: &[(&str, &str)]) -> serde_json::Map<String, serde_json::Value> {
+pub(super) fn units(name: &str, more: &[(&str, &str)]) -> serde_json::Map<String, serde_json::Value> {
     let unit = match name {
         "response" => "mm^-2",
         "variance" => "mm^-4",
         "valid" | "shot" | "row_scale_sd" => "1",
         "common_sd" => "mm^-2",
+        "shot_drift_px" | "shot_drift_sd_px" => "px",
+        "shot_name" => "",
         _ => "mm",
     };
-    let all = [("units", unit)].into_iter().chain(more.iter().copied());
+    let all = [("units", unit)].into_iter().filter(|(_, unit)| !unit.is_empty()).chain(more.iter().copied());
     all.map(|(key, value)| (key.to_owned(), value.into())).collect()
-}
-
-fn rows_array<F>(
-    header: &MatrixHeader,
-    store: &Arc<FilesystemStore>,
-    name: &str,
-    data_type: zarrs::array::DataType,
-    fill: F,
-) -> Result<Array<FilesystemStore>, zarrs::array::ArrayCreateError>
-where
-    F: Into<zarrs::array::FillValue>,
-{
-    let ([nx, ny], [wx, wy]) = (header.points, header.window);
-    let shape = [ny, nx, wy, wx, CHANNELS].map(|n| n as u64);
-    let chunk = [1, chunk_rows(header), wy, wx, CHANNELS].map(|n| n as u64);
-    ArrayBuilder::new(shape.to_vec(), chunk.to_vec(), data_type, fill.into())
-        .dimension_names(["y_i", "x_i", "dy", "dx", "channel"].into())
-        // The CF convention by which xarray takes the lit points' places for coordinates.
-        .attributes(units(name, &[("coordinates", "x_i_mm y_i_mm")]))
-        .bytes_to_bytes_codecs(vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, false)), Arc::new(Crc32cCodec::new())])
-        // One file a chunk in one folder: five nested folders for each would cost more than the data.
-        .chunk_key_encoding_default_separator(ChunkKeySeparator::Dot)
-        .build(store.clone(), &format!("/{name}"))
 }
 
 fn small_array<T: zarrs::array::Element>(
@@ -345,8 +346,7 @@ where
     Vec<T>: zarrs::array::IntoArrayBytes<'static>,
 {
     let checked: Arc<dyn BytesToBytesCodecTraits> = Arc::new(Crc32cCodec::new());
-    let codecs = match checksum::OF_COMMON.contains(&name) {
-        // Often zero, or nearly constant.
+    let codecs = match checksum::is_compressed(name) {
         true => vec![Arc::new(ZstdCodec::new(ZSTD_LEVEL, false)), checked],
         false => vec![checked],
     };

@@ -27,6 +27,7 @@ use super::entry_exit::MarginalSums;
 use super::storing::{Storage, Stored, store};
 use super::survey::SurveyedRows;
 use super::{Backend, FactorOptions};
+use crate::files::is_url;
 use crate::output::{PROGRAM, TaskFile};
 use crate::progress::Progress;
 use crate::transport::MatrixReader;
@@ -223,7 +224,10 @@ impl Tasks {
         std::fs::read_dir(&folder.path).map_err(Error::io("read", &folder.path))?;
         Ok(Self {
             folder: folder.path.clone(),
-            matrix: reader.path().canonicalize().map_err(Error::io("read", reader.path()))?,
+            matrix: match is_url(reader.path()) {
+                true => reader.path().to_path_buf(),
+                false => reader.path().canonicalize().map_err(Error::io("read", reader.path()))?,
+            },
             digest: reader.digest().map(str::to_owned),
             parts,
             rows: header.rows(),

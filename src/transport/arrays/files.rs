@@ -1,9 +1,11 @@
 //! Arrays from files: NPY, NPZ, and Zarr groups that are no matrix yet.
 
 use super::{ArrayOf, MatrixArrays};
+use crate::files::is_url;
 use crate::npy::NpyHeader;
 use crate::transport::MatrixReader;
 use crate::transport::row_array::{check_chunks, check_metadata, wide_numbers};
+use crate::transport::store_files::StoreFiles;
 use crate::{Error, Result};
 use serde_json::{Map, Value};
 use std::borrow::Cow;
@@ -12,7 +14,6 @@ use std::io::{BufReader, Read};
 use std::path::Path;
 use std::sync::Arc;
 use zarrs::array::Array;
-use zarrs::filesystem::FilesystemStore;
 use zip::{ZipArchive, result::ZipError};
 
 /// The most numbers of an array, 16 GiB of f32.
@@ -38,8 +39,7 @@ trait Named {
 /// # Errors
 /// [`Error::Io`]; [`Error::Arrays`] naming file and array; those of [`MatrixReader::open`].
 pub fn open_arrays(path: &Path, full: bool, instead: &Map<String, Value>) -> Result<ArraysInput> {
-    let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
-    if kind.is_dir() {
+    if is_url(path) || std::fs::metadata(path).map_err(Error::io("read", path))?.is_dir() {
         return from_zarr(path, full, instead);
     }
     let mut start = [0; 6];
@@ -141,19 +141,19 @@ impl Named for Npz<'_> {
 /// A Zarr group, or one array, which is then the response.
 struct Zarr<'a> {
     path: &'a Path,
-    store: Arc<FilesystemStore>,
+    store: Arc<StoreFiles>,
     attributes: Map<String, Value>,
     only: bool,
 }
 
 impl Zarr<'_> {
-    fn open(&self, name: &str) -> Result<Option<Array<FilesystemStore>>> {
-        let folder = if self.only { self.path.to_path_buf() } else { self.path.join(name) };
-        let there = ["zarr.json", ".zarray"].iter().any(|file| folder.join(file).is_file());
+    fn open(&self, name: &str) -> Result<Option<Array<StoreFiles>>> {
+        let folder = if self.only { "" } else { name };
+        let there = self.store.has(folder, &["zarr.json", ".zarray"]).map_err(Error::io("read", self.path))?;
         if !there || self.only && name != "response" {
             return Ok(None);
         }
-        check_metadata(&folder).map_err(|e| refused(self.path, name, "a whole Zarr array", e))?;
+        check_metadata(&self.store, folder).map_err(|e| refused(self.path, name, "a whole Zarr array", e))?;
         let node = if self.only { "/".into() } else { format!("/{name}") };
         let array = Array::open(self.store.clone(), &node);
         array.map(Some).map_err(|e| refused(self.path, name, "a whole Zarr array", e.to_string()))
@@ -188,12 +188,11 @@ fn from_zarr(path: &Path, full: bool, instead: &Map<String, Value>) -> Result<Ar
     if path.to_str().is_none() {
         return Err(refused(path, "group", "a path in UTF-8", "another".into()));
     }
-    let has = |names: [&str; 2]| names.iter().any(|name| path.join(name).is_file());
+    let store = Arc::new(StoreFiles::at(path)?);
     let broken = |e: String| refused(path, "group", "a Zarr group with the array response, or a Zarr array", e);
-    if !has(["zarr.json", ".zgroup"]) && !path.join(".zarray").is_file() {
+    if !store.has("", &["zarr.json", ".zgroup", ".zarray"]).map_err(Error::io("read", path))? {
         return Err(broken("a folder without zarr.json".into()));
     }
-    let store = Arc::new(FilesystemStore::new(path).map_err(|e| broken(e.to_string()))?);
     let group = zarrs::group::Group::open(store.clone(), "/");
     let only = group.is_err();
     let attributes = group.map(|group| group.attributes().clone()).unwrap_or_default();
@@ -207,7 +206,7 @@ fn from_zarr(path: &Path, full: bool, instead: &Map<String, Value>) -> Result<Ar
 }
 
 /// Whether an array is over windows: three axes or more, unless they are those of points and channels alone.
-fn zarr_windows(array: &Array<FilesystemStore>) -> bool {
+fn zarr_windows(array: &Array<StoreFiles>) -> bool {
     match crate::transport::row_array::dimension_names(array) {
         Some(names) => names.iter().any(|name| name == "dx" || name == "dy"),
         None => array.shape().len() >= 4,

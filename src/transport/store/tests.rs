@@ -1,5 +1,5 @@
 use super::*;
-use crate::transport::writer::chunks;
+use crate::transport::chunk_writer::Chunking;
 use crate::transport::{CommonOfAll, MatrixReader, MatrixWriter, checksum};
 use std::path::Path;
 use std::sync::Arc;
@@ -145,6 +145,43 @@ fn coordinates_on_disk_are_under_their_own_names() {
 }
 
 #[test]
+fn lattice_shots_are_arrays_however_many_and_lists_of_older_stores_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.rd.zarr");
+    let shots = (0..3000).map(|k| ShotRecord {
+        name: format!("lattice-{k:04}, ½ exposed"),
+        drift_px: [0.25 * f64::from(k), -1.0 / f64::from(k + 1)],
+        drift_sd_px: (k % 3 > 0).then_some(0.01 * f64::from(k)),
+    });
+    let header = MatrixHeader { shots: shots.collect(), ..uneven() };
+    MatrixWriter::create(&path, header.clone()).unwrap().finish().unwrap();
+    assert_eq!(MatrixReader::open(&path).unwrap().header(), &header);
+    // Read without our reader. The group says how many there are, and no more of them.
+    let store = Arc::new(FilesystemStore::new(&path).unwrap());
+    let array = |name: &str| Array::open(store.clone(), name).unwrap();
+    let names: Vec<String> = array("/shot_name").retrieve_array_subset(&array("/shot_name").subset_all()).unwrap();
+    assert_eq!((names.len(), names[2999].as_str()), (3000, "lattice-2999, ½ exposed"));
+    let drift: Vec<f64> = array("/shot_drift_px").retrieve_array_subset(&array("/shot_drift_px").subset_all()).unwrap();
+    assert_eq!(drift[2 * 1001..][..2], [250.25, -1.0 / 1002.0]);
+    let root = path.join("zarr.json");
+    let mut group: serde_json::Value = serde_json::from_slice(&std::fs::read(&root).unwrap()).unwrap();
+    assert_eq!(group["attributes"]["shots"], 3000);
+    assert!(group.to_string().len() < 2000, "{group}");
+    // As it was before.
+    unsealed(&path);
+    group["attributes"].as_object_mut().unwrap().remove("checksum").unwrap();
+    group["attributes"]["shots"] = serde_json::to_value(&header.shots).unwrap();
+    std::fs::write(&root, group.to_string()).unwrap();
+    checksum::OF_SHOTS.iter().for_each(|name| std::fs::remove_dir_all(path.join(name)).unwrap());
+    assert_eq!(MatrixReader::open(&path).unwrap().header(), &header);
+    // Without names no row can have been lit by one; but for that they may be left out.
+    group["attributes"]["shots"] = 3000.into();
+    std::fs::write(&root, group.to_string()).unwrap();
+    let said = MatrixReader::open(&path).unwrap_err().to_string();
+    assert!(said.contains("array shot: expected -1, or numbers below 0, of which there are names, found 1"), "{said}");
+}
+
+#[test]
 fn an_entry_lies_at_its_line_column_sample_and_channel() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.rd.zarr");
@@ -190,7 +227,7 @@ fn rows_of_several_chunks_are_read_across_their_borders() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.rd.zarr");
     let header = MatrixHeader { window: [301, 201], ..header([7, 2], [301, 201]) };
-    assert_eq!(chunks(&header).collect::<Vec<_>>(), [0..4, 4..7, 7..11, 11..14]);
+    assert_eq!(Chunking::of(&header).files(&header), [0..4, 4..7, 7..11, 11..14].map(|chunk| vec![chunk]));
     let n = header.row_len();
     let writer = MatrixWriter::create(&path, header).unwrap();
     for index in 0..14 {
