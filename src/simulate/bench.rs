@@ -42,8 +42,7 @@ impl Bench {
             warnings.extend(validity::warnings(&volume, &record, width.min(height)));
         }
         let middle = scene.beam(options.grid.map(|n| n / 2), [0.0; 2]);
-        let half_mm = [0, 1].map(|a| if options.grid[a] > 1 { 0.5 * scene.lit_size_mm[a] } else { 0.0 });
-        let dots = Dots::new(options, volume, scene.eye_mm, &middle, half_mm, progress)?;
+        let dots = Dots::new(options, volume, scene.eye_mm, &middle, progress)?;
         Ok(Self { scene, dots, record, warnings, noise: Mutex::default() })
     }
 

@@ -5,7 +5,6 @@ use super::{
     domain::{Domain, SolverSlab},
     field::Field,
     monte_carlo::{self, BATCHES, Medium, Outcome, Setup, TallyWindow},
-    solution::Solution,
 };
 use crate::simulate::{SimulateOptions, Transport, mix_seed, slab::Volume};
 use crate::{Result, geometry::Point, progress::Progress};
@@ -46,22 +45,8 @@ pub(crate) struct Dots {
     pitch_mm: f64,
     box_voxels: [usize; 2],
     tracer: Option<Tracer>,
-    everywhere: Option<Everywhere>,
-}
-
-/// For a slab that is the same everywhere: the light of a dot in its middle, and that dot's place.
-#[derive(Debug)]
-struct Everywhere {
-    center_mm: Point,
-    light: MiddleLight,
-}
-
-#[derive(Debug)]
-enum MiddleLight {
-    /// What diffuses below it, and what it scatters to the eye at once, for eyes beside the camera's.
-    Diffused([Aside; 2]),
-    /// Photons that left towards the camera as the middle sees it.
-    Traced(Glow),
+    /// For a slab that is the same everywhere: what leaves around a dot in its middle, and that dot's place.
+    everywhere: Option<(Glow, Point)>,
 }
 
 /// What Monte Carlo needs.
@@ -93,65 +78,15 @@ impl Glow {
     }
 }
 
-/// Light as eyes see it that are up to half the lit area beside the camera's: quadratic between three places
-/// along each axis, which is what shifts by some tenths of a cell need.
-#[derive(Debug)]
-struct Aside {
-    /// Places of eyes along x and y, from the camera's, mm.
-    places_mm: [Vec<f64>; 2],
-    /// One for each pair of places, x first.
-    fields: Vec<Field>,
-}
-
-impl Aside {
-    fn new(seen: impl Fn([f64; 3]) -> Field + Sync, eye_mm: [f64; 3], half_mm: Point) -> Self {
-        let places_mm = half_mm.map(|half| if half > 0.0 { vec![-half, 0.0, half] } else { vec![0.0] });
-        let [nx, ny] = [places_mm[0].len(), places_mm[1].len()];
-        let field = |k: usize| {
-            let by = [places_mm[0][k % nx], places_mm[1][k / nx]];
-            seen([eye_mm[0] + by[0], eye_mm[1] + by[1], eye_mm[2]])
-        };
-        let fields = (0..nx * ny).into_par_iter().map(field).collect();
-        Self { places_mm, fields }
-    }
-
-    /// From an eye `by` (mm) beside the camera's.
-    fn field(&self, by: Point) -> Field {
-        let weights = [0, 1].map(|a| lagrange(&self.places_mm[a], by[a]));
-        let all = weights[1].iter().flat_map(|y| weights[0].iter().map(move |x| (x * y) as f32));
-        Field::mixed(&self.fields, &all.collect::<Vec<_>>())
-    }
-}
-
-/// Weights of values at `places` in the polynomial through them, at `x`.
-fn lagrange(places: &[f64], x: f64) -> Vec<f64> {
-    let weight = |k: usize| {
-        let others = places.iter().enumerate().filter(|(j, _)| *j != k);
-        others.map(|(_, place)| (x - place) / (places[k] - place)).product()
-    };
-    (0..places.len()).map(weight).collect()
-}
-
-/// What an eye sees of solutions, but for what is scattered towards it at once.
-fn shown(domain: &Domain, solutions: &[Solution; 3], eye_mm: [f64; 3]) -> Field {
-    field(domain, &[0, 1, 2].map(|c| solutions[c].radiance_but_first(eye_mm)))
-}
-
-fn field(domain: &Domain, [red, green, blue]: &[Vec<f32>; 3]) -> Field {
-    Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [red, green, blue])
-}
-
 impl Dots {
     /// Prepares the solver. A slab that is the same everywhere has one answer for all dots: it is found here, for
-    /// `middle`. The others' footprints differ from that by the projector's keystone, which is left out; the
-    /// camera sees them from a little more or less aside, as far as `half_mm` to each side of `middle`. With photons,
-    /// which are traced once, that is left out too: by up to the tangent of half the camera's field per depth.
+    /// `middle`. The others' footprints differ from that by the projector's keystone, and the camera sees them from a
+    /// little more aside.
     pub(crate) fn new(
         options: &SimulateOptions,
         volume: Volume,
         eye_mm: [f64; 3],
         middle: &Beam,
-        half_mm: Point,
         progress: &Progress,
     ) -> Result<Self> {
         let voxel_mm = options.pitch_mm / options.voxels_per_sample as f64;
@@ -175,36 +110,17 @@ impl Dots {
         if uniform {
             let all = options.photons.saturating_mul((options.grid[0] * options.grid[1]) as u64);
             let photons = all.min(options.photons.max(MOST_SHARED_PHOTONS));
-            let light = match dots.tracer {
-                Some(_) => MiddleLight::Traced(dots.solve(middle, photons, 0, progress)?),
-                None => {
-                    let domain = dots.domain(middle.center_mm);
-                    let solutions = dots.diffused(&domain, middle)?;
-                    let often = Aside::new(|eye_mm| shown(&domain, &solutions, eye_mm), dots.eye_mm, half_mm);
-                    let once = Aside::new(|eye_mm| dots.scattered_once(middle, eye_mm), dots.eye_mm, half_mm);
-                    MiddleLight::Diffused([often, once])
-                }
-            };
-            dots.everywhere = Some(Everywhere { center_mm: middle.center_mm, light });
+            dots.everywhere = Some((dots.solve(middle, photons, 0, progress)?, middle.center_mm));
         }
         Ok(dots)
     }
 
     /// The light of `beam`; `number` tells its random numbers from other dots'.
     pub(crate) fn glow(&self, beam: &Beam, number: usize) -> Result<Glow> {
-        if let Some(Everywhere { center_mm, light }) = &self.everywhere {
+        if let Some((glow, center_mm)) = &self.everywhere {
             let by = std::array::from_fn(|a| beam.center_mm[a] - center_mm[a]);
-            return Ok(match light {
-                // The middle's light from where this dot sees the camera.
-                MiddleLight::Diffused(parts) => {
-                    let fields = parts.iter().map(|part| part.field(by.map(|by| -by)).moved(by)).collect();
-                    Glow { fields, variance_sum: 0.0 }
-                }
-                MiddleLight::Traced(glow) => {
-                    let fields = glow.fields.iter().map(|field| field.moved(by)).collect();
-                    Glow { fields, ..*glow }
-                }
-            });
+            let fields = glow.fields.iter().map(|field| field.moved(by)).collect();
+            return Ok(Glow { fields, ..*glow });
         }
         let photons = self.tracer.as_ref().map_or(0, |tracer| tracer.photons);
         self.solve(beam, photons, 1 + number, &Progress::silent())
@@ -215,27 +131,32 @@ impl Dots {
         match &self.tracer {
             Some(tracer) => self.trace(tracer, &domain, beam, photons, number, progress),
             None => {
-                let often = shown(&domain, &self.diffused(&domain, beam)?, self.eye_mm);
-                Ok(Glow { fields: vec![often, self.scattered_once(beam, self.eye_mm)], variance_sum: 0.0 })
+                let fields = vec![self.scattered_often(&domain, beam)?, self.scattered_once(beam)];
+                Ok(Glow { fields, variance_sum: 0.0 })
             }
         }
     }
 
     /// What is seen by diffusion for flux arriving at the columns of `domain`, per channel.
     pub(crate) fn diffuse(&self, domain: &Domain, flux: [&[f64]; 3]) -> Result<Field> {
-        let channel = |c: usize| -> Result<_> { Ok(self.slab.solve(domain, flux[c], c)?.radiance(self.eye_mm)) };
-        Ok(field(domain, &[channel(0)?, channel(1)?, channel(2)?]))
+        let channel = |c: usize| Ok(self.slab.solve(domain, flux[c], c)?.radiance(self.eye_mm));
+        Self::through(domain, channel)
     }
 
-    /// The light of `beam` below, per channel.
-    fn diffused(&self, domain: &Domain, beam: &Beam) -> Result<[Solution; 3]> {
+    /// What is seen of `beam`, but for what it scatters towards the camera at once.
+    fn scattered_often(&self, domain: &Domain, beam: &Beam) -> Result<Field> {
         let flux = beam.footprint(domain);
-        let channel = |c: usize| self.slab.solve(domain, &flux, c);
-        Ok([channel(0)?, channel(1)?, channel(2)?])
+        let channel = |c: usize| Ok(self.slab.solve(domain, &flux, c)?.radiance_but_first(self.eye_mm));
+        Self::through(domain, channel)
+    }
+
+    fn through(domain: &Domain, channel: impl Fn(usize) -> Result<Vec<f32>>) -> Result<Field> {
+        let [red, green, blue] = [channel(0)?, channel(1)?, channel(2)?];
+        Ok(Field::interpolate(domain.corner_mm, domain.voxel_mm, domain.voxels, [&red, &green, &blue]))
     }
 
     /// What `beam` scatters towards the camera at once: as sharp as the beam, hence on a grid of its own.
-    fn scattered_once(&self, beam: &Beam, eye_mm: [f64; 3]) -> Field {
+    fn scattered_once(&self, beam: &Beam) -> Field {
         let thickness: f64 = self.slab.layers_mm.iter().sum();
         let cell_mm = self.cell_mm();
         let reach_mm = beam.reach_mm().into_iter().fold(0.0, f64::max);
@@ -247,7 +168,7 @@ impl Dots {
             voxels: [2 * half; 2],
         };
         let flux = beam.footprint(&domain);
-        let [red, green, blue] = [0, 1, 2].map(|c| self.slab.first_radiance(&domain, &flux, c, eye_mm));
+        let [red, green, blue] = [0, 1, 2].map(|c| self.slab.first_radiance(&domain, &flux, c, self.eye_mm));
         Field::smooth(domain.corner_mm, domain.voxel_mm, domain.voxels, [&red, &green, &blue])
     }
 

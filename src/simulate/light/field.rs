@@ -39,17 +39,6 @@ impl Field {
         Self { origin_mm: corner_mm.map(|c| c + 0.5 * cell_mm), per_mm: 1.0 / cell_mm, size, coefficients }
     }
 
-    /// The sum of fields over the same cells, each times its weight.
-    pub(crate) fn mixed(fields: &[Self], weights: &[f32]) -> Self {
-        let mut sum = vec![[0.0; 4]; fields[0].coefficients.len()];
-        for (field, weight) in fields.iter().zip(weights) {
-            sum.iter_mut().zip(&field.coefficients).for_each(|(sum, value)| {
-                (0..4).for_each(|c| sum[c] += weight * value[c]);
-            });
-        }
-        Self { coefficients: sum, ..fields[0] }
-    }
-
     /// The same field elsewhere.
     pub(crate) fn moved(&self, by_mm: Point) -> Self {
         let origin_mm = std::array::from_fn(|a| self.origin_mm[a] + by_mm[a]);
