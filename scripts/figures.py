@@ -111,16 +111,16 @@ def measured(given, run, options):
         told |= json.loads((Path(folder) / "t.rd.zarr/zarr.json").read_text())["attributes"]
         truth = tomllib.loads((capture / "truth.toml").read_text())
         told["camera_px"], told["projector_px"] = registration_rms(truth, told["provenance"]["registration"])
-        shots = told["shots"]
-        told["position_sd_mm"] = position_sd_mm(Path(folder) / "t.rd.zarr")
-        told["drift_sd_px"] = math.sqrt(sum(s["drift_sd_px"] ** 2 for s in shots) / len(shots)) if shots else None
+        matrix = Path(folder) / "t.rd.zarr"
+        told["position_sd_mm"] = math.sqrt(2) * rms(matrix / "position_sd_mm/c/0/0")
+        told["drift_sd_px"] = rms(matrix / "shot_drift_sd_px/c/0") if told["shots"] else None
         return told
 
 
-def position_sd_mm(matrix):
-    """RMS of the stated standard deviations of the places, both axes together: the array is one chunk of f64 and a checksum."""
-    data = (matrix / "position_sd_mm/c/0/0").read_bytes()[:-4]
-    return math.sqrt(2 * sum(v[0] ** 2 for v in struct.iter_unpack("<d", data)) / (len(data) // 8))
+def rms(chunk):
+    """RMS of an array that is one chunk of f64 and a checksum."""
+    data = chunk.read_bytes()[:-4]
+    return math.sqrt(sum(v[0] ** 2 for v in struct.iter_unpack("<d", data)) / (len(data) // 8))
 
 
 def shown(template, values, old):

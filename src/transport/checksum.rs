@@ -216,7 +216,7 @@ fn file_name(chunk: &str) -> String {
 
 /// Whether the numbers of a small array repeat often, or are nearly constant.
 pub(super) fn is_compressed(name: &str) -> bool {
-    OF_COMMON.contains(&name) || OF_SHOTS.contains(&name)
+    OF_COMMON.contains(&name) || name == "shot_name"
 }
 
 /// Whether an array's chunks have the codecs and names that this program gives them.
