@@ -1,5 +1,6 @@
 //! Files that people name, opened only where they are files.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Error, ErrorKind, Read, Result};
 use std::path::Path;
@@ -8,6 +9,26 @@ use std::path::Path;
 pub(crate) fn is_url(path: &Path) -> bool {
     let schemes = ["s3://", "gs://", "https://", "http://"];
     path.to_str().is_some_and(|path| schemes.iter().any(|scheme| path.starts_with(scheme)))
+}
+
+/// All files below a folder and their lengths, bytes: by their names from there, `/` between folders.
+///
+/// # Errors
+/// Those of reading the folders.
+pub(crate) fn below(folder: &Path) -> Result<BTreeMap<String, u64>> {
+    let mut files = BTreeMap::new();
+    let mut folders = vec![(folder.to_path_buf(), String::new())];
+    while let Some((folder, before)) = folders.pop() {
+        for entry in std::fs::read_dir(folder)? {
+            let entry = entry?;
+            let name = format!("{before}{}", entry.file_name().to_string_lossy());
+            match entry.file_type()?.is_dir() {
+                true => folders.push((entry.path(), name + "/")),
+                false => drop(files.insert(name, entry.metadata()?.len())),
+            }
+        }
+    }
+    Ok(files)
 }
 
 /// Opens a file for reading.

@@ -5,7 +5,6 @@
 #[path = "common/mod.rs"]
 mod common;
 
-use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
@@ -89,24 +88,6 @@ fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
-/// The files of a folder by their names in it.
-fn files_of(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    let mut folders = vec![folder.to_path_buf()];
-    while let Some(at) = folders.pop() {
-        for path in std::fs::read_dir(at).unwrap().map(|e| e.unwrap().path()) {
-            match path.is_dir() {
-                true => folders.push(path),
-                false => {
-                    let name = path.strip_prefix(folder).unwrap().to_str().unwrap().replace('\\', "/");
-                    files.insert(name, std::fs::read(&path).unwrap());
-                }
-            }
-        }
-    }
-    files
-}
-
 fn done((status, out, err): (i32, String, String)) -> String {
     assert_eq!(status, 0, "{err}");
     out
@@ -126,7 +107,7 @@ fn a_matrix_is_written_read_and_replaced_in_an_object_store_as_in_a_folder() {
     let captures = captures.display();
     done(run(&format!("build-matrix {captures} --out slab.rd.zarr")));
     done(run(&format!("build-matrix {captures} --out s3://lab/slab.rd.zarr")));
-    let local = files_of(&folder.path().join("slab.rd.zarr"));
+    let local = common::files(&folder.path().join("slab.rd.zarr"));
     for (name, bytes) in &local {
         let (status, body) = s3.ask("GET", &format!("slab.rd.zarr/{name}"));
         assert!(status == 200 && body == *bytes, "{name}: {status}");
@@ -147,7 +128,7 @@ fn a_matrix_is_written_read_and_replaced_in_an_object_store_as_in_a_folder() {
         all
     };
     assert_eq!(figures("a.json"), figures("b.json"));
-    let chunks = |name: &str| files_of(&folder.path().join(name).join("response"));
+    let chunks = |name: &str| common::files(&folder.path().join(name).join("response"));
     assert_eq!(chunks("a.rd.zarr"), chunks("b.rd.zarr"));
     // Nothing is replaced that is not to be.
     let again = format!("build-matrix {captures} --out s3://lab/slab.rd.zarr");

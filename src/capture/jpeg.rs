@@ -253,7 +253,6 @@ mod tests {
                     let found = (c..read.len()).step_by(3).map(square).sum::<f64>() / (side * side) as f64;
                     let stated = changes[(noise / NOISE_STEP) as usize][c] + noise * noise;
                     // 256 blocks of 64 coefficients: a mean square that few of them make is known to a tenth.
-                    // 256 blocks of 64 coefficients: a mean square that few of them make is known to a tenth.
                     assert!((found / stated - 1.0).abs() < 0.2, "{quality} {noise} {c}: {found} {stated}");
                 }
             }

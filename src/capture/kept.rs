@@ -6,7 +6,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The photographs of one capture that are kept, as they come up to so many bytes: none until it is told how many.
+/// Decoded photographs of one capture, kept while their sizes together stay below a limit, which is 0 bytes until `allow`
+/// sets it.
 ///
 /// Clones share them. A file that changes after it was read is not noticed.
 #[derive(Debug, Clone, Default)]

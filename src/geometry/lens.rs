@@ -120,8 +120,7 @@ fn difference(a: Point, b: Point, h: f64) -> Point {
     [(a[0] - b[0]) / h, (a[1] - b[1]) / h]
 }
 
-/// Refractive index that is taken for the sample's. From 1.3 to 1.6 slopes at 30° differ from this one's by 1.2 % and
-/// −1.9 %.
+/// Assumed refractive index of the sample. With 1.3 slopes at 30° would be 1.2 % larger, with 1.6 1.9 % smaller.
 const REFRACTIVE_INDEX: f64 = 1.4;
 
 /// Slope of the line of sight, refracted by the sample's top, from an eye (slab mm, z negative above the top) to a place

@@ -7,8 +7,8 @@ use crate::transport::{CommonErrors, CommonOfAll};
 /// The errors that samples of a row, and rows, have in common. `left_by_others`: variance by sample that separating the
 /// dots of a shot has left.
 ///
-/// Not counted: the dot's size in projector pixels, which is taken from `capture.toml` as it is; reconstruction beside the peak, which counts
-/// as independent.
+/// Not counted: the dot's size in projector pixels, which is taken from `capture.toml` as it is; reconstruction beside the
+/// peak, which counts as independent.
 pub(super) fn common_errors(
     scene: &Scene<'_>,
     light: &LightCorrections,

@@ -201,6 +201,8 @@ struct Value {
 struct Share {
     share: f64,
     sd: f64,
+    /// How many places tell it.
+    places: usize,
 }
 
 impl Share {
@@ -261,7 +263,7 @@ fn share(values: &[Value], [rise, structure]: [f64; 2]) -> Option<Share> {
         .0;
     // By more than they are known to they differ where light is not the same everywhere.
     let off = scaled_deviation(all.iter().map(|v| (v.0 - share) * v.1.sqrt()), 0.0);
-    Some(Share { share, sd: 1.25 * off.max(1.0) / total.sqrt() })
+    Some(Share { share, sd: 1.25 * off.max(1.0) / total.sqrt(), places: values.len() })
 }
 
 /// What is to be told.
@@ -282,9 +284,8 @@ pub(super) fn judge(results: &[ShotResult], options: &BuildOptions) -> Result<Op
 /// before; `false` where too few are seen.
 pub(super) fn exclude(results: &[ShotResult], share: f64) -> bool {
     let before = LATER.iter().position(|later| *later == -1);
-    let enough = values(results, -1, &[0, 1, 2]).len() >= LEAST_VALUES;
     let found = before.and_then(|k| shares(results, &[0, 1, 2])[k]);
-    enough && found.is_some_and(|s| s.share + SIGMA * s.sd < share)
+    found.is_some_and(|s| s.places >= LEAST_VALUES && s.share + SIGMA * s.sd < share)
 }
 
 /// The shares of the patterns of [`LATER`], but for the last, in some channels together.
@@ -297,8 +298,7 @@ fn shares(results: &[ShotResult], channels: &[usize]) -> [Option<Share>; 3] {
 }
 
 fn find(results: &[ShotResult]) -> Option<ConsistencyWarning> {
-    let of = |channels: &[usize]| shares(results, channels);
-    let (together, each) = (of(&[0, 1, 2]), [0, 1, 2].map(|c| of(&[c])));
+    let (together, each) = (shares(results, &[0, 1, 2]), [0, 1, 2].map(|c| shares(results, &[c])));
     let told = |shares: &[Option<Share>; 3]| {
         let told = (0..3).filter_map(|k| Some((k, shares[k].filter(Share::is_told)?)));
         told.max_by(|a, b| a.1.share.total_cmp(&b.1.share))
@@ -309,7 +309,7 @@ fn find(results: &[ShotResult]) -> Option<ConsistencyWarning> {
         let is_small = |o: usize| each[o][k].is_none_or(|s| s.share < ALONE * found.share);
         (0..3).filter(|o| *o != c).all(is_small)
     });
-    let (k, Share { share, sd }) = alone.map(|a| a.1).or_else(|| told(&together))?;
+    let (k, Share { share, sd, .. }) = alone.map(|a| a.1).or_else(|| told(&together))?;
     Some(ConsistencyWarning::PatternRemains { later: LATER[k], share, sd, channel: alone.map(|a| a.0) })
 }
 

@@ -68,13 +68,17 @@ impl FileNoise {
         Ok(Self { sixteen_bit, compression, flat, change })
     }
 
+    /// Variance of rounding to whole code values, 8-bit code values squared: those of 16 bits are 257ths.
+    fn rounding_variance(&self) -> f64 {
+        let step: f64 = if self.sixteen_bit { 1.0 / 257.0 } else { 1.0 };
+        step * step * ROUNDING_VARIANCE
+    }
+
     /// How much wider code values of one light are spread in the file than by noise of `noise` code values, code values
     /// squared.
     fn change_at(&self, noise: f64, channel: usize) -> f64 {
         if !self.is_compressed() {
-            // 16-bit codes are 257ths of 8-bit ones.
-            let step: f64 = if self.sixteen_bit { 1.0 / 257.0 } else { 1.0 };
-            return step * step * ROUNDING_VARIANCE;
+            return self.rounding_variance();
         }
         // Beyond the last level every step's rounding is spread evenly.
         let at = (noise / NOISE_STEP).min((NOISE_LEVELS - 1) as f64);
@@ -293,9 +297,7 @@ impl Sensor {
 
 impl Encoding {
     fn new(curve: Curve, noise: &Noise, file: FileNoise) -> Self {
-        // 16-bit codes are 257ths of 8-bit ones.
-        let step: f64 = if file.sixteen_bit { 1.0 / 257.0 } else { 1.0 };
-        let coding: [f64; 3] = file.compression.map(|c| c + step * step * ROUNDING_VARIANCE);
+        let coding: [f64; 3] = file.compression.map(|c| c + file.rounding_variance());
         // Light is the mean over the noise of what the camera encoded. Where the file spreads code values more than
         // that, the mean of the curve is too large by half its bend times the difference; where less, too small. A curve
         // that was estimated has been fitted to code values of the file, with all that compression adds taken for spread:
@@ -303,8 +305,9 @@ impl Encoding {
         let is_known = curve.relative_variance() == 0.0;
         let mean = |c: usize, code: f64| {
             let (light, slope) = (curve.linear_at(c, code), curve.slope_at(c, code));
-            let electrons = (light - noise.black_dn).max(0.0) / noise.gain_dn_per_electron.max(f64::MIN_POSITIVE);
-            let sd = noise.gain_dn_per_electron * (electrons + noise.read_noise_electrons.powi(2)).sqrt();
+            let gain = noise.gain_dn_per_electron;
+            let photons = gain * (light - noise.black_dn).max(0.0);
+            let sd = (photons + (gain * noise.read_noise_electrons).powi(2)).sqrt();
             let change = if is_known { file.change_at(sd / slope, c) } else { coding[c] };
             let excess = 0.5 * curve.bend_at(c, code) * change;
             (light - excess.clamp(-0.2 * light, 0.2 * light)) as f32

@@ -13,9 +13,9 @@ use crate::radiance::Radiance;
 /// are seen.
 ///
 /// Corners by OpenCV (`findChessboardCorners`, then `cornerSubPix` on the linear picture). Of small or blurred squares
-/// some are found beside their places, mostly at the rim; a flat board seen through a lens, fitted to most of them, tells
-/// where these are to be looked for again. Those that are still elsewhere are left out, up to a tenth of all. The corner
-/// nearest the picture's top left is taken for corner (0, 0). The whole board must be in the picture.
+/// some are found in wrong places, mostly at the rim. So the model of a flat board seen through a lens is fitted to most
+/// corners, and every corner is located again from where the model puts it. Corners that are still far from the model are
+/// left out, up to a tenth of all. The corner nearest the picture's top left is taken for corner (0, 0). The whole board must be in the picture.
 ///
 /// # Errors
 /// A text that says what was not found; corners of which more than a tenth fit no flat board through any lens; every
@@ -31,12 +31,11 @@ pub fn find_board(picture: &Radiance, board: &Board, camera: &Camera) -> Result<
     }
     let scaled: Vec<f32> = light.iter().map(|v| (255.0 * v / brightest).clamp(0.0, 255.0)).collect();
     let height = picture.rect.height;
-    let mut corners = find_corners(&scaled, height, board.inner_corners)?;
-    if corners.len() == nx * ny {
-        corners = refine_corners(&scaled, height, &corners)?;
-    } else {
+    let corners = find_corners(&scaled, height, board.inner_corners)?;
+    if corners.len() != nx * ny {
         return Err(format!("no chessboard with {nx} × {ny} inner corners was found"));
     }
+    let corners = refine_corners(&scaled, height, &corners)?;
     let at = |i: usize, j: usize| corners[j * nx + i];
     // OpenCV starts at either end of the board: x must grow to the right, y downwards.
     let flip_x = at(nx - 1, 0)[0] < at(0, 0)[0];
@@ -55,8 +54,8 @@ pub fn find_board(picture: &Radiance, board: &Board, camera: &Camera) -> Result<
     let pairs: Pairs = pairs.iter().zip(again).map(|(p, seen)| (p.0, seen)).collect();
     let fit = spanned(fit_most(&pairs, camera))?;
     let kept = near(&pairs, &fit.view);
-    if (pairs.len() - kept.len()) as f64 > MOST_LEFT_OUT * pairs.len() as f64 {
-        let (off, all) = (pairs.len() - kept.len(), pairs.len());
+    let (off, all) = (pairs.len() - kept.len(), pairs.len());
+    if off as f64 > MOST_LEFT_OUT * all as f64 {
         return Err(format!("{off} of the board's {all} corners are not where a flat board has them"));
     }
     // What is left of detection is far below a pixel.

@@ -2,8 +2,8 @@
 
 use crate::geometry::Point;
 
-/// Inner corners to a pixel or so, row after row, from either end of the board; none when no whole board is seen. `picture` is linear, 0
-/// to 255.
+/// Inner corners to a pixel or so, row after row, from either end of the board; none when no whole board is seen.
+/// `picture` is linear, 0 to 255.
 ///
 /// # Errors
 /// OpenCV's own.

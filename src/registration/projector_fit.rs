@@ -23,7 +23,8 @@ pub struct ProjectorFit {
     /// Number of edges.
     pub edges: usize,
     /// Share of the edges that are off the map by half a projector pixel and more, otherwise than most of their picture of
-    /// the code: of something that does not lie in the plane. (Of those that are left out beside them most lie where prints end.)
+    /// the code: of something that does not lie in the plane. (Of those that are left out beside them most lie where
+    /// prints end.)
     pub left_out: f64,
     /// Where the edges are off the map together, if anywhere: what no plane and no radial distortion explains.
     pub trend: Option<MapTrend>,
@@ -146,6 +147,16 @@ pub(super) fn independent_edges(edges: &[Observation], off: &[f64]) -> f64 {
     n / (1.0 + (m - 1.0) * shared)
 }
 
+/// Relative standard deviation of a line's slope through an axis's edges, `independent` of all, that are off it by
+/// `rms_px`.
+fn scale_sd(edges: &[Observation], axis: usize, rms_px: f64, independent: f64) -> f64 {
+    let own = || edges.iter().filter(|o| o.axis == axis).map(|o| o.to);
+    let n = own().count() as f64;
+    let mean = own().sum::<f64>() / n;
+    let square_px2 = own().map(|to| (to - mean).powi(2)).sum::<f64>() / n;
+    rms_px / (independent * n / edges.len() as f64 * square_px2).sqrt()
+}
+
 /// How far an edge is off the map, projector px.
 fn off(o: &Observation, (h, lens): &(Homography, Lens)) -> f64 {
     signed_off(o, h, lens).abs()
@@ -194,16 +205,6 @@ fn plane_of_edges(edges: &[Observation]) -> Option<Homography> {
 const PARTS: usize = 6;
 /// Fewer edges than for so many independent ones (see [`ALIKE`]) tell no trend.
 const TREND_EDGES: f64 = 8.0;
-
-/// Relative standard deviation of a line's slope through an axis's edges, `independent` of all, that are off it by
-/// `rms_px`.
-fn scale_sd(edges: &[Observation], axis: usize, rms_px: f64, independent: f64) -> f64 {
-    let own = || edges.iter().filter(|o| o.axis == axis).map(|o| o.to);
-    let n = own().count() as f64;
-    let mean = own().sum::<f64>() / n;
-    let square_px2 = own().map(|to| (to - mean).powi(2)).sum::<f64>() / n;
-    rms_px / (independent * n / edges.len() as f64 * square_px2).sqrt()
-}
 
 /// The part of the plane, and the axis, whose edges are off the map together the most, beyond what their scatter
 /// explains and by how much their picture of the code has moved.

@@ -8,7 +8,7 @@
 //! Not told: stores of versions without these attributes, and those that another program has written anew, whose chunks
 //! have other names or codecs.
 
-use super::chunk_grid::{CHECKSUM, ChunkGrid, SHARDING};
+use super::chunk_grid::{CHECKSUM, ChunkGrid, SHARDING, is_sharded};
 use super::store::COMMON;
 use super::store_files::StoreFiles;
 use base64::{Engine, prelude::BASE64_STANDARD};
@@ -168,7 +168,7 @@ impl Checksums {
         let Some(mut found) = found else { return Ok(()) };
         let mut before = String::new();
         for (at, sum) in sums.iter().enumerate() {
-            let file = file_name(&grid.file(at));
+            let file = grid.file_name(at);
             if file == before {
                 continue;
             }
@@ -210,10 +210,6 @@ impl Checksums {
     }
 }
 
-fn file_name(chunk: &str) -> String {
-    chunk.rsplit('/').next().unwrap_or_default().to_owned()
-}
-
 /// Whether the numbers of a small array repeat often, or are nearly constant.
 pub(super) fn is_compressed(name: &str) -> bool {
     OF_COMMON.contains(&name) || name == "shot_name"
@@ -253,10 +249,6 @@ fn shards_as_written(array: &Value) -> bool {
     let little = shards["index_codecs"][0]["configuration"]["endian"] == "little";
     let index = codecs(&shards["index_codecs"]) == "bytes crc32c" && shards["index_location"] == "end" && little;
     index && whole && (2..5).all(|axis| outer[axis] == shape[axis]) && codecs(&array["codecs"]) == SHARDING
-}
-
-fn is_sharded(array: &Value) -> bool {
-    array["codecs"][0]["name"] == SHARDING
 }
 
 /// The codecs of a chunk, be it in a file of its own or in a shard.

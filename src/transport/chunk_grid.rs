@@ -59,7 +59,7 @@ impl ChunkGrid {
             all.collect::<Option<Vec<_>>>().filter(|all| all.iter().all(|&n| n > 0))
         };
         let codec = &array["codecs"][0];
-        let sharded = codec["name"] == SHARDING;
+        let sharded = is_sharded(array);
         let outer = numbers(&array["chunk_grid"]["configuration"]["chunk_shape"]);
         let inner = if sharded { numbers(&codec["configuration"]["chunk_shape"]) } else { outer.clone() };
         let shape = array["shape"].as_array().and_then(|_| numbers(&array["shape"]));
@@ -124,6 +124,11 @@ impl ChunkGrid {
         format!("{}/{folder}{}", self.name, indices.join(separator))
     }
 
+    /// Its name in the folder of the array.
+    pub(super) fn file_name(&self, at: usize) -> String {
+        self.file(at).rsplit('/').next().unwrap_or_default().to_owned()
+    }
+
     /// Whether chunks are in shards, whose files are there though none of their chunks may be written.
     pub(super) fn is_sharded(&self) -> bool {
         self.shards.is_some()
@@ -131,8 +136,7 @@ impl ChunkGrid {
 
     /// What a person finds the file of a chunk by.
     pub(super) fn file_words(&self, at: usize) -> String {
-        let file = self.file(at);
-        let file = file.rsplit('/').next().unwrap_or_default();
+        let file = self.file_name(at);
         if !self.is_sharded() {
             return format!("chunk {file}");
         }
@@ -142,8 +146,7 @@ impl ChunkGrid {
 
     /// What a person finds a chunk by.
     pub(super) fn words(&self, at: usize) -> String {
-        let file = self.file(at);
-        let file = file.rsplit('/').next().unwrap_or_default();
+        let file = self.file_name(at);
         match self.is_sharded() {
             true => {
                 let rows = self.rows(at);
@@ -208,6 +211,11 @@ impl ChunkGrid {
         };
         Ok(Some(index.get(within).cloned().flatten()))
     }
+}
+
+/// Whether the chunks of an array are in shards, by its metadata.
+pub(super) fn is_sharded(array: &Value) -> bool {
+    array["codecs"][0]["name"] == SHARDING
 }
 
 /// The index of a shard with `chunks` chunks.

@@ -10,7 +10,7 @@ use object_store::path::Path as Key;
 use object_store::{
     BackoffConfig, ClientOptions, GetOptions, GetRange, ObjectStore, ObjectStoreExt, RetryConfig, WriteMultipart,
 };
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
@@ -40,7 +40,7 @@ struct Place {
     root: Key,
     /// Whether there is a way to ask which objects there are; plain servers have none.
     lists: bool,
-    /// Whole metadata files that were asked for; `None` where there is none.
+    /// Contents of the metadata files that were read so far, by name; `None` for a file that does not exist.
     metadata: Mutex<BTreeMap<String, Option<Vec<u8>>>>,
     /// The last request that was given up.
     lost: Mutex<Option<String>>,
@@ -176,12 +176,11 @@ impl Objects {
         if old.contains_key(ROOT) {
             self.delete([ROOT])?;
         }
-        let mut new = BTreeSet::new();
-        list(folder, "", &mut new)?;
-        for name in new.iter().filter(|name| *name != ROOT) {
+        let new = crate::files::below(folder)?;
+        for name in new.keys().filter(|name| *name != ROOT) {
             self.put(name, &folder.join(name))?;
         }
-        self.delete(old.keys().map(String::as_str).filter(|name| !new.contains(*name)))?;
+        self.delete(old.keys().map(String::as_str).filter(|name| !new.contains_key(*name)))?;
         self.put(ROOT, &folder.join(ROOT))
     }
 
@@ -247,17 +246,4 @@ fn wait<T>(request: impl Future<Output = T>) -> io::Result<T> {
         }
     };
     Ok(runtime.block_on(request))
-}
-
-/// The names of all files below a folder.
-fn list(folder: &Path, before: &str, names: &mut BTreeSet<String>) -> io::Result<()> {
-    for entry in std::fs::read_dir(folder)? {
-        let entry = entry?;
-        let name = format!("{before}{}", entry.file_name().to_string_lossy());
-        match entry.file_type()?.is_dir() {
-            true => list(&entry.path(), &format!("{name}/"), names)?,
-            false => drop(names.insert(name)),
-        }
-    }
-    Ok(())
 }

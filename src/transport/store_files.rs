@@ -115,22 +115,11 @@ impl StoreFiles {
 
     /// Bytes of all files of a folder and of the folders in it.
     pub(super) fn bytes(&self, folder: &str) -> io::Result<u64> {
-        let root = match self {
-            Self::Folder(root) => root,
-            Self::Objects(objects) => return Ok(objects.all(folder)?.values().sum()),
+        let files = match self {
+            Self::Folder(root) => crate::files::below(&root.join(folder))?,
+            Self::Objects(objects) => objects.all(folder)?,
         };
-        let mut sum = 0;
-        let mut folders = vec![root.join(folder)];
-        while let Some(folder) = folders.pop() {
-            for entry in std::fs::read_dir(folder)? {
-                let entry = entry?;
-                match entry.file_type()?.is_dir() {
-                    true => folders.push(entry.path()),
-                    false => sum += entry.metadata()?.len(),
-                }
-            }
-        }
-        Ok(sum)
+        Ok(files.values().sum())
     }
 
     /// What is wrong with the store at `path`: it is not whole, or it could not be reached.

@@ -1,10 +1,9 @@
 //! `acquire import`: a camera's folder sorted into shots, or refused by the first photograph that does not fit.
 
-use crate::common::acquire;
+use crate::common::{acquire, files};
 use acquire::capture::{Capture, ResponseCurve, Rig};
 use acquire::patterns::Plan;
 use acquire::radiance::Curve;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// The capture of the checkout: 247 JPEG photographs.
@@ -86,21 +85,6 @@ impl Bench {
         bytes[at..at + 19].copy_from_slice(change(&old).as_bytes());
         std::fs::write(&path, bytes).unwrap();
     }
-}
-
-/// Every file under a folder, by its path in it.
-fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut out = BTreeMap::new();
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
-        if path.is_dir() {
-            out.extend(files(&path).into_iter().map(|(inner, bytes)| (format!("{name}/{inner}"), bytes)));
-        } else {
-            out.insert(name, std::fs::read(&path).unwrap());
-        }
-    }
-    out
 }
 
 #[test]

@@ -1,9 +1,8 @@
 //! Outputs: what is replaced and what is not, and what is there after a run that was stopped.
 
 use crate::common;
-use crate::common::acquire;
+use crate::common::{acquire, files};
 use acquire::simulate::SimulateOptions;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
@@ -58,18 +57,6 @@ impl Bench {
         }
         assert!(before == files(self.0.path()), "{line} changed something");
     }
-}
-
-/// All files of a folder, at any depth, and what is in them.
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    for path in std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()) {
-        match path.is_dir() {
-            true => found.extend(files(&path)),
-            false => drop(found.insert(path.clone(), std::fs::read(&path).unwrap())),
-        }
-    }
-    found
 }
 
 /// Commands and their outputs, a file or a folder.
@@ -424,7 +411,7 @@ const LONG: &str = "simulate c --grid 8x6 --window 21x17 --exposures 2 --voxels-
 
 /// What a command makes that nothing stops; it is removed again.
 #[cfg(unix)]
-fn undisturbed(bench: &Bench, line: &str, out: &str) -> BTreeMap<PathBuf, Vec<u8>> {
+fn undisturbed(bench: &Bench, line: &str, out: &str) -> std::collections::BTreeMap<String, Vec<u8>> {
     bench.done(line);
     let made = files(&bench.path(out));
     std::fs::remove_dir_all(bench.path(out.split('/').next().unwrap())).unwrap();

@@ -1,9 +1,8 @@
 //! Many processes that share a sweep: `acquire extract` and `acquire assemble` against `acquire build-matrix`.
 
 use crate::common;
-use crate::common::acquire;
+use crate::common::{acquire, files};
 use acquire::simulate::SimulateOptions;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
@@ -78,24 +77,6 @@ impl Bench {
         std::fs::remove_dir_all(self.path("o.rd.zarr")).unwrap();
         stderr
     }
-}
-
-/// All files of a folder, at any depth, by their names from there.
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![folder.to_path_buf()];
-    while let Some(here) = folders.pop() {
-        for path in std::fs::read_dir(here).unwrap().map(|e| e.unwrap().path()) {
-            match path.is_dir() {
-                true => folders.push(path),
-                false => {
-                    let name = path.strip_prefix(folder).unwrap().to_path_buf();
-                    found.insert(name, std::fs::read(&path).unwrap());
-                }
-            }
-        }
-    }
-    found
 }
 
 #[test]

@@ -3,6 +3,7 @@
 
 use acquire::progress::Progress;
 use acquire::simulate::{SimulateOptions, simulate};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -40,6 +41,21 @@ pub(crate) fn lay_folder(from: &Path, to: &Path, put: &dyn Fn(&Path, &Path) -> s
             put(&entry.path(), &target).unwrap();
         }
     }
+}
+
+/// Every file under a folder, by its path in it, `/` between the names.
+pub(crate) fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut out = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        if path.is_dir() {
+            out.extend(files(&path).into_iter().map(|(inner, bytes)| (format!("{name}/{inner}"), bytes)));
+        } else {
+            out.insert(name, std::fs::read(&path).unwrap());
+        }
+    }
+    out
 }
 
 /// Runs the program and gives (exit status, stdout, stderr).

@@ -143,8 +143,7 @@ impl Common {
         let explained_mm =
             (self.half_light_spread_mm * length(aslant)).max(scatter_mm / RAMP_SCATTER).max(SIGMA * sd_far_mm);
         let far_px = |far_mm: Point| length(projector_px(scene, middle, far_mm));
-        let is_told =
-            |far_mm: &Point| length(*far_mm) > explained_mm.max(LEAST_DOT * scene.dot_side_px() / scene.px_per_mm);
+        let is_told = |far_mm: &Point| length(*far_mm) > explained_mm.max(least_mm(scene));
         let told: Vec<f64> = far_mm.iter().filter(|far| is_told(far)).map(|far| far_px(*far)).collect();
         let Some(most_px) = told.into_iter().reduce(f64::max).filter(|_| self.found >= 0.5) else { return Ok(None) };
         let per_step = |k: usize| projector_px(scene, middle, far_mm[k]).map(|v| v / steps[k].max(1.0));
@@ -175,10 +174,7 @@ impl Common {
         let length_mm = self.unexplained_mm[0].hypot(self.unexplained_mm[1]);
         let unexplained_px = projector_px(scene, middle, self.unexplained_mm);
         let unexplained_px = unexplained_px[0].hypot(unexplained_px[1]);
-        if length_mm * scene.px_per_mm < LEAST_DOT * scene.dot_side_px()
-            || length_mm < SIGMA * self.sd_mm
-            || self.found < 0.5
-        {
+        if length_mm < least_mm(scene) || length_mm < SIGMA * self.sd_mm || self.found < 0.5 {
             return Ok(None);
         }
         // Which of them moved: at the first shot the one that lies where the Gray code puts it is right.
@@ -212,6 +208,11 @@ impl Common {
                 && left[0].hypot(left[1]) < BOARD_LEAVES * unexplained_mm
         })
     }
+}
+
+/// The least displacement that is told, mm.
+fn least_mm(scene: &Scene<'_>) -> f64 {
+    LEAST_DOT * scene.dot_side_px() / scene.px_per_mm
 }
 
 /// The shot of the board in the sample's plane.

@@ -19,17 +19,17 @@ impl Compared {
     pub(super) fn offset_of_depth(&self, scene: &Scene<'_>) -> Point {
         let Some(eye_mm) = scene.registration.view.eye_mm() else { return self.offset_mm };
         let middle = |a: usize| median(&mut self.lit.iter().flatten().map(|l| l.at_mm[a]).collect::<Vec<_>>());
-        let tangent = sight_slope(eye_mm, [middle(0), middle(1)]);
+        let slope = sight_slope(eye_mm, [middle(0), middle(1)]);
         let [x, y] = self.way().map_or([0.0; 2], |way| {
             let step = scene.steps_mm();
             [0, 1].map(|a| way[0] as f64 * step[0][a] + way[1] as f64 * step[1][a])
         });
         let across = [-y, x];
         let along = |v: Point| (v[0] * across[0] + v[1] * across[1]) / across[0].hypot(across[1]).max(1e-12);
-        if along(tangent).abs() < LEAST_ALONG * tangent[0].hypot(tangent[1]) || x.hypot(y) == 0.0 {
+        if along(slope).abs() < LEAST_ALONG * slope[0].hypot(slope[1]) || x.hypot(y) == 0.0 {
             return self.offset_mm;
         }
-        tangent.map(|t| t * along(self.offset_mm) / along(tangent))
+        slope.map(|t| t * along(self.offset_mm) / along(slope))
     }
 
     /// The usual step from a dot to that of the shot before.

@@ -6,9 +6,9 @@
 //! and reflections, but for the closest samples). The weights are those of non-negative least squares over all samples
 //! with all dots that light each: one minimum, wherever the search begins.
 //!
-//! In an uneven medium, long exponentials also fit what one kernel misses of the rows' own light, and then predict light
-//! of other dots where there is none. So the shortest set of exponentials is taken that fits the rows no worse than all of
-//! them do, by a paired test over rows (`WORSE_SIGMA`).
+//! In an uneven medium, one kernel does not fit the light of every row's own dot. Long exponentials reduce that misfit, and
+//! then predict light of other dots where there is none. So long exponentials are removed while the others fit the rows no
+//! worse than all together, by a paired test over rows (`WORSE_SIGMA`).
 
 use super::fit::{ASSUMED_SD, Fit, Pair, Sample};
 use super::kernel::interpolate;
