@@ -15,6 +15,7 @@ ACQUIRE = $(TARGET)/release/acquire
 # With the Python module and object stores in CI only: the module's dependencies would build much of the program's a second
 # time, and object stores have 120 crates of their own.
 WORKSPACE = --workspace $(if $(filter true,$(CI)),--features acquire/cloud,--exclude acquire-python)
+comma := ,
 
 .PHONY: demo test check build python cloud figures mutants setup
 
@@ -31,10 +32,10 @@ test: setup
 	$(CARGO) test --release --locked $(WORKSPACE) $(if $(filter true,$(CI))$(SLOW),-- --include-ignored)
 	$(if $(filter true,$(CI)),$(MAKE) check python)
 
-# With OpenCV after all other tests: the library is built then, and the program too.
+# After all other tests with their features: the library is built then, and the program too.
 python: $(if $(filter true,$(CI)),setup,build)
 	@scripts/setup.sh python
-	$(if $(filter true,$(CI)),FEATURES=opencv) scripts/test_python.sh
+	$(if $(filter true,$(CI)),FEATURES=opencv$(comma)acquire/cloud) scripts/test_python.sh
 
 cloud: setup
 	@scripts/setup.sh python

@@ -9,7 +9,7 @@
 mod cost;
 
 use acquire::progress::Progress;
-use acquire::simulate::{ExposureTime, FileFormat, PhotographWriter, SimulateOptions, simulate};
+use acquire::simulate::{ExposureTime, FileFormat, SimulateOptions, simulate, write_photograph};
 use cost::{Cost, cost, median};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -79,10 +79,9 @@ fn encode_again(dir: &Path, to: &Path, format: FileFormat, size_px: [usize; 2]) 
         };
         let decoded: Vec<_> = batch.par_iter().map(decode).collect::<acquire::Result<_>>()?;
         let ((), batch) = cost(|| {
-            decoded.par_iter().try_for_each_init(
-                || PhotographWriter::new(format, size_px),
-                |writer, (path, codes)| writer.write(path, codes, ExposureTime::one_over(8), 0).map(drop),
-            )
+            decoded.par_iter().try_for_each(|(path, codes)| {
+                write_photograph(path, format, size_px, codes, ExposureTime::one_over(8), 0)
+            })
         })?;
         total = Cost { elapsed: total.elapsed + batch.elapsed, processor: total.processor + batch.processor };
     }

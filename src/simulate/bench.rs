@@ -51,6 +51,11 @@ impl Bench {
         self.dots.glow(&self.scene.beam(dot, drift_mm), self.scene.grid.row_index(dot))
     }
 
+    /// The rectangle of the slab that its light does not leave, mm.
+    pub(super) fn reach_mm(&self, dot: [usize; 2], drift_mm: Point) -> [Point; 2] {
+        self.dots.reach_mm(&self.scene.beam(dot, drift_mm))
+    }
+
     /// Its flux under full white.
     pub(super) fn flux(&self, dot: [usize; 2], drift_mm: Point) -> [f64; 3] {
         let area_mm2 = self.scene.grid.dot_area_px2()

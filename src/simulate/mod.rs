@@ -33,7 +33,7 @@ mod shot_list;
 pub mod slab;
 mod studio;
 
-pub use camera::photograph::{ExposureTime, PhotographWriter};
+pub use camera::photograph::{ExposureTime, write_photograph};
 pub use causes::Cause;
 pub use light::{beam::Beam, monte_carlo, solution::Balance};
 pub use options::{BenchKind, CameraCurve, FileFormat, RigCurve, SensorKind, SimulateOptions, Transport};

@@ -1,28 +1,28 @@
 //! One capture's photographs: renders shots, exposes and writes them.
 
+mod lit_dots;
+mod pictures;
 #[cfg(test)]
 mod tests;
 
+use lit_dots::LitDots;
+
 use super::{
-    ShotList, ShotTruth, SimulateOptions,
+    ShotList, SimulateOptions,
     bench::Bench,
-    camera::photograph::{ExposureTime, PhotographWriter},
-    camera::{hot_pixels::hot_pixels, psf, sensor::SimulatedSensor},
+    camera::photograph::{ExposureTime, PhotographFile, PhotographRows},
+    camera::{hot_pixels::hot_pixels, psf, psf::PointSpread, sensor::SimulatedSensor},
     light::domain::Domain,
-    light::dots::Glow,
     light::field::Field,
     mix_seed,
     scene::FRAME_ALBEDO,
-    scene::render::{
-        Brightness, FieldMean, GAUSS_1, GAUSS_6, GrayCode, Pixel, PixelGrid, RenderedPicture, Rule, board_albedo,
-        board_rule,
-    },
+    scene::pixels::{PixelGrid, RenderedPicture, moved_view},
     shot_list,
 };
 use crate::{
     Result,
     capture::{Pattern, Surface},
-    geometry::Point,
+    geometry::{CameraView, Point},
     transport::{MatrixWriter, Row},
 };
 use rand::SeedableRng;
@@ -30,8 +30,8 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use std::f64::consts::PI;
+use std::ops::Range;
 use std::path::Path;
-use std::sync::Mutex;
 
 /// Shortest exposure of lattice shots, s⁻¹.
 const SHORTEST_PER_SEC: u32 = 256;
@@ -42,32 +42,39 @@ const SLAB_MARGIN_PITCHES: f64 = 6.0;
 /// Dots per axis that are solved beforehand to set the exposure.
 const PILOTS: usize = 5;
 
+/// Of a picture so many parts of pixels are rendered at once, some 60 bytes of memory each.
+const STRIP_PARTS: usize = 1 << 20;
+
 /// The bench with its camera: everything that all shots share.
 #[derive(Debug)]
 pub(super) struct Studio {
     pub bench: Bench,
     pub sensor: SimulatedSensor,
-    pixels: PixelGrid,
-    vignetting: Vec<f32>,
+    /// Rows of a picture (camera px) that are rendered together.
+    strips: Vec<Range<usize>>,
+    /// Where all rows are one strip: its pixels for a camera that has not moved, and the sample without dots.
+    whole: Option<(PixelGrid, RenderedPicture)>,
     /// Index and dark current (electrons per second) of the hot photosites.
     hot: Vec<(usize, f32)>,
-    /// The light of the sample under the projector's black and the ambient light, and a picture of it.
+    /// The light of the sample under the projector's black and the ambient light.
     dark_field: Option<Field>,
-    dark_sample: RenderedPicture,
     /// Electrons per second and unit of radiance at the principal point.
     pub electrons_per_sec: f64,
     white_shortest: ExposureTime,
-    /// Memory of shots that are done, for the next.
-    spare: Mutex<Vec<Darkroom>>,
 }
 
-/// What the pictures of a shot are made in.
-#[derive(Debug)]
-struct Darkroom {
-    picture: RenderedPicture,
-    rate: Vec<f32>,
-    codes: Vec<u16>,
-    writer: PhotographWriter,
+/// One photograph that is being written.
+struct Exposure<'a> {
+    rows: PhotographRows<'a>,
+    lit_secs: f64,
+    secs: f64,
+    seed: u64,
+}
+
+/// What a shot shows.
+enum Shown<'a> {
+    Dots(LitDots),
+    Still(&'a Pattern, Point),
 }
 
 /// How far the projector has moved at a photograph of the Gray code, projector px.
@@ -86,24 +93,24 @@ impl Studio {
     /// Solves for the light all over the sample, and chooses the sensitivity.
     pub(super) fn new(options: &SimulateOptions, bench: Bench) -> Result<Self> {
         let scene = &bench.scene;
-        let pixels = PixelGrid::new(scene, [0.0; 2], psf::parts(options.psf_px))?;
-        let [width, height] = scene.camera.size_px;
-        let sensitivity = |i: usize| scene.camera.vignetting_at([(i % width) as f64, (i / width) as f64]) as f32;
-        let vignetting = (0..width * height).map(sensitivity).collect();
+        let ([width, height], parts) = (scene.camera.size_px, psf::parts(options.psf_px));
+        let strip = (STRIP_PARTS / (width * parts * parts)).clamp(1, height);
         let mut studio = Self {
             sensor: SimulatedSensor::new(options),
-            vignetting,
+            strips: (0..height).step_by(strip).map(|y| y..(y + strip).min(height)).collect(),
+            whole: None,
             hot: hot_pixels(3 * width * height, options.hot_pixels, options.seed),
             dark_field: None,
-            dark_sample: Vec::new(),
             electrons_per_sec: 0.0,
             white_shortest: ExposureTime::one_over(1),
-            spare: Mutex::default(),
-            pixels,
             bench,
         };
         studio.dark_field = studio.solve_dark_sample(options)?;
-        studio.dark_sample = studio.render_dark_sample(options, &studio.pixels);
+        if let [all] = &studio.strips[..] {
+            let pixels = studio.pixels(options, &studio.bench.scene.view, all)?;
+            let dark = studio.dark_sample(options, &pixels);
+            studio.whole = Some((pixels, dark));
+        }
         studio.set_sensitivity(options)?;
         Ok(studio)
     }
@@ -135,8 +142,7 @@ impl Studio {
         all.iter().map(|t| [told(t), t.secs()]).collect()
     }
 
-    /// Renders a shot, writes its photographs and, for dots, the rows of the truth. Returns the bytes of the
-    /// photographs.
+    /// Renders a shot strip by strip, writes its photographs and, for dots, the rows of the truth.
     pub(super) fn shoot(
         &self,
         options: &SimulateOptions,
@@ -144,211 +150,131 @@ impl Studio {
         shot: usize,
         dir: &Path,
         truth: &MatrixWriter,
-    ) -> Result<u64> {
-        let entry = &plan.manifest.shots[shot];
-        let mut room = self.spare.lock().ok().and_then(|mut spare| spare.pop()).unwrap_or_else(|| Darkroom {
-            picture: RenderedPicture::new(),
-            rate: Vec::new(),
-            codes: Vec::new(),
-            writer: PhotographWriter::new(options.format, self.bench.scene.camera.size_px),
-        });
-        room.picture = match &entry.pattern {
+    ) -> Result<()> {
+        let (scene, entry) = (&self.bench.scene, &plan.manifest.shots[shot]);
+        let bracket = self.bracket(options, &entry.pattern);
+        let mut files = Vec::new();
+        for (n, (exposure, photograph)) in bracket.iter().zip(&entry.photographs).enumerate() {
+            let told = exposure.told(options.exif_stops_error, options.nominal_times, options.seed);
+            let path = dir.join(&photograph.file);
+            files.push(PhotographFile::create(&path, options.format, scene.camera.size_px, told, shot * 10 + n)?);
+        }
+        let mut exposures = Vec::new();
+        for (n, (exposure, file)) in bracket.iter().zip(&mut files).enumerate() {
+            let seed = mix_seed(mix_seed(options.seed, shot as u64), n as u64);
+            let secs = exposure.secs();
+            let lit_secs = secs * lamp(options.flicker, seed);
+            exposures.push(Exposure { rows: file.rows()?, lit_secs, secs, seed });
+        }
+
+        let own_view = self.own_view(plan, shot);
+        let mut shown = match &entry.pattern {
             Pattern::Lattice { dots } => {
-                let moved = &plan.lattices[shot - plan.first_lattice];
-                let keep = |dot, row| truth.put(self.bench.scene.grid.row_index(dot), &row);
-                self.lattice(options, dots, moved, keep, room.picture)?
+                let drift_mm = plan.lattices[shot - plan.first_lattice].drift_mm;
+                Shown::Dots(LitDots::new(self, own_view.as_ref().unwrap_or(&scene.view), dots, drift_mm))
             }
-            Pattern::Frame => {
-                self.lit_sample(options, &self.pixels_at(options, plan, shot)?, |_| GAUSS_1, |_| 1.0, |_| 1.0)
-            }
+            pattern => Shown::Still(pattern, gray_jitter(options, shot)),
+        };
+        let keep = |dot, row| truth.put(scene.grid.row_index(dot), &row);
+        let mut lens = PointSpread::new(scene.camera.size_px, options.psf_px, options.glare);
+        let (mut picture, mut codes, mut seen_rows) = (RenderedPicture::new(), Vec::new(), 0);
+        for (n, rows) in self.strips.iter().enumerate() {
+            self.show(options, &mut shown, own_view.as_ref(), rows, keep, &mut picture)?;
+            let mut rate = lens.see(self.electrons(&picture));
+            self.darken_corners(&mut rate, seen_rows);
+            self.expose(&mut exposures, &rate, seen_rows, n, &mut codes)?;
+            seen_rows += rate.len() / (3 * scene.camera.size_px[0]);
+        }
+        exposures.into_iter().try_for_each(|e| e.rows.finish())
+    }
+
+    /// The camera's view in a shot, where it is not the one of the others: a camera that has moved, which after the
+    /// lattice shots stays where it is, or a board in another pose.
+    fn own_view(&self, plan: &ShotList, shot: usize) -> Option<CameraView> {
+        let scene = &self.bench.scene;
+        let moved = |shift_px: Point| (shift_px != [0.0; 2]).then(|| moved_view(&scene.view, shift_px));
+        match &plan.manifest.shots[shot].pattern {
+            Pattern::Lattice { .. } => moved(plan.lattices[shot - plan.first_lattice].camera_drift_px),
+            Pattern::Frame if shot > plan.first_lattice => moved(plan.lattices.last()?.camera_drift_px),
             Pattern::CalibrationBoard => {
                 let earlier = plan.manifest.shots[..shot].iter().filter(|s| s.pattern == Pattern::CalibrationBoard);
-                self.board(
-                    options,
-                    &PixelGrid::of_view(
-                        &self.bench.scene.posed_view(earlier.count()),
-                        &self.bench.scene,
-                        psf::parts(options.psf_px),
-                    )?,
-                )
+                Some(scene.posed_view(earlier.count()))
             }
-            pattern => self.still(options, pattern, gray_jitter(options, shot)),
-        };
-        room.rate = self.rate(options, &room.picture, room.rate);
-        let mut bytes = 0;
-        for (n, (exposure, file)) in self.bracket(options, &entry.pattern).iter().zip(&entry.photographs).enumerate() {
-            let seed = mix_seed(mix_seed(options.seed, shot as u64), n as u64);
-            let lit_secs = exposure.secs() * lamp(options.flicker, seed);
-            self.sensor.expose(&room.rate, &self.hot, lit_secs, exposure.secs(), seed, &mut room.codes);
-            let told = exposure.told(options.exif_stops_error, options.nominal_times, options.seed);
-            bytes += room.writer.write(&dir.join(&file.file), &room.codes, told, shot * 10 + n)?;
-        }
-        if let Ok(mut spare) = self.spare.lock() {
-            spare.push(room);
-        }
-        Ok(bytes)
-    }
-
-    /// Electrons per second of a picture, R G B interleaved, in the memory of `rate`.
-    fn rate(&self, options: &SimulateOptions, picture: &RenderedPicture, mut rate: Vec<f32>) -> Vec<f32> {
-        let scale = (self.electrons_per_sec / PI) as f32;
-        let (size_px, parts) = (self.bench.scene.camera.size_px, psf::parts(options.psf_px));
-        rate.resize(3 * picture.len(), 0.0);
-        rate.as_chunks_mut::<3>().0.iter_mut().zip(picture).for_each(|(to, light)| *to = light.map(|l| scale * l));
-        let mut rate = psf::see(rate, size_px, parts, options.psf_px, options.glare);
-        let lit = rate.as_chunks_mut::<3>().0.iter_mut().zip(&self.vignetting);
-        lit.for_each(|(rate, v)| rate.iter_mut().for_each(|r| *r *= v));
-        rate
-    }
-
-    /// A shot without dots; the Gray code is projected `moved_px` beside its place.
-    fn still(&self, options: &SimulateOptions, pattern: &Pattern, moved_px: Point) -> RenderedPicture {
-        let (scene, black) = (&self.bench.scene, options.projector_black);
-        let irradiance = |p: Point, lit: f64| {
-            let projected = black + (1.0 - black) * lit;
-            scene.white_irradiance(p).map(|e| e * projected + options.ambient)
-        };
-        let white = |p: Point, lit: f64| {
-            let light = irradiance(p, lit);
-            let reflectance = scene.white_reflectance(p);
-            std::array::from_fn(|c| light[c] * reflectance[c])
-        };
-        let projector_px = |p: Point| {
-            let [x, y] = scene.slab_from_projector.projector_from_slab(p);
-            [x - moved_px[0], y - moved_px[1]]
-        };
-        match *pattern {
-            Pattern::Board | Pattern::CalibrationBoard => self.board(options, &self.pixels),
-            Pattern::ReferenceWhite => self.pixels.picture(|_| GAUSS_1, |p| white(p, 1.0)),
-            Pattern::ReferenceBlack => self.pixels.picture(|_| GAUSS_1, |p| white(p, 0.0)),
-            Pattern::GrayCode { axis, bit, inverse, on: Surface::Frame } => {
-                let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
-                let pixel_px = self.pixel_projector_px(options);
-                let rule = |pixel: &Pixel| match code.around(projector_px(pixel.first_corner_mm()), pixel_px) {
-                    Brightness::Even(_) => GAUSS_1,
-                    Brightness::Edge(rule) => rule,
-                };
-                let moved = |p: Point| [p[0] - moved_px[0], p[1] - moved_px[1]];
-                let sharp = |p: Point| code.brightness(moved(p));
-                self.lit_sample(options, &self.pixels, rule, sharp, |p| code.blurred(moved(p), options))
-            }
-            Pattern::GrayCode { axis, bit, inverse, on: Surface::WhiteReference } => {
-                let code = GrayCode { axis, bit, inverse, blur_px: scene.projector_blur_px };
-                let pixel_px = self.pixel_projector_px(options);
-                self.pixels.picture_of(|pixel| {
-                    let light = match code.around(projector_px(pixel.first_corner_mm()), pixel_px) {
-                        Brightness::Even(lit) => pixel.mean(GAUSS_1, |p| white(p, lit)),
-                        Brightness::Edge(rule) => pixel.mean(rule, |p| white(p, code.brightness(projector_px(p)))),
-                    };
-                    light.map(|v| v as f32)
-                })
-            }
-            Pattern::SampleBlack | Pattern::Frame | Pattern::Lattice { .. } => self.dark_sample.clone(),
-            Pattern::Dark => self.pixels.picture(|_| GAUSS_1, |_| [0.0; 3]),
+            _ => None,
         }
     }
 
-    /// An upper bound of a camera pixel's extent, projector px.
-    fn pixel_projector_px(&self, options: &SimulateOptions) -> f64 {
-        let [x, y] = options.projector_px_mm();
-        let (sin, cos) = options.projector_turn_deg.to_radians().sin_cos();
-        // The projector's keystone adds little to a pixel's extent in projector px, its turn up to the diagonal.
-        1.2 * (sin.abs() + cos.abs()) * self.pixels.pixel_mm() / x.min(y)
+    fn pixels(&self, options: &SimulateOptions, view: &CameraView, rows: &Range<usize>) -> Result<PixelGrid> {
+        PixelGrid::new(view, self.bench.scene.camera.size_px, psf::parts(options.psf_px), rows)
     }
 
-    /// The board under white light; in another pose it is lit as in the slab's plane, which moves no corner.
-    fn board(&self, options: &SimulateOptions, pixels: &PixelGrid) -> RenderedPicture {
-        let (scene, pixel_mm) = (&self.bench.scene, pixels.pixel_mm());
-        let lit = |p: Point| scene.white_irradiance(p).map(|e| e + options.ambient);
-        pixels.picture(|p| board_rule(scene, pixel_mm, p), |p| lit(p).map(|e| e * board_albedo(scene, p)))
-    }
-
-    /// The pixels of a shot before or after the lattice shots: a camera that has moved stays where it is.
-    fn pixels_at(&self, options: &SimulateOptions, plan: &ShotList, shot: usize) -> Result<PixelGrid> {
-        let last = plan.lattices.last().filter(|_| shot > plan.first_lattice);
-        PixelGrid::new(&self.bench.scene, last.map_or([0.0; 2], |l| l.camera_drift_px), psf::parts(options.psf_px))
-    }
-
-    /// Sample and frame under a pattern: `sharp` is its brightness (0 to 1) at projector px on the frame and `rule` how
-    /// a pixel averages it, `blurred` its brightness on the sample.
-    ///
-    /// An approximation on the sample: what it sends back under even light, times the blurred pattern in each pixel's
-    /// middle: blurred over two samples it changes little within a pixel.
-    fn lit_sample(
+    /// Renders some rows of a shot; `keep` receives the truth of each dot when it is first seen.
+    fn show(
         &self,
         options: &SimulateOptions,
-        pixels: &PixelGrid,
-        rule: impl Fn(&Pixel) -> Rule + Sync,
-        sharp: impl Fn(Point) -> f64 + Sync,
-        blurred: impl Fn(Point) -> f64 + Sync,
-    ) -> RenderedPicture {
-        let (scene, black, pixel_mm) = (&self.bench.scene, options.projector_black, pixels.pixel_mm());
-        let dark = black + options.ambient;
-        let projector_px = |p: Point| scene.slab_from_projector.projector_from_slab(p);
-        let level = |lit: f64| black + (1.0 - black) * lit;
-        let arriving = |p: Point, lit: f64| scene.white_irradiance(p).map(|e| e * level(lit) + options.ambient);
-        let share = |p: Point| (level(blurred(projector_px(p))) + options.ambient) / dark;
-        let light = |p: Point| match (&self.dark_field, scene.on_sample(p), scene.on_frame_or_sample(p)) {
-            (Some(field), true, _) => field.at(p).map(|v| f64::from(v) * share(p)),
-            (None, true, _) => arriving(p, blurred(projector_px(p))).map(|e| 0.5 * e),
-            (_, _, true) => arriving(p, sharp(projector_px(p))).map(|e| e * scene.frame_albedo(p)),
-            _ => [0.0; 3],
-        };
-        let mean = self.dark_field.as_ref().map(|field| FieldMean::new(pixel_mm, field));
-        pixels.picture_of(|pixel| {
-            let p = pixel.first_corner_mm();
-            match &mean {
-                _ if scene.near_rim(p, pixel_mm) || scene.near_mark(p, 2.0 * pixel_mm) => {
-                    pixel.mean(GAUSS_6, light).map(|v| v as f32)
-                }
-                Some(mean) if scene.on_sample(p) => {
-                    let share = share(pixel.centre_mm()) as f32;
-                    mean.on_sample(scene, pixel).map(|v| v * share)
-                }
-                None if scene.on_sample(p) => pixel.mean(GAUSS_1, light).map(|v| v as f32),
-                _ => pixel.mean(rule(pixel), light).map(|v| v as f32),
-            }
-        })
-    }
-
-    /// A shot of dots, in the memory of `picture`; `keep` receives the truth of each.
-    fn lattice(
-        &self,
-        options: &SimulateOptions,
-        dots: &[[usize; 2]],
-        moved: &ShotTruth,
+        shown: &mut Shown<'_>,
+        own_view: Option<&CameraView>,
+        rows: &Range<usize>,
         keep: impl Fn([usize; 2], Row) -> Result<()> + Sync,
-        mut picture: RenderedPicture,
-    ) -> Result<RenderedPicture> {
-        let (lit, drift_mm) = (1.0 - options.projector_black, moved.drift_mm);
-        // A camera that has moved sees every pixel elsewhere.
-        let own_pixels = match moved.camera_drift_px {
-            [0.0, 0.0] => None,
-            shift_px => Some(PixelGrid::new(&self.bench.scene, shift_px, psf::parts(options.psf_px))?),
-        };
-        let pixels = own_pixels.as_ref().unwrap_or(&self.pixels);
-        match &own_pixels {
-            None => picture.clone_from(&self.dark_sample),
-            Some(pixels) => picture = self.render_dark_sample(options, pixels),
-        }
-        // A few dots at a time: their order in the sum is fixed, and memory is bounded.
-        for group in dots.chunks(16) {
-            let solve = |&dot: &[usize; 2]| {
-                let glow = self.bench.glow(dot, drift_mm)?;
-                keep(dot, self.bench.row(options, dot, drift_mm, &glow))?;
-                Ok((glow, self.bench.flux(dot, drift_mm)))
-            };
-            let glows: Vec<(Glow, [f64; 3])> = group.par_iter().map(solve).collect::<Result<_>>()?;
-            for (glow, flux) in &glows {
-                for field in &glow.fields {
-                    pixels.add_field(&mut picture, &self.bench.scene, field, flux.map(|f| lit * f));
-                }
+        picture: &mut RenderedPicture,
+    ) -> Result<()> {
+        let of_all = self.whole.as_ref().filter(|_| own_view.is_none());
+        let own;
+        let pixels = match of_all {
+            Some((pixels, _)) => pixels,
+            None => {
+                own = self.pixels(options, own_view.unwrap_or(&self.bench.scene.view), rows)?;
+                &own
             }
+        };
+        match shown {
+            Shown::Dots(dots) => {
+                match of_all {
+                    Some((_, dark)) => picture.clone_from(dark),
+                    None => *picture = self.dark_sample(options, pixels),
+                }
+                dots.add(self, options, pixels, rows, keep, picture)?;
+            }
+            Shown::Still(pattern, moved_px) => *picture = self.still(options, pattern, *moved_px, pixels),
         }
-        for &dot_px in &self.bench.scene.reference_dots {
-            pixels.add_frame_dot(&mut picture, &self.bench.scene, dot_px, drift_mm, lit * FRAME_ALBEDO);
+        Ok(())
+    }
+
+    /// Electrons per second of a picture, R G B interleaved, without what the lens does.
+    fn electrons(&self, picture: &RenderedPicture) -> Vec<f32> {
+        let scale = (self.electrons_per_sec / PI) as f32;
+        picture.as_flattened().iter().map(|light| scale * light).collect()
+    }
+
+    /// Vignetting of rows from `first` on.
+    fn darken_corners(&self, rate: &mut [f32], first: usize) {
+        let camera = &self.bench.scene.camera;
+        for (i, rate) in rate.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+            let (x, y) = (i % camera.size_px[0], first + i / camera.size_px[0]);
+            let share = camera.vignetting_at([x as f64, y as f64]) as f32;
+            rate.iter_mut().for_each(|r| *r *= share);
         }
-        Ok(picture)
+    }
+
+    /// Exposes and writes rows from `first` on, which are those of strip `n`.
+    fn expose(
+        &self,
+        exposures: &mut [Exposure<'_>],
+        rate: &[f32],
+        first: usize,
+        n: usize,
+        codes: &mut Vec<u16>,
+    ) -> Result<()> {
+        let from = 3 * first * self.bench.scene.camera.size_px[0];
+        let hot = &self.hot[self.hot.partition_point(|h| h.0 < from)..];
+        let hot = &hot[..hot.partition_point(|h| h.0 < from + rate.len())];
+        let hot: Vec<(usize, f32)> = hot.iter().map(|&(i, current)| (i - from, current)).collect();
+        exposures.iter_mut().try_for_each(|e| {
+            // Every strip has random numbers of its own.
+            let seed = if n == 0 { e.seed } else { mix_seed(e.seed, n as u64) };
+            self.sensor.expose(rate, &hot, e.lit_secs, e.secs, seed, codes);
+            e.rows.write(codes)
+        })
     }
 
     /// The light of the sample under the projector's black and the ambient light; `None` without either.
@@ -379,14 +305,6 @@ impl Studio {
 
     fn dark_irradiance(&self, options: &SimulateOptions, p: Point) -> [f64; 3] {
         self.bench.scene.white_irradiance(p).map(|e| e * options.projector_black + options.ambient)
-    }
-
-    /// Sample and frame under the projector's black and the ambient light.
-    fn render_dark_sample(&self, options: &SimulateOptions, pixels: &PixelGrid) -> RenderedPicture {
-        match self.dark_field {
-            Some(_) => self.lit_sample(options, pixels, |_| GAUSS_1, |_| 0.0, |_| 0.0),
-            None => pixels.black(),
-        }
     }
 
     /// Sets the sensitivity so that the brightest of some dots reaches [`BRIGHTEST`] in the shortest exposure.

@@ -5,7 +5,7 @@ use crate::common::compare;
 use acquire::capture::{Capture, Samples};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
-use acquire::simulate::{ExposureTime, FileFormat, PhotographWriter, SimulateOptions, SlabMaterial};
+use acquire::simulate::{ExposureTime, FileFormat, SimulateOptions, SlabMaterial, write_photograph};
 use acquire::{RadianceWarning, Warning};
 use std::path::Path;
 
@@ -32,8 +32,7 @@ fn spoil(dir: &Path) -> [usize; 2] {
         }
         let time =
             ExposureTime { numerator: (photograph.exposure_secs * 1e9).round() as u32, denominator: 1_000_000_000 };
-        let mut writer = PhotographWriter::new(FileFormat::Png, [pixels.width, pixels.height]);
-        writer.write(&photograph.path, &codes, time, 0).unwrap();
+        write_photograph(&photograph.path, FileFormat::Png, [pixels.width, pixels.height], &codes, time, 0).unwrap();
     }
     counts
 }

@@ -6,7 +6,7 @@ use acquire::capture::{Capture, Manifest, Pattern, Samples};
 use acquire::pipeline::{BuildOptions, build_matrix};
 use acquire::progress::Progress;
 use acquire::simulate::{
-    CameraCurve, ExposureTime, FileFormat, PhotographWriter, SensorKind, SimulateOptions, SlabMaterial,
+    CameraCurve, ExposureTime, FileFormat, SensorKind, SimulateOptions, SlabMaterial, write_photograph,
 };
 use acquire::{ConsistencyWarning, Error, RadianceWarning, Warning};
 use std::path::Path;
@@ -159,8 +159,7 @@ fn add_light(capture: &Capture, kind: fn(&Pattern) -> bool, dn: u16) {
         codes.iter_mut().for_each(|code| *code += dn);
         let time =
             ExposureTime { numerator: (photograph.exposure_secs * 1e9).round() as u32, denominator: 1_000_000_000 };
-        let mut writer = PhotographWriter::new(FileFormat::Png, [pixels.width, pixels.height]);
-        writer.write(&photograph.path, &codes, time, 0).unwrap();
+        write_photograph(&photograph.path, FileFormat::Png, [pixels.width, pixels.height], &codes, time, 0).unwrap();
     }
 }
 

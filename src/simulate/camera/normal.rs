@@ -98,7 +98,7 @@ fn cos_sin(x: f32) -> (f32, f32) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulate::scene::render::normal_cdf;
+    use crate::simulate::scene::patterns::normal_cdf;
 
     #[test]
     fn the_series_are_as_exact_as_stated() {

@@ -3,10 +3,12 @@
 use crate::simulate::{FileFormat, mix_seed};
 use crate::{Error, Result};
 use exif::{Field, In, Rational, Tag, Value, experimental::Writer};
-use image::ImageEncoder;
-use std::path::Path;
-use tiff::encoder::{Compression, DeflateLevel, Predictor, TiffEncoder};
-use tiff::tags::Tag as Tiff;
+use std::fs::File;
+use std::io::{BufWriter, Seek, Write};
+use std::path::{Path, PathBuf};
+use tiff::encoder::colortype::RGB16;
+use tiff::encoder::{Compression, DeflateLevel, ImageEncoder, Predictor, TiffEncoder, TiffKindStandard};
+use tiff::{TiffError, TiffResult, tags::Tag as Tiff};
 
 /// An exposure time as EXIF holds it: a fraction of whole numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -70,86 +72,205 @@ fn gcd(a: u32, b: u32) -> u32 {
     if b == 0 { a.max(1) } else { gcd(b, a % b) }
 }
 
-/// Writes photographs one after another, in memory that is used again.
-#[derive(Debug)]
-pub struct PhotographWriter {
+/// Writes a photograph: interleaved RGB code values, a JPEG's up to 255. `taken_secs` counts from the capture's first
+/// photograph.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn write_photograph(
+    path: &Path,
     format: FileFormat,
     size_px: [usize; 2],
-    /// Code values as the encoder takes them, and the file.
-    data: Vec<u8>,
-    bytes: Vec<u8>,
+    codes: &[u16],
+    exposure: ExposureTime,
+    taken_secs: usize,
+) -> Result<()> {
+    let mut file = PhotographFile::create(path, format, size_px, exposure, taken_secs)?;
+    let mut rows = file.rows()?;
+    rows.write(codes)?;
+    rows.finish()
 }
 
-impl PhotographWriter {
-    /// For photographs of one format and size.
-    pub fn new(format: FileFormat, size_px: [usize; 2]) -> Self {
-        Self { format, size_px, data: Vec::new(), bytes: Vec::new() }
-    }
+/// Bytes of a PNG's chunks.
+const PNG_CHUNK: usize = 1 << 20;
 
-    /// Writes interleaved RGB code values, a JPEG's up to 255, and returns the file's length. `taken_secs` counts from
-    /// the capture's first photograph.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
-    pub fn write(&mut self, path: &Path, codes: &[u16], exposure: ExposureTime, taken_secs: usize) -> Result<u64> {
+/// The file of a photograph, open and empty.
+pub(crate) struct PhotographFile {
+    path: PathBuf,
+    format: FileFormat,
+    size_px: [usize; 2],
+    encoder: Encoder,
+}
+
+enum Encoder {
+    /// Until its rows begin.
+    Png(Option<Box<png::StreamWriter<'static, File>>>),
+    Tiff(Box<TiffEncoder<BufWriter<File>>>, ExposureTime),
+    Jpeg(File, Vec<u8>),
+}
+
+impl PhotographFile {
+    /// Creates it. `taken_secs` counts from the capture's first photograph.
+    pub(crate) fn create(
+        path: &Path,
+        format: FileFormat,
+        size_px: [usize; 2],
+        exposure: ExposureTime,
+        taken_secs: usize,
+    ) -> Result<Self> {
         let exif = exif_block(exposure, taken_secs)?;
-        self.bytes.clear();
-        match self.format {
-            FileFormat::Png => self.encode_png(codes, exif)?,
-            FileFormat::Tiff => self.encode_tiff(codes, exposure, Compression::Uncompressed)?,
-            FileFormat::TiffDeflate => self.encode_tiff(codes, exposure, Compression::Deflate(DeflateLevel::Fast))?,
-            FileFormat::Jpeg => self.encode_jpeg(codes, exif)?,
-        }
-        std::fs::write(path, &self.bytes).map_err(Error::io("write", path))?;
-        Ok(self.bytes.len() as u64)
-    }
-
-    fn encode_png(&mut self, codes: &[u16], exif: Vec<u8>) -> Result<()> {
-        let [width, height] = self.size_px.map(|s| s as u32);
-        let mut info = png::Info::with_size(width, height);
-        info.color_type = png::ColorType::Rgb;
-        info.bit_depth = png::BitDepth::Sixteen;
-        info.exif_metadata = Some(exif.into());
-        let mut encoder = png::Encoder::with_info(&mut self.bytes, info).map_err(Error::internal)?;
-        // Noise does not compress and this decodes fastest; Up turns pedestal and black into runs.
-        encoder.set_compression(png::Compression::Fastest);
-        encoder.set_filter(png::Filter::Up);
-        let mut writer = encoder.write_header().map_err(Error::internal)?;
-        self.data.resize(2 * codes.len(), 0);
-        self.data.as_chunks_mut::<2>().0.iter_mut().zip(codes).for_each(|(to, c)| *to = c.to_be_bytes());
-        writer.write_image_data(&self.data).map_err(Error::internal)?;
-        writer.finish().map_err(Error::internal)
-    }
-
-    fn encode_tiff(&mut self, codes: &[u16], exposure: ExposureTime, compression: Compression) -> Result<()> {
-        let [width, height] = self.size_px.map(|s| s as u32);
-        let predictor = match compression {
-            Compression::Uncompressed => Predictor::None,
-            _ => Predictor::Horizontal,
+        let file = File::create(path).map_err(Error::io("create", path))?;
+        let tiff = |file, compression, predictor| -> Result<Encoder> {
+            let encoder = TiffEncoder::new(BufWriter::new(file)).map_err(of_tiff(path))?;
+            let encoder = encoder.with_compression(compression).with_predictor(predictor);
+            Ok(Encoder::Tiff(Box::new(encoder), exposure))
         };
-        let file = std::io::Cursor::new(&mut self.bytes);
-        let encoder = TiffEncoder::new(file).map_err(Error::internal)?;
-        let mut encoder = encoder.with_compression(compression).with_predictor(predictor);
-        // ExposureTime, FNumber, PhotographicSensitivity.
-        let mut exif = encoder.extra_directory().map_err(Error::internal)?;
-        let rational = |n: u32, d: u32| tiff::encoder::Rational { n, d };
-        exif.write_tag(Tiff::Unknown(33_434), rational(exposure.numerator, exposure.denominator))
-            .and_then(|()| exif.write_tag(Tiff::Unknown(33_437), rational(8, 1)))
-            .and_then(|()| exif.write_tag(Tiff::Unknown(34_855), 100u16))
-            .map_err(Error::internal)?;
-        let exif = exif.finish_with_offsets().map_err(Error::internal)?;
-        let mut image = encoder.new_image::<tiff::encoder::colortype::RGB16>(width, height).map_err(Error::internal)?;
-        image.encoder().write_tag(Tiff::ExifDirectory, exif.offset).map_err(Error::internal)?;
-        image.write_data(codes).map_err(Error::internal)
+        let encoder = match format {
+            FileFormat::Png => Encoder::Png(Some(Box::new(begin_png(file, size_px, exif).map_err(of_png(path))?))),
+            FileFormat::Tiff => tiff(file, Compression::Uncompressed, Predictor::None)?,
+            FileFormat::TiffDeflate => tiff(file, Compression::Deflate(DeflateLevel::Fast), Predictor::Horizontal)?,
+            FileFormat::Jpeg => Encoder::Jpeg(file, exif),
+        };
+        Ok(Self { path: path.to_owned(), format, size_px, encoder })
     }
 
-    fn encode_jpeg(&mut self, codes: &[u16], exif: Vec<u8>) -> Result<()> {
-        let [width, height] = self.size_px.map(|s| s as u32);
-        self.data.resize(codes.len(), 0);
-        self.data.iter_mut().zip(codes).for_each(|(to, &c)| *to = c.min(255) as u8);
-        let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut self.bytes, 95);
-        encoder.set_exif_metadata(exif).map_err(Error::internal)?;
-        encoder.write_image(&self.data, width, height, image::ExtendedColorType::Rgb8).map_err(Error::internal)
+    /// Begins with its rows.
+    pub(crate) fn rows(&mut self) -> Result<PhotographRows<'_>> {
+        let encoder = match &mut self.encoder {
+            Encoder::Png(writer) => {
+                RowEncoder::Png(writer.take().ok_or_else(|| Error::internal("a photograph has begun twice"))?)
+            }
+            Encoder::Tiff(encoder, exposure) => {
+                let image = begin_tiff(encoder, self.size_px, *exposure).map_err(of_tiff(&self.path))?;
+                let compressed = self.format == FileFormat::TiffDeflate;
+                RowEncoder::Tiff { image: Box::new(image), compressed, begun: Vec::new() }
+            }
+            Encoder::Jpeg(file, exif) => RowEncoder::Jpeg(file, exif),
+        };
+        Ok(PhotographRows { path: &self.path, size_px: self.size_px, encoder, data: Vec::new() })
+    }
+}
+
+/// What takes the rows of one photograph, in any number of parts. A JPEG's are kept until the last, 3 bytes a pixel, and
+/// a compressed TIFF's, 6 bytes a pixel.
+pub(crate) struct PhotographRows<'a> {
+    path: &'a Path,
+    size_px: [usize; 2],
+    encoder: RowEncoder<'a>,
+    /// Code values as the encoder takes them.
+    data: Vec<u8>,
+}
+
+enum RowEncoder<'a> {
+    Png(Box<png::StreamWriter<'static, File>>),
+    Tiff {
+        image: Box<ImageEncoder<'a, BufWriter<File>, RGB16, TiffKindStandard>>,
+        compressed: bool,
+        /// Code values that are no whole strip yet.
+        begun: Vec<u16>,
+    },
+    Jpeg(&'a mut File, &'a mut Vec<u8>),
+}
+
+impl PhotographRows<'_> {
+    /// Writes the next rows.
+    pub(crate) fn write(&mut self, codes: &[u16]) -> Result<()> {
+        match &mut self.encoder {
+            RowEncoder::Png(writer) => {
+                self.data.resize(2 * codes.len(), 0);
+                self.data.as_chunks_mut::<2>().0.iter_mut().zip(codes).for_each(|(to, c)| *to = c.to_be_bytes());
+                writer.write_all(&self.data).map_err(Error::io("write", self.path))
+            }
+            RowEncoder::Tiff { image, compressed, begun } => {
+                begun.extend_from_slice(codes);
+                let mut done = 0;
+                loop {
+                    let strip = image.next_strip_sample_count() as usize;
+                    // The encoder writes single strips without compression.
+                    if *compressed || strip == 0 || begun.len() < done + strip {
+                        break;
+                    }
+                    image.write_strip(&begun[done..done + strip]).map_err(of_tiff(self.path))?;
+                    done += strip;
+                }
+                begun.drain(..done);
+                Ok(())
+            }
+            RowEncoder::Jpeg(..) => {
+                self.data.extend(codes.iter().map(|&c| c.min(255) as u8));
+                Ok(())
+            }
+        }
+    }
+
+    /// Ends the file, when all rows have been written.
+    pub(crate) fn finish(self) -> Result<()> {
+        match self.encoder {
+            RowEncoder::Png(writer) => writer.finish().map_err(of_png(self.path)),
+            RowEncoder::Tiff { image, compressed: true, begun } => image.write_data(&begun).map_err(of_tiff(self.path)),
+            RowEncoder::Tiff { image, .. } => image.finish().map_err(of_tiff(self.path)),
+            RowEncoder::Jpeg(file, exif) => {
+                let [width, height] = self.size_px.map(|s| s as u32);
+                let mut to = BufWriter::new(file);
+                let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut to, 95);
+                image::ImageEncoder::set_exif_metadata(&mut encoder, std::mem::take(exif)).map_err(Error::internal)?;
+                image::ImageEncoder::write_image(encoder, &self.data, width, height, image::ExtendedColorType::Rgb8)
+                    .map_err(|e| match e {
+                        image::ImageError::IoError(e) => Error::io("write", self.path)(e),
+                        other => Error::internal(other),
+                    })?;
+                to.flush().map_err(Error::io("write", self.path))
+            }
+        }
+    }
+}
+
+fn begin_png(
+    file: File,
+    size_px: [usize; 2],
+    exif: Vec<u8>,
+) -> std::result::Result<png::StreamWriter<'static, File>, png::EncodingError> {
+    let [width, height] = size_px.map(|s| s as u32);
+    let mut info = png::Info::with_size(width, height);
+    info.color_type = png::ColorType::Rgb;
+    info.bit_depth = png::BitDepth::Sixteen;
+    info.exif_metadata = Some(exif.into());
+    let mut encoder = png::Encoder::with_info(file, info)?;
+    // Noise does not compress and this decodes fastest; Up turns pedestal and black into runs.
+    encoder.set_compression(png::Compression::Fastest);
+    encoder.set_filter(png::Filter::Up);
+    encoder.write_header()?.into_stream_writer_with_size(PNG_CHUNK)
+}
+
+fn begin_tiff<W: Write + Seek>(
+    encoder: &mut TiffEncoder<W>,
+    size_px: [usize; 2],
+    exposure: ExposureTime,
+) -> TiffResult<ImageEncoder<'_, W, RGB16, TiffKindStandard>> {
+    let [width, height] = size_px.map(|s| s as u32);
+    // ExposureTime, FNumber, PhotographicSensitivity.
+    let mut exif = encoder.extra_directory()?;
+    let rational = |n: u32, d: u32| tiff::encoder::Rational { n, d };
+    exif.write_tag(Tiff::Unknown(33_434), rational(exposure.numerator, exposure.denominator))?;
+    exif.write_tag(Tiff::Unknown(33_437), rational(8, 1))?;
+    exif.write_tag(Tiff::Unknown(34_855), 100u16)?;
+    let exif = exif.finish_with_offsets()?;
+    let mut image = encoder.new_image::<RGB16>(width, height)?;
+    image.encoder().write_tag(Tiff::ExifDirectory, exif.offset)?;
+    Ok(image)
+}
+
+fn of_png(path: &Path) -> impl Fn(png::EncodingError) -> Error {
+    move |e| match e {
+        png::EncodingError::IoError(e) => Error::io("write", path)(e),
+        other => Error::internal(other),
+    }
+}
+
+fn of_tiff(path: &Path) -> impl Fn(TiffError) -> Error {
+    move |e| match e {
+        TiffError::IoError(e) => Error::io("write", path)(e),
+        other => Error::internal(other),
     }
 }
 
@@ -203,11 +324,62 @@ mod tests {
             (FileFormat::Jpeg, "a.jpg"),
         ] {
             let path = dir.path().join(name);
-            PhotographWriter::new(format, [8, 4]).write(&path, &[100; 96], time, 3700).unwrap();
+            write_photograph(&path, format, [8, 4], &[100; 96], time, 3700).unwrap();
             let mut file = std::io::BufReader::new(std::fs::File::open(&path).unwrap());
             let exif = exif::Reader::new().read_from_container(&mut file).unwrap();
             let field = exif.get_field(Tag::ExposureTime, In::PRIMARY).unwrap();
             assert!(matches!(&field.value, Value::Rational(v) if v[0].num == 1 && v[0].denom == 16));
+        }
+    }
+
+    fn decode(path: &Path) -> Vec<u16> {
+        if path.extension().is_some_and(|e| e == "png") {
+            return image::open(path).unwrap().into_rgb16().into_raw();
+        }
+        let file = std::io::BufReader::new(File::open(path).unwrap());
+        match tiff::decoder::Decoder::new(file).unwrap().read_image().unwrap() {
+            tiff::decoder::DecodingResult::U16(codes) => codes,
+            _ => panic!("16 bits"),
+        }
+    }
+
+    #[test]
+    fn photographs_written_by_rows_hold_the_code_values_in_all_formats() {
+        let dir = tempfile::tempdir().unwrap();
+        // Wide enough for several strips of a TIFF and chunks of a PNG, with rows in uneven parts.
+        let (width, height) = (2051, 211);
+        for (format, name) in
+            [(FileFormat::Png, "a.png"), (FileFormat::Tiff, "a.tif"), (FileFormat::TiffDeflate, "b.tif")]
+        {
+            let path = dir.path().join(name);
+            let codes: Vec<u16> = (0..3 * width * height).map(|i| (i as u64 * 2_654_435_761 >> 7) as u16).collect();
+            let time = ExposureTime::one_over(4);
+            let mut file = PhotographFile::create(&path, format, [width, height], time, 0).unwrap();
+            let mut rows = file.rows().unwrap();
+            let mut from = 0;
+            for n in [1, 7, 150, 3, 50] {
+                rows.write(&codes[3 * width * from..][..3 * width * n]).unwrap();
+                from += n;
+            }
+            rows.finish().unwrap();
+            drop(file);
+            assert!(from == height && decode(&path) == codes, "{name}");
+            let at_once = dir.path().join("whole");
+            write_photograph(&at_once, format, [width, height], &codes, time, 0).unwrap();
+            assert!(std::fs::read(&path).unwrap() == std::fs::read(at_once).unwrap(), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_full_disk_is_told_as_one_that_cannot_be_written() {
+        for format in [FileFormat::Png, FileFormat::Tiff, FileFormat::TiffDeflate, FileFormat::Jpeg] {
+            let path = Path::new("/dev/full");
+            if !path.exists() {
+                return;
+            }
+            let codes = vec![77; 3 * 3000 * 200];
+            let error = write_photograph(path, format, [3000, 200], &codes, ExposureTime::one_over(4), 0).unwrap_err();
+            assert!(matches!(&error, Error::Io { .. }), "{format:?}: {error:?}");
         }
     }
 }

@@ -18,29 +18,108 @@ pub(crate) fn parts(core_px: f64) -> usize {
     }
 }
 
-/// What pixels see of an interleaved RGB picture whose pixels are cut into `parts` along each axis: 1 − `glare` of the
-/// light blurred with a Gaussian of standard deviation `core_px`, `glare` of it with one of [`HALO_PX`], averaged over
-/// the parts. Light is conserved but for the borders, beyond which the outermost pixels go on.
-pub(crate) fn see(picture: Vec<f32>, size_px: [usize; 2], parts: usize, core_px: f64, glare: f64) -> Vec<f32> {
-    let cut = size_px.map(|s| s * parts);
-    let halo = (glare > 0.0).then(|| gaussian(&whole(picture.clone(), size_px, parts), size_px, HALO_PX));
-    let blurred = if core_px > 0.0 { gaussian(&picture, cut, core_px * parts as f64) } else { picture };
-    let mut blurred = whole(blurred, size_px, parts);
-    if let Some(halo) = halo {
-        let (keep, add) = ((1.0 - glare) as f32, glare as f32);
-        blurred.iter_mut().zip(halo).for_each(|(b, h)| *b = keep * *b + add * h);
-    }
-    blurred
+/// The lens: takes a picture (interleaved RGB, pixels cut into parts) in strips from above, and gives what pixels see of
+/// it, 1 − glare of the light blurred with a Gaussian of the core, glare of it with one of [`HALO_PX`], averaged over the
+/// parts. Light is conserved but for the borders, beyond which the outermost pixels go on.
+#[derive(Debug)]
+pub(crate) struct PointSpread {
+    parts: usize,
+    width: usize,
+    glare: f32,
+    core: Option<Blur>,
+    halo: Option<Blur>,
+    /// Rows of the core that wait for their halo.
+    sharp: Vec<f32>,
 }
 
-/// Means over the parts of each pixel.
-fn whole(picture: Vec<f32>, [width, height]: [usize; 2], parts: usize) -> Vec<f32> {
-    if parts == 1 {
-        return picture;
+impl PointSpread {
+    /// For pictures of `size_px`.
+    pub(crate) fn new(size_px: [usize; 2], core_px: f64, glare: f64) -> Self {
+        let parts = parts(core_px);
+        let [width, height] = size_px.map(|s| s * parts);
+        Self {
+            parts,
+            width: size_px[0],
+            glare: glare as f32,
+            core: (core_px > 0.0).then(|| Blur::new([width, height], core_px * parts as f64, parts)),
+            halo: (glare > 0.0).then(|| Blur::new(size_px, HALO_PX, 1)),
+            sharp: Vec::new(),
+        }
     }
+
+    /// Takes the next rows, and gives those that no later row changes: all that are left after the last.
+    pub(crate) fn see(&mut self, rows: Vec<f32>) -> Vec<f32> {
+        let halo = self.halo.as_mut().map(|halo| halo.add(&whole(&rows, self.width, self.parts)));
+        let core = match &mut self.core {
+            Some(core) => core.add(&rows),
+            None => rows,
+        };
+        let core = if self.parts == 1 { core } else { whole(&core, self.width, self.parts) };
+        let Some(mut seen) = halo else { return core };
+        self.sharp.extend(core);
+        let keep = 1.0 - self.glare;
+        seen.iter_mut().zip(&self.sharp).for_each(|(halo, sharp)| *halo = keep * sharp + self.glare * *halo);
+        self.sharp.drain(..seen.len());
+        seen
+    }
+}
+
+/// Separable convolution of rows that come in strips: along x at once, along y when all rows are there.
+#[derive(Debug)]
+struct Blur {
+    kernel: Vec<f32>,
+    /// RGB values of a row, and rows.
+    row: usize,
+    height: usize,
+    /// Rows are given in multiples of this.
+    together: usize,
+    /// Blurred along x, from row `first` on; rows up to `given` have been given.
+    along_x: Vec<f32>,
+    first: usize,
+    given: usize,
+}
+
+impl Blur {
+    fn new([width, height]: [usize; 2], sd_px: f64, together: usize) -> Self {
+        Self { kernel: kernel(sd_px), row: 3 * width, height, together, along_x: Vec::new(), first: 0, given: 0 }
+    }
+
+    fn add(&mut self, rows: &[f32]) -> Vec<f32> {
+        let (n, reach) = (self.row, self.kernel.len() / 2);
+        let old = self.along_x.len();
+        self.along_x.resize(old + rows.len(), 0.0);
+        self.along_x[old..].par_chunks_mut(n).zip(rows.par_chunks(n)).for_each(|(out, row)| {
+            let [first, last] = [&row[..3], &row[n - 3..]];
+            let padded = [first.repeat(reach), row.to_vec(), last.repeat(reach)].concat();
+            for (k, weight) in self.kernel.iter().enumerate() {
+                out.iter_mut().zip(&padded[3 * k..]).for_each(|(o, p)| *o += weight * p);
+            }
+        });
+        let there = self.first + self.along_x.len() / n;
+        let done = match there == self.height {
+            true => self.height,
+            false => (there.saturating_sub(reach) / self.together * self.together).max(self.given),
+        };
+        let mut both = vec![0.0; (done - self.given) * n];
+        both.par_chunks_mut(n).zip(self.given..done).for_each(|(out, y)| {
+            for (k, weight) in self.kernel.iter().enumerate() {
+                let from = (y + k).saturating_sub(reach).min(self.height - 1) - self.first;
+                out.iter_mut().zip(&self.along_x[from * n..]).for_each(|(o, p)| *o += weight * p);
+            }
+        });
+        self.given = done;
+        let needed = done.saturating_sub(reach).min(there);
+        self.along_x.drain(..(needed - self.first) * n);
+        self.first = needed;
+        both
+    }
+}
+
+/// Means over the parts of each pixel of some rows.
+fn whole(rows: &[f32], width: usize, parts: usize) -> Vec<f32> {
     let share = 1.0 / (parts * parts) as f32;
-    let mut out = vec![0.0; 3 * width * height];
-    out.par_chunks_mut(3 * width).zip(picture.par_chunks(3 * width * parts * parts)).for_each(|(out, rows)| {
+    let mut out = vec![0.0; rows.len() / (parts * parts)];
+    out.par_chunks_mut(3 * width).zip(rows.par_chunks(3 * width * parts * parts)).for_each(|(out, rows)| {
         for row in rows.chunks(3 * width * parts) {
             for (x, to) in out.as_chunks_mut::<3>().0.iter_mut().enumerate() {
                 for part in row[3 * x * parts..][..3 * parts].as_chunks::<3>().0 {
@@ -50,29 +129,6 @@ fn whole(picture: Vec<f32>, [width, height]: [usize; 2], parts: usize) -> Vec<f3
         }
     });
     out
-}
-
-/// Separable convolution: along x, then along y.
-fn gaussian(picture: &[f32], [width, height]: [usize; 2], sd_px: f64) -> Vec<f32> {
-    let kernel = kernel(sd_px);
-    let reach = kernel.len() / 2;
-    let n = 3 * width;
-    let mut along_x = vec![0.0; picture.len()];
-    along_x.par_chunks_mut(n).zip(picture.par_chunks(n)).for_each(|(out, row)| {
-        let [first, last] = [&row[..3], &row[n - 3..]];
-        let padded = [first.repeat(reach), row.to_vec(), last.repeat(reach)].concat();
-        for (k, weight) in kernel.iter().enumerate() {
-            out.iter_mut().zip(&padded[3 * k..]).for_each(|(o, p)| *o += weight * p);
-        }
-    });
-    let mut both = vec![0.0; picture.len()];
-    both.par_chunks_mut(n).enumerate().for_each(|(y, out)| {
-        for (k, weight) in kernel.iter().enumerate() {
-            let from = (y + k).saturating_sub(reach).min(height - 1);
-            out.iter_mut().zip(&along_x[from * n..]).for_each(|(o, p)| *o += weight * p);
-        }
-    });
-    both
 }
 
 /// Weights at whole pixels that sum to one and whose second moment is `sd_px`² (to 1e-3 or better).
@@ -93,12 +149,36 @@ fn kernel(sd_px: f64) -> Vec<f32> {
 mod tests {
     use super::*;
 
-    /// A point of light in the middle, blurred: sum, first and second moment along x and y.
-    fn moments(core_px: f64, glare: f64) -> [f64; 5] {
+    fn see(picture: Vec<f32>, size_px: [usize; 2], core_px: f64, glare: f64) -> Vec<f32> {
+        PointSpread::new(size_px, core_px, glare).see(picture)
+    }
+
+    #[test]
+    fn strips_of_any_height_give_the_picture_of_the_whole() {
+        for (core_px, glare) in [(0.3, 0.0), (0.8, 0.02), (1.4, 0.01), (0.0, 0.05), (0.0, 0.0)] {
+            let (size_px, parts) = ([31, 260], parts(core_px));
+            let n = 3 * size_px[0] * parts;
+            let picture: Vec<f32> =
+                (0..n * size_px[1] * parts).map(|i| ((i as u64 * 2_654_435_761) % 997) as f32).collect();
+            let at_once = see(picture.clone(), size_px, core_px, glare);
+            assert_eq!(at_once.len(), 3 * size_px[0] * size_px[1]);
+            let mut lens = PointSpread::new(size_px, core_px, glare);
+            let (mut seen, mut from) = (Vec::new(), 0);
+            for height in [1, 5, 2, 120, 3, 70, 59] {
+                let rows = picture[from * parts * n..][..height * parts * n].to_vec();
+                seen.extend(lens.see(rows));
+                from += height;
+            }
+            assert!(from == size_px[1] && seen == at_once, "{core_px} {glare}");
+        }
+    }
+
+    /// A point of light in the middle, as `lens` shows it: sum, first and second moment along x and y.
+    fn moments(lens: impl Fn(Vec<f32>, [usize; 2]) -> Vec<f32>) -> [f64; 5] {
         let (width, height) = (241, 235);
         let mut picture = vec![0.0; 3 * width * height];
         picture[3 * (117 * width + 120) + 1] = 1000.0;
-        let blurred = see(picture, [width, height], 1, core_px, glare);
+        let blurred = lens(picture, [width, height]);
         let mut m = [0.0; 5];
         for (i, v) in blurred.iter().enumerate() {
             assert!(*v == 0.0 || i % 3 == 1, "channels stay apart");
@@ -111,21 +191,26 @@ mod tests {
 
     #[test]
     fn light_is_conserved_and_the_second_moment_is_the_one_asked_for() {
-        for (core, glare) in [(0.3, 0.0), (0.5, 0.0), (0.7, 0.0), (1.5, 0.0), (0.0, 0.01), (0.5, 0.02)] {
-            let m = moments(core, glare);
-            let expected = (1.0 - glare) * core * core + glare * HALO_PX * HALO_PX;
+        let check = |m: [f64; 5], expected: f64| {
             // The kernel is cut at four standard deviations, which costs 1e-3 of the second moment.
-            assert!((m[0] - 1.0).abs() < 1e-5 && m[1].abs() < 1e-4 && m[2].abs() < 1e-4, "{core} {glare}: {m:?}");
-            for a in 3..5 {
-                assert!((m[a] / expected - 1.0).abs() < 3e-3, "{core} {glare}: {} of {expected}", m[a]);
-            }
+            assert!((m[0] - 1.0).abs() < 1e-5 && m[1].abs() < 1e-4 && m[2].abs() < 1e-4, "{m:?}");
+            assert!((3..5).all(|a| (m[a] / expected - 1.0).abs() < 3e-3), "{m:?}, expected {expected}");
+        };
+        for sd_px in [0.3, 0.5, 0.7, 1.5, HALO_PX] {
+            check(moments(|picture, size_px| Blur::new(size_px, sd_px, 1).add(&picture)), sd_px * sd_px);
+        }
+        // Where pixels are not cut.
+        for (core, glare) in [(1.5, 0.0), (0.0, 0.01), (1.2, 0.02)] {
+            let expected = (1.0 - glare) * core * core + glare * HALO_PX * HALO_PX;
+            check(moments(|picture, size_px| see(picture, size_px, core, glare)), expected);
         }
     }
 
     #[test]
     fn an_even_picture_stays_even_up_to_its_borders() {
-        let blurred = see(vec![7.0; 3 * 30 * 20], [15, 10], 2, 1.0, 0.1);
-        assert!(blurred.iter().all(|v| (v - 7.0).abs() < 1e-4));
-        assert_eq!(see(vec![1.0, 2.0, 3.0], [1, 1], 1, 0.0, 0.0), [1.0, 2.0, 3.0]);
+        // Pixels of a core of 0.8 px are cut into two parts.
+        let blurred = see(vec![7.0; 3 * 30 * 20], [15, 10], 0.8, 0.1);
+        assert!(blurred.len() == 3 * 15 * 10 && blurred.iter().all(|v| (v - 7.0).abs() < 1e-4));
+        assert_eq!(see(vec![1.0, 2.0, 3.0], [1, 1], 0.0, 0.0), [1.0, 2.0, 3.0]);
     }
 }

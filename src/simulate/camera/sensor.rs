@@ -217,7 +217,7 @@ fn poisson(mean: f32, rng: &mut Pcg64Mcg) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulate::{SensorKind, camera::hot_pixels::hot_pixels, scene::render::normal_cdf};
+    use crate::simulate::{SensorKind, camera::hot_pixels::hot_pixels, scene::patterns::normal_cdf};
 
     const KINDS: [SensorKind; 4] = [SensorKind::SonyA7r3, SensorKind::SonyA7r1, SensorKind::CanonT1, SensorKind::Phone];
 

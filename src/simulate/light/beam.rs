@@ -2,7 +2,7 @@
 
 use super::domain::Domain;
 use crate::geometry::Point;
-use crate::simulate::scene::render::{GAUSS_6, soft_dot};
+use crate::simulate::scene::{patterns::soft_dot, pixels::GAUSS_6};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;

@@ -157,19 +157,34 @@ impl Dots {
 
     /// What `beam` scatters towards the camera at once: as sharp as the beam, hence on a grid of its own.
     fn scattered_once(&self, beam: &Beam) -> Field {
+        let domain = self.domain_of_once(beam);
+        let flux = beam.footprint(&domain);
+        let [red, green, blue] = [0, 1, 2].map(|c| self.slab.first_radiance(&domain, &flux, c, self.eye_mm));
+        Field::smooth(domain.corner_mm, domain.voxel_mm, domain.voxels, [&red, &green, &blue])
+    }
+
+    /// The rectangle that the light of `beam` does not leave, mm.
+    pub(crate) fn reach_mm(&self, beam: &Beam) -> [Point; 2] {
+        let half_mm = [self.domain(beam.center_mm), self.domain_of_once(beam)].map(|domain| {
+            let center_mm = beam.center_mm;
+            [0, 1].map(|a| center_mm[a] - domain.corner_mm[a])
+        });
+        let half_mm: Point = std::array::from_fn(|a| half_mm[0][a].max(half_mm[1][a]));
+        [-1.0, 1.0].map(|side| std::array::from_fn(|a| beam.center_mm[a] + side * half_mm[a]))
+    }
+
+    /// What [`Self::scattered_once`] is counted in.
+    fn domain_of_once(&self, beam: &Beam) -> Domain {
         let thickness: f64 = self.slab.layers_mm.iter().sum();
         let cell_mm = self.cell_mm();
         let reach_mm = beam.reach_mm().into_iter().fold(0.0, f64::max);
         let half = (reach_mm + (SLOPE_PITCHES * self.pitch_mm).min(thickness)) / cell_mm;
         let half = half.ceil() as usize + 2;
-        let domain = Domain {
+        Domain {
             corner_mm: beam.center_mm.map(|c| c - half as f64 * cell_mm),
             voxel_mm: cell_mm,
             voxels: [2 * half; 2],
-        };
-        let flux = beam.footprint(&domain);
-        let [red, green, blue] = [0, 1, 2].map(|c| self.slab.first_radiance(&domain, &flux, c, self.eye_mm));
-        Field::smooth(domain.corner_mm, domain.voxel_mm, domain.voxels, [&red, &green, &blue])
+        }
     }
 
     fn domain(&self, center_mm: Point) -> Domain {

@@ -263,7 +263,7 @@ mod tests {
 
     #[test]
     fn means_over_quadrilaterals_are_those_of_their_points() {
-        use crate::simulate::scene::render::{GAUSS_2, GAUSS_3};
+        use crate::simulate::scene::pixels::{GAUSS_2, GAUSS_3};
         let field = field();
         for (x, y) in (0..200).map(|k| (1.0 + 0.037 * f64::from(k), 1.5 + 0.029 * f64::from(k))) {
             let corners = [[x, y], [x + 0.31, y + 0.02], [x - 0.03, y + 0.29], [x + 0.285, y + 0.305]];

@@ -1,7 +1,8 @@
 //! The bench: projector, camera, frame and board around the slab, and how far each lattice shot has drifted.
 
 pub(crate) mod drift;
-pub(crate) mod render;
+pub(crate) mod patterns;
+pub(crate) mod pixels;
 
 pub(crate) use drift::JUMP_REACH;
 
@@ -187,7 +188,7 @@ impl SimulatedScene {
         let radius = 0.5 * marks.diameter_mm;
         let cover = |m: &Point| {
             let inside = (radius - (p[0] - m[0]).hypot(p[1] - m[1])) / (PRINT_BLUR_PX * self.px_mm);
-            if inside < -6.0 { 0.0 } else { render::normal_cdf(inside) }
+            if inside < -6.0 { 0.0 } else { patterns::normal_cdf(inside) }
         };
         FRAME_ALBEDO * (1.0 - MARK_DARKNESS * marks.marks_mm.iter().map(cover).sum::<f64>())
     }

@@ -50,11 +50,63 @@ fn studio(options: &SimulateOptions) -> Studio {
 
 fn lattice(options: &SimulateOptions, camera_drift_px: Point) -> (Studio, RenderedPicture) {
     let studio = studio(options);
-    let moved = ShotTruth { name: String::new(), drift_px: [0.0; 2], drift_mm: [0.0; 2], camera_drift_px };
-    let picture = studio
-        .lattice(options, &[[0, 0], [1, 0], [0, 1], [1, 1]], &moved, |_, _| Ok(()), RenderedPicture::new())
-        .unwrap();
+    let view = moved_view(&studio.bench.scene.view, camera_drift_px);
+    let dots = LitDots::new(&studio, &view, &[[0, 0], [1, 0], [0, 1], [1, 1]], [0.0; 2]);
+    let picture = shown(&studio, options, Shown::Dots(dots), Some(&view));
     (studio, picture)
+}
+
+/// A whole picture.
+fn shown(
+    studio: &Studio,
+    options: &SimulateOptions,
+    mut shown: Shown<'_>,
+    view: Option<&CameraView>,
+) -> RenderedPicture {
+    let mut whole = Vec::new();
+    for rows in &studio.strips {
+        let mut picture = Vec::new();
+        studio.show(options, &mut shown, view, rows, |_, _| Ok(()), &mut picture).unwrap();
+        whole.extend(picture);
+    }
+    whole
+}
+
+/// Electrons per second of a picture as the sensor sees it.
+fn rate(studio: &Studio, options: &SimulateOptions, picture: &RenderedPicture) -> Vec<f32> {
+    let mut lens = PointSpread::new(studio.bench.scene.camera.size_px, options.psf_px, options.glare);
+    let mut rate = lens.see(studio.electrons(picture));
+    studio.darken_corners(&mut rate, 0);
+    rate
+}
+
+#[test]
+fn pictures_rendered_in_strips_are_those_of_the_whole() {
+    let mut options = bench(&[Cause::Psf, Cause::Ambient, Cause::ProjectorBlack, Cause::Distortion]);
+    options.frame_marks = true;
+    let gray = Pattern::GrayCode { axis: crate::capture::Axis::Y, bit: 3, inverse: true, on: Surface::WhiteReference };
+    let mut at_once = studio(&options);
+    assert_eq!(at_once.strips.len(), 1);
+    let height = at_once.bench.scene.camera.size_px[1];
+    let mut in_strips = studio(&options);
+    in_strips.whole = None;
+    in_strips.strips = (0..height).step_by(7).map(|y| y..(y + 7).min(height)).collect();
+    let view = moved_view(&at_once.bench.scene.view, [1.3, -0.4]);
+    at_once.whole = None;
+    for pattern in [gray, Pattern::Board, Pattern::ReferenceWhite, Pattern::SampleBlack, Pattern::Frame] {
+        let show = |studio: &Studio| shown(studio, &options, Shown::Still(&pattern, [0.3, 0.2]), Some(&view));
+        assert!(show(&at_once) == show(&in_strips), "{pattern:?}");
+    }
+    let dots = |studio: &Studio| LitDots::new(studio, &view, &[[0, 0], [1, 0], [0, 1], [1, 1]], [0.05, -0.1]);
+    let show = |studio: &Studio| shown(studio, &options, Shown::Dots(dots(studio)), Some(&view));
+    let (whole, strips) = (show(&at_once), show(&in_strips));
+    let (lit, dark) = (whole.iter().flatten().sum::<f32>(), shown_dark(&at_once, &options));
+    // The dots are most of the light, and not all of it.
+    assert!(whole == strips && lit > 1.5 * dark && dark > 0.0, "{lit} {dark}");
+}
+
+fn shown_dark(studio: &Studio, options: &SimulateOptions) -> f32 {
+    shown(studio, options, Shown::Still(&Pattern::SampleBlack, [0.0; 2]), None).iter().flatten().sum()
 }
 
 #[test]
@@ -174,12 +226,13 @@ fn lens_and_glare_spread_the_light_of_a_point() {
         let options = bench(causes);
         let studio = studio(&options);
         let [width, height] = studio.bench.scene.camera.size_px;
-        let (mut picture, parts) = (studio.pixels.black(), psf::parts(options.psf_px));
+        let parts = psf::parts(options.psf_px);
+        let mut picture = vec![[0.0; 3]; width * height * parts * parts];
         for k in 0..parts * parts {
             let (x, y) = (width / 2 * parts + k % parts, height / 2 * parts + k / parts);
             picture[y * width * parts + x] = [1.0; 3];
         }
-        let rate = studio.rate(&options, &picture, Vec::new());
+        let rate = rate(&studio, &options, &picture);
         let green = |x: usize, y: usize| f64::from(rate[3 * (y * width + x) + 1]);
         let (x, y) = (width / 2, height / 2);
         [green(x + 1, y) / green(x, y), green(x + 10, y) / green(x, y)]
@@ -201,7 +254,7 @@ fn vignetting_darkens_the_corners_of_photographs() {
         let options = bench(causes);
         let studio = studio(&options);
         let [width, height] = studio.bench.scene.camera.size_px;
-        let rate = studio.rate(&options, &vec![[1.0; 3]; width * height], Vec::new());
+        let rate = rate(&studio, &options, &vec![[1.0; 3]; width * height]);
         rate[0] / rate[3 * (height / 2 * width + width / 2)]
     };
     assert!((corner(&[]) - 1.0).abs() < 1e-6 && (corner(&[Cause::Vignetting]) - 0.85).abs() < 1e-3);
@@ -227,7 +280,7 @@ fn projector_black_ambient_light_falloff_and_blur_reach_the_photographs() {
     let still = |causes: &[Cause], pattern: &Pattern| {
         let options = bench(causes);
         let studio = studio(&options);
-        let picture = studio.still(&options, pattern, [0.0; 2]);
+        let picture = shown(&studio, &options, Shown::Still(pattern, [0.0; 2]), None);
         let [width, height] = studio.bench.scene.camera.size_px;
         (picture[height / 2 * width + width / 2], picture[0], picture)
     };
