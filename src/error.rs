@@ -31,6 +31,12 @@ pub enum Error {
         /// The feature.
         feature: &'static str,
     },
+    /// A place in an object store for what is not a matrix.
+    #[error("{}: expected a path on this machine: only matrices are read from and written to object stores", path.display())]
+    NotLocal {
+        /// The place.
+        path: PathBuf,
+    },
     /// The folder is not a capture.
     #[error("{}: no capture.toml in this folder", path.display())]
     NoManifest {

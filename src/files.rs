@@ -11,6 +11,14 @@ pub(crate) fn is_url(path: &Path) -> bool {
     path.to_str().is_some_and(|path| schemes.iter().any(|scheme| path.starts_with(scheme)))
 }
 
+/// Refuses a place in an object store, for what is not a matrix.
+///
+/// # Errors
+/// [`crate::Error::NotLocal`].
+pub(crate) fn check_local(path: &Path) -> crate::Result<()> {
+    if is_url(path) { Err(crate::Error::NotLocal { path: path.to_path_buf() }) } else { Ok(()) }
+}
+
 /// All files below a folder and their lengths, bytes: by their names from there, `/` between folders.
 ///
 /// # Errors

@@ -210,6 +210,7 @@ impl Manifest {
     /// [`Error::NoManifest`], [`Error::Field`] (syntax, a missing or unknown field, a value out of range),
     /// [`Error::DotOutsideSlab`] for a dot outside the grid. Files of photographs are not looked at.
     pub fn read(dir: &Path) -> Result<Self> {
+        crate::files::check_local(dir)?;
         let path = dir.join("capture.toml");
         let text = match crate::files::read_to_string(&path) {
             Ok(text) => text,

@@ -1,6 +1,7 @@
 //! What the terminal shows of errors and warnings: options as they are typed, and what to try.
 
 use super::things::{known, rig_near};
+use crate::files::is_url;
 use crate::{
     CaptureWarning, CheckWarning, ConsistencyWarning, Error, LightWarning, RadianceWarning, Severity, SimulateWarning,
     Warning,
@@ -45,7 +46,11 @@ pub(super) fn hint(error: &Error) -> Option<String> {
         Error::Io { action: "create" | "write" | "rename", .. } => {
             "choose an output path in a folder that exists and can be written, with --out"
         }
+        Error::Io { path, .. } if is_url(path) => {
+            "only matrices are read from object stores: copy it to this machine first"
+        }
         Error::Io { .. } => "check the path and its permissions",
+        Error::NotLocal { .. } => "copy it from or to the object store with the store's own tools",
         Error::NeedsFeature { feature, .. } => {
             return Some(format!("build it with `cargo build --release --features {feature}`"));
         }

@@ -27,6 +27,7 @@ pub use keywords::{build_options, factor_options, simulate_options};
 use messages::one_line;
 
 use crate::capture::Manifest;
+use crate::files::check_local;
 use crate::output::{check_apart, check_file};
 use crate::pipeline::check_prepared;
 use crate::simulate::TRUTH_MATRIX;
@@ -182,10 +183,11 @@ pub const MATERIALS: [&str; 2] = ["safetensors", "acq"];
 /// one that this program has not made. `setting` is the option that names it.
 ///
 /// # Errors
-/// [`Error::Setting`], [`Error::Exists`], [`Error::NotOurs`], [`Error::Io`].
+/// [`Error::NotLocal`], [`Error::Setting`], [`Error::Exists`], [`Error::NotOurs`], [`Error::Io`].
 pub fn check_output(setting: &'static str, out: &Path, inputs: &[&Path], endings: &[&str], force: bool) -> Result<()> {
     let refuse =
         |expected: &str| Err(Error::Setting { setting, expected: expected.into(), found: out.display().to_string() });
+    check_local(out)?;
     if std::fs::metadata(out).is_ok_and(|kind| !kind.is_file()) {
         return refuse("a file");
     }

@@ -1,7 +1,7 @@
 //! Single files.
 
 use super::{ScratchFolder, put, seal};
-use crate::{Error, Result};
+use crate::{Error, Result, files::check_local};
 use std::path::{Path, PathBuf};
 
 /// Writes a file whole, in the place of an earlier one only if this program has made that. `bytes` are sealed on the
@@ -22,8 +22,9 @@ pub(crate) fn write_whole(path: &Path, mut bytes: Vec<u8>) -> Result<()> {
 /// Checks, before any work, that a file may be written; says whether there is one to be replaced.
 ///
 /// # Errors
-/// [`Error::Exists`] unless `force`; [`Error::NotOurs`], [`Error::Io`].
+/// [`Error::NotLocal`]; [`Error::Exists`] unless `force`; [`Error::NotOurs`], [`Error::Io`].
 pub(crate) fn check_file(path: &Path, force: bool) -> Result<bool> {
+    check_local(path)?;
     let path = real(path)?;
     match path.symlink_metadata() {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(false),

@@ -1,7 +1,7 @@
 //! Folders that appear when they are whole, with a record of what is in them.
 
 use super::{Earlier, ScratchFolder, WorkLog, put};
-use crate::{Error, Result};
+use crate::{Error, Result, files::check_local};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -40,7 +40,7 @@ impl NewFolder {
     /// that holds nothing else.
     ///
     /// # Errors
-    /// [`Error::NotEmpty`], [`Error::NotOurs`], [`Error::Changed`], [`Error::Io`].
+    /// [`Error::NotLocal`], [`Error::NotEmpty`], [`Error::NotOurs`], [`Error::Changed`], [`Error::Io`].
     pub(crate) fn create(target: &Path, force: bool) -> Result<Self> {
         Self::new(target, force, ScratchFolder::new)
     }
@@ -134,6 +134,7 @@ impl NewFolder {
 
 /// Whether there is something at `target` that would be replaced.
 fn check(target: &Path, force: bool) -> Result<bool> {
+    check_local(target)?;
     let full = match std::fs::read_dir(target) {
         Ok(mut entries) => entries.next().is_some(),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound && target.symlink_metadata().is_err() => false,

@@ -5,6 +5,7 @@ use crate::{Error, Result};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
+use std::time::{Duration, Instant};
 
 /// What is to be removed when a signal ends the program.
 static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
@@ -92,19 +93,56 @@ pub(super) fn remove(folder: &Path) {
         let _ = std::fs::remove_file(folder);
         return;
     }
-    // Other threads may still add files while the folder is emptied.
-    for _ in 0..20 {
+    // Other threads may still add files while the folder is emptied: what has been moved aside they no longer find, but
+    // they may make a folder anew that is missing.
+    let began = Instant::now();
+    for n in 0.. {
         let Ok(entries) = std::fs::read_dir(folder) else { return };
-        for entry in entries.flatten().filter(|e| e.file_name() != LOCK) {
-            let _ = match entry.file_type().is_ok_and(|kind| kind.is_dir()) {
-                true => std::fs::remove_dir_all(entry.path()),
-                false => std::fs::remove_file(entry.path()),
-            };
-        }
-        if std::fs::read_dir(folder).is_ok_and(|rest| rest.flatten().all(|e| e.file_name() == LOCK)) {
+        let rest: Vec<_> = entries.flatten().filter(|e| e.file_name() != LOCK).collect();
+        if rest.is_empty() {
             let _ = std::fs::remove_file(folder.join(LOCK));
             let _ = std::fs::remove_dir(folder);
             return;
+        }
+        if began.elapsed() > LONGEST {
+            return;
+        }
+        for (i, entry) in rest.iter().enumerate() {
+            let aside = folder.join(format!("removed-{n}-{i}"));
+            let path = if std::fs::rename(entry.path(), &aside).is_ok() { aside } else { entry.path() };
+            let _ = match path.is_dir() && !path.is_symlink() {
+                true => std::fs::remove_dir_all(path),
+                false => std::fs::remove_file(path),
+            };
+        }
+    }
+}
+
+/// Longer than this nothing is removed: a file system that fails would keep the program from ending.
+const LONGEST: Duration = Duration::from_secs(20);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_is_removed_while_other_threads_add_files() {
+        for _ in 0..20 {
+            let parent = tempfile::tempdir().unwrap();
+            let folder = parent.path().join("scratch");
+            let busy = folder.join("new/c/0");
+            std::fs::create_dir_all(&busy).unwrap();
+            std::fs::write(folder.join(LOCK), "").unwrap();
+            std::thread::scope(|scope| {
+                for thread in 0..4 {
+                    let busy = &busy;
+                    // As threads at work do, which wait at their first error.
+                    scope.spawn(move || (0..).all(|i| std::fs::write(busy.join(format!("{thread}-{i}")), "x").is_ok()));
+                }
+                std::thread::sleep(Duration::from_millis(5));
+                remove(&folder);
+            });
+            assert!(!folder.exists());
         }
     }
 }

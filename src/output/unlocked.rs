@@ -5,7 +5,7 @@
 //! step; what a killed task has left stays until somebody removes the folder.
 
 use super::signals::Unfinished;
-use crate::{Error, Result};
+use crate::{Error, Result, files::check_local};
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
@@ -77,8 +77,9 @@ fn folder_of(path: &Path) -> &Path {
 /// something else.
 ///
 /// # Errors
-/// [`Error::NotOurs`], [`Error::Io`].
+/// [`Error::NotLocal`], [`Error::NotOurs`], [`Error::Io`].
 pub(crate) fn check_by_head(path: &Path, head: &[u8]) -> Result<()> {
+    check_local(path)?;
     std::fs::read_dir(folder_of(path)).map_err(Error::io("create", path))?;
     match path.symlink_metadata() {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),

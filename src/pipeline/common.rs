@@ -19,10 +19,10 @@ pub(super) fn common_errors(
     let row_len = 3 * manifest.window.samples[0] * manifest.window.samples[1];
     let mut common = CommonErrors::none(manifest.grid.len(), row_len);
     let white = light.flicker.white_variance() + scene.capture.rig.white_reference.relative_sd.powi(2);
-    let codes = scene.photographs.sensor.codes_variance();
+    let exposed = scene.photographs.light_variance();
     let drift_sd_px = results.iter().filter_map(|r| r.drift).map(|d| d.common_sd_px).fold(0.0, f64::max);
     common.of_all = CommonOfAll {
-        scale_sd: [(white + codes + scene.registration.dot_area_variance()).sqrt(); 3],
+        scale_sd: [(white + exposed + scene.registration.dot_area_variance()).sqrt(); 3],
         position_sd_mm: scene.registration.position_sd_mm.hypot(drift_sd_px / scene.px_per_mm),
     };
     let (mut flux, mut lit_points) = ([0.0; 3], 0.0_f64);

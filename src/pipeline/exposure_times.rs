@@ -1,13 +1,13 @@
 //! Exposure times as the photographs tell them, and what is to be told of those that are stated.
 
 use super::BuildOptions;
-use crate::capture::{Capture, ExposureFrom, Photograph, stated_encoding};
+use crate::capture::{Capture, ExposureFrom, Pattern, Photograph, stated_encoding};
 use crate::radiance::{
     Brightness, ExposureFit, FileNoise, MOST_FLICKER, Sensor, Stack, StackScales, disagreements, fit_exposures,
 };
 use crate::warning::bounds::{REFUSED_SLOPE, REFUSED_TIME, TIME_SIGMA, TIME_TOLERANCE};
 use crate::{ConsistencyWarning, RadianceWarning, Result, Warning};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Compressed dark parts mislead by half a per cent and more: a measured time is worth a word there when it differs by
 /// more than this.
@@ -72,6 +72,59 @@ pub(super) fn fit_settled(mut stacks: Vec<(&Stack, StackScales)>, settings: usiz
     fit_exposures(&stacks, settings)
 }
 
+/// Relative variance of the light of all lattice shots against the white reference's, because nominal times are not what
+/// they were: 0 where times are those that stacks tell and link both.
+///
+/// By how much nominal times are off is what those of linked settings scatter by about their mean, as many standard
+/// deviations of it as Student's distribution has with so few; which need not hold for settings with nothing to compare
+/// with. Times as stated: the white reference and a place of the sample are each mostly told by one exposure. Times as
+/// measured: each linked group has the mean error of its own. Compressed files scatter by themselves, and count only
+/// where that is `told`.
+pub(super) fn scale_variance(
+    fit: &ExposureFit,
+    settings: &Settings,
+    capture: &Capture,
+    from: ExposureFrom,
+    told: bool,
+) -> f64 {
+    let groups: Vec<Vec<usize>> = groups(fit).into_values().collect();
+    let (mut squares, mut free) = (0.0, 0.0);
+    for group in groups.iter().filter(|_| told && !fit.failed) {
+        let mean = group.iter().map(|&s| fit.log_scale[s]).sum::<f64>() / group.len() as f64;
+        squares += group.iter().map(|&s| (fit.log_scale[s] - mean).powi(2) - fit.variance[s]).sum::<f64>();
+        free += group.len() as f64 - 1.0;
+    }
+    if !(squares > 0.0 && free > 0.0) {
+        return 0.0;
+    }
+    // Of three at the least: Student's distribution has a variance only from there on.
+    let nominal = squares / free * f64::max(free, 3.0) / (f64::max(free, 3.0) - 2.0);
+    let share = |kind: fn(&Pattern) -> bool| {
+        let mut used = BTreeSet::new();
+        let shots = capture.shots(kind);
+        used.extend(shots.iter().flat_map(|&shot| &capture.brackets[shot]).map(|p| settings.index(p)));
+        move |s: &usize| if used.contains(s) { 1.0 / used.len() as f64 } else { 0.0 }
+    };
+    let (white, lattice) = (share(|p| *p == Pattern::ReferenceWhite), share(|p| matches!(p, Pattern::Lattice { .. })));
+    match from {
+        ExposureFrom::Exif | ExposureFrom::Apex => 2.0 * nominal,
+        ExposureFrom::Estimate => groups
+            .iter()
+            .map(|group| {
+                let weight: f64 = group.iter().map(|s| white(s) - lattice(s)).sum();
+                weight * weight * nominal / group.len() as f64
+            })
+            .sum(),
+    }
+}
+
+/// The settings of each group that stacks link.
+fn groups(fit: &ExposureFit) -> BTreeMap<usize, Vec<usize>> {
+    let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    fit.group.iter().enumerate().for_each(|(s, &g)| groups.entry(g).or_default().push(s));
+    groups
+}
+
 /// Whether the photographs of a stack show the same, whatever their brightness.
 pub(super) fn agrees(stack: &Stack, sensor: &Sensor) -> bool {
     let brightness = Brightness { log_scale: &vec![0.0; stack.exposures.len()], tolerance: f64::INFINITY };
@@ -91,14 +144,14 @@ pub(super) fn judge(
     file: FileNoise,
     capture: &Capture,
 ) -> Result<Vec<Warning>> {
+    let scale_variance = |told| scale_variance(fit, settings, capture, options.exposure_from, told);
     let mut warnings = Vec::new();
     if fit.failed {
         warnings.push(ConsistencyWarning::ExposuresUnmeasured { settings: settings.secs.len() }.into());
         return Ok(warnings);
     }
-    let names: BTreeSet<usize> = fit.group.iter().copied().collect();
-    let of = |g: usize| (0..settings.secs.len()).filter(move |&s| fit.group[s] == g);
-    if let Some(slope) = names.iter().find_map(|&g| curve_slope(fit, settings, &of(g).collect::<Vec<_>>())) {
+    let linked: Vec<Vec<usize>> = groups(fit).into_values().collect();
+    if let Some(slope) = linked.iter().find_map(|group| curve_slope(fit, settings, group)) {
         let encoding = capture.brackets.iter().flatten().next().and_then(|p| stated_encoding(&p.path));
         warnings.push(options.refuse(ConsistencyWarning::ResponseCurve {
             given: capture.rig.camera.response_curve.clone().into(),
@@ -115,9 +168,10 @@ pub(super) fn judge(
         warnings.push(options.refuse(ConsistencyWarning::BrightnessVaries { relative_sd })?);
     }
     if options.exposure_from == ExposureFrom::Estimate {
-        if names.len() > 1 {
-            let groups = names.into_iter().map(|g| of(g).map(|s| settings.secs[s]).collect()).collect();
-            warnings.push(RadianceWarning::ExposuresUnlinked { groups }.into());
+        if linked.len() > 1 {
+            let secs = |group: &Vec<usize>| group.iter().map(|&s| settings.secs[s]).collect();
+            let (groups, scale_sd) = (linked.iter().map(secs).collect(), scale_variance(true).sqrt());
+            warnings.push(RadianceWarning::ExposuresUnlinked { groups, scale_sd }.into());
         }
         return Ok(warnings);
     }
@@ -140,7 +194,13 @@ pub(super) fn judge(
             relative_sd,
             settings: (0..settings.secs.len()).filter(|s| significant(s) && off(*s) > REFUSED_TIME).count(),
         })?,
-        false => RadianceWarning::ExposureRatios { nominal_secs, measured_secs, relative_sd }.into(),
+        false => RadianceWarning::ExposureRatios {
+            nominal_secs,
+            measured_secs,
+            relative_sd,
+            scale_sd: scale_variance(true).sqrt(),
+        }
+        .into(),
     });
     Ok(warnings)
 }
@@ -200,7 +260,7 @@ mod tests {
         assert!(of([0.0, -0.014, 0.014], 1e-5, 0.3).is_empty(), "of compressed files");
         for compression in [0.0, 0.3] {
             let warnings = of([0.02, -0.05, 0.03], 0.001, compression);
-            let [Warning::Radiance(RadianceWarning::ExposureRatios { nominal_secs, measured_secs, relative_sd })] =
+            let [Warning::Radiance(RadianceWarning::ExposureRatios { nominal_secs, measured_secs, relative_sd, .. })] =
                 warnings[..]
             else {
                 panic!("{warnings:?}")
@@ -219,10 +279,48 @@ mod tests {
         let options = BuildOptions { exposure_from: ExposureFrom::Estimate, ..BuildOptions::default() };
         let warnings =
             judge(&fit, true, &settings, &options, FileNoise::default(), &super::super::tests::capture(&[])).unwrap();
-        let [Warning::Radiance(RadianceWarning::ExposuresUnlinked { groups })] = &warnings[..] else {
+        let [Warning::Radiance(RadianceWarning::ExposuresUnlinked { groups, .. })] = &warnings[..] else {
             panic!("{warnings:?}")
         };
         assert_eq!(*groups, [vec![0.01, 0.16], vec![0.04]]);
+    }
+
+    #[test]
+    fn times_that_are_off_make_the_light_of_all_rows_uncertain() {
+        let capture = super::super::tests::capture(&[
+            (Pattern::ReferenceWhite, &[0.01, 0.04]),
+            (Pattern::Lattice { dots: vec![] }, &[0.1, 0.4, 1.6]),
+        ]);
+        let settings = Settings::of(&capture);
+        let variance = |log_scale: [f64; 5], group: [usize; 5], from: ExposureFrom, told: bool| {
+            let log_scale = log_scale.to_vec();
+            let fit = ExposureFit {
+                log_scale,
+                variance: vec![1e-6; 5],
+                group: group.into(),
+                flicker_sd: None,
+                failed: false,
+            };
+            scale_variance(&fit, &settings, &capture, from, told)
+        };
+        let (apart, linked) = ([0, 0, 2, 2, 2], [0; 5]);
+        let times = [0.0, 0.02, -0.03, 0.0, 0.0];
+        // About the means .01 and -.01: 2e-4 + 6e-4 less noise of 5e-6, of three free ones; Student's of three: 3 times.
+        let nominal = (8e-4 - 5e-6) / 3.0 * 3.0;
+        for (from, group, expected) in [
+            (ExposureFrom::Exif, apart, 2.0 * nominal),
+            (ExposureFrom::Estimate, apart, nominal * (1.0 / 2.0 + 1.0 / 3.0)),
+            (ExposureFrom::Estimate, linked, 0.0),
+        ] {
+            let found = variance(times, group, from, true);
+            assert!((found - expected).abs() < 1e-12, "{from:?} {group:?}: {found} {expected}");
+            assert_eq!(variance(times, group, from, false), 0.0);
+        }
+        // Of five linked ones four are free: mean -.002, Σ² 1.28e-3, factor 2.
+        let found = variance(times, linked, ExposureFrom::Exif, true);
+        assert!((found - 2.0 * (1.28e-3 - 5e-6) / 4.0 * 2.0).abs() < 1e-12, "{found}");
+        assert_eq!(variance([0.0; 5], linked, ExposureFrom::Exif, true), 0.0, "right times");
+        assert_eq!(variance(times, [0, 1, 2, 3, 4], ExposureFrom::Exif, true), 0.0, "nothing to compare with");
     }
 
     #[test]

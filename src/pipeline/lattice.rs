@@ -225,9 +225,9 @@ fn extract_shot(
     let moved = drift.map_or([0.0; 2], |d| d.slab_mm);
     let seen = search.look(scene, shot, registration, drift, &windows);
 
-    // What all samples of a row have in common: the lamp, and the response curve's own error.
-    let codes_variance = scene.photographs.sensor.codes_variance();
-    let common_variance = flicker_variance + codes_variance + scene.registration.dot_area_variance();
+    // What all samples of a row have in common: the lamp, the response curve's own error, exposure times.
+    let common_variance =
+        flicker_variance + scene.photographs.light_variance() + scene.registration.dot_area_variance();
     let mut weights = cell_weights(scene, windows.first().map_or(Sampling::WHOLE, Bracket::sampling));
     let centers: Vec<Point> =
         dots.iter().map(|&d| scene.nominal_mm(d)).map(|p| [p[0] + moved[0], p[1] + moved[1]]).collect();

@@ -415,7 +415,7 @@ fn prepare<T>(
     let mut references = references::references(photographs, registered, radiometry.flicker_sd, options, progress)?;
     let first = Scene::new(photographs, registered, &references);
     lattice::check_dots(&first)?;
-    let (stray, stray_warnings) = stray::measure(&first, options, progress)?;
+    let (stray, stray_warnings) = stray::measure(&first, radiometry.flicker_sd, options, progress)?;
     let cell_px = first.cell_px;
     references.doubt_ambient(stray.even.unwrap_or(0.0), cell_px);
     let stage = progress.stage("lamp", 2);

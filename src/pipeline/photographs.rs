@@ -101,6 +101,11 @@ impl<'a> Fine<'a> {
 }
 
 impl<'a> Photographs<'a> {
+    /// Relative variance that the light of all rows has in common: by code values and by exposure times.
+    pub(super) fn light_variance(&self) -> f64 {
+        self.sensor.codes_variance() + self.radiometry.scale_variance
+    }
+
     /// `full` is the capture as it was taken, `capture` the same in the working resolution.
     pub(super) fn new(full: &'a Capture, capture: &'a Capture, radiometry: &'a Radiometry, working: usize) -> Self {
         let fine = Fine::new(full, radiometry, working);

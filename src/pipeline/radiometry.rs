@@ -2,7 +2,7 @@
 //! shots.
 
 use super::BuildOptions;
-use super::exposure_times::{Settings, agrees, fit_settled, judge};
+use super::exposure_times::{Settings, agrees, fit_settled, judge, scale_variance};
 use crate::capture::{
     Axis, Capture, ExposureFrom, Noise, Pattern, Photograph, Reduction, ResponseCurve, Samples, Surface,
 };
@@ -30,6 +30,8 @@ pub(super) struct Radiometry {
     pub flicker_sd: Option<f64>,
     /// ln(actual / stated time) of each photograph as the stacks tell it, of what was not applied.
     log_scales: Vec<Vec<f64>>,
+    /// Relative variance of the light of all rows alike, by exposure times.
+    pub scale_variance: f64,
     /// Whether stated times were corrected by more than cameras round them.
     pub corrected: bool,
     pub warnings: Vec<Warning>,
@@ -171,7 +173,10 @@ pub(super) fn calibrate(
     let mut fit = fit_settled(scales, settings.secs.len());
     let least_flicker = if file.is_compressed() { LEAST_COMPRESSED_FLICKER } else { LEAST_FLICKER };
     fit.flicker_sd = fit.flicker_sd.filter(|sd| agree && *sd > least_flicker);
-    warnings.extend(judge(&fit, agree, &settings, options, file, capture)?);
+    let judged = judge(&fit, agree, &settings, options, file, capture)?;
+    let told = !file.is_compressed() || judged.iter().any(|w| matches!(w, Warning::Radiance(_)));
+    let scale_variance = scale_variance(&fit, &settings, capture, options.exposure_from, told && agree);
+    warnings.extend(judged);
     let mut brackets = capture.brackets.clone();
     let mut corrected = false;
     let mut log_scales: Vec<Vec<f64>> =
@@ -184,7 +189,7 @@ pub(super) fn calibrate(
     stage.advance(1);
     let record = record(&fit, &settings, file, estimate.as_ref(), options);
     let (noise, flicker_sd) = (noise.clone(), fit.flicker_sd);
-    Ok(Radiometry { noise, curve, file, brackets, flicker_sd, log_scales, corrected, warnings, record })
+    Ok(Radiometry { noise, curve, file, brackets, flicker_sd, log_scales, scale_variance, corrected, warnings, record })
 }
 
 /// Pixels of a shot that are looked at. Dots are lit in several rows: every one is met.

@@ -24,11 +24,13 @@ const EVEN_TOLD: f64 = 1e-4;
 const LARGEST_HALO: f64 = 0.1;
 
 /// The halo in some lattice shots, spread over the sweep; nothing when the photographs show too little of the frame.
+/// `flicker_sd`: of the lamp, relative.
 ///
 /// # Errors
 /// Those of decoding; [`crate::Error::Contradiction`] for light that is no halo.
 pub(super) fn measure(
     scene: &Scene<'_>,
+    flicker_sd: Option<f64>,
     options: &BuildOptions,
     progress: &Progress,
 ) -> Result<(StrayLight, Vec<Warning>)> {
@@ -51,7 +53,8 @@ pub(super) fn measure(
         spots.leave_out(&mut dark, scene.capture.rig.camera.size_px);
         warnings.push(spots.finding(scene, scene.photographs.one(|p| matches!(p, Pattern::SampleBlack))?).into());
     }
-    let stray = StrayLight::estimate(&pictures, &dark).unwrap_or_default();
+    let lamp = flicker_sd.map(|sd| (&scene.references.ambient, sd));
+    let stray = StrayLight::estimate(&pictures, &dark, lamp).unwrap_or_default();
     if let Some(dn_per_sec) = stray.even {
         let window_px: f64 = scene.capture.manifest.window.samples.iter().map(|&n| n as f64 * scene.cell_px).product();
         let dots: usize = shots.iter().map(|&s| scene.dots(s).len()).sum();

@@ -82,7 +82,7 @@ fn stages_that_go_on_from_saved_outputs_give_the_same_rows_to_the_last_bit() {
             references::references(&photographs, &registered, radiometry.flicker_sd, &options, &silent).unwrap();
         let references = passed(references, through_files);
         let scene = Scene::new(&photographs, &registered, &references);
-        let stray = passed(stray::measure(&scene, &options, &silent).unwrap().0, through_files);
+        let stray = passed(stray::measure(&scene, radiometry.flicker_sd, &options, &silent).unwrap().0, through_files);
         let flicker = passed(Flicker::measure(&scene, radiometry.flicker_sd).unwrap(), through_files);
         let (light, sink) = (LightCorrections { stray, flicker }, HeldRows::default());
         let movements = Movements::prepare(&scene).unwrap();

@@ -47,13 +47,15 @@ impl StrayLight {
     /// there is fitted by non-negative shares of the whole picture blurred. `None` when fewer than thirty blocks of
     /// such pixels were measured.
     ///
-    /// A few blocks that are bright by themselves (a dot on the frame that nobody listed) are left out.
+    /// A few blocks that are bright by themselves (a dot on the frame that nobody listed) are left out. `lamp`: the
+    /// ambient light that was subtracted, and by how much of itself it changes from picture to picture with the lamp (a
+    /// standard deviation); projector black on the frame is as bright as a halo.
     ///
     /// Not detected: halos much narrower than the way from the dots to the nearest of these pixels, ghosts (reflections
     /// between lenses, which have a shape and a place), light that the frame scatters back, light that goes through the
     /// sample's sides.
-    pub fn estimate(pictures: &[Radiance], dark: &[bool]) -> Option<Self> {
-        let mut rows: Vec<Weighted> = Vec::new();
+    pub fn estimate(pictures: &[Radiance], dark: &[bool], lamp: Option<(&Radiance, f64)>) -> Option<Self> {
+        let (mut rows, mut all): (Vec<Weighted>, Vec<Weighted>) = (Vec::new(), Vec::new());
         let mut weights: Vec<f64> = Vec::new();
         for picture in pictures {
             // The dark pixels' own noise, blurred, would look like a halo of theirs: their light is the halo's, and
@@ -65,17 +67,19 @@ impl StrayLight {
             let blocks = dark_blocks(picture, dark);
             // A halo is no sum of Gaussians: what this leaves is part of the bright blocks' and of the mean.
             let mean = blocks.iter().map(|b| b.1).sum::<f64>() / blocks.len().max(1) as f64;
+            let (first, mut unsteady) = (all.len(), Vec::new());
             for (at, seen, variance) in blocks {
                 let shape = SHAPE_SD * SHAPE_SD * (seen * seen + mean * mean);
                 let weight = 1.0 / (variance + shape).sqrt();
                 if weight.is_finite() {
-                    rows.push((std::array::from_fn(|k| weight * luminance(halos[k].at(at))), weight * seen));
+                    all.push((std::array::from_fn(|k| weight * luminance(halos[k].at(at))), weight * seen));
                     weights.push(weight);
+                    unsteady.push(lamp.map_or(0.0, |(ambient, sd)| weight * sd * block_mean(ambient, at)));
                 }
             }
+            rows.extend(whitened(&all[first..], &unsteady));
         }
-        let even = even_light(&rows, &weights);
-        let all = rows.clone();
+        let even = even_light(&all, &weights);
         let (shares, sd) = fit_without_outliers(rows)?;
         let halo = |row: &Weighted| row.0.iter().zip(&shares).map(|(h, s)| h * s).sum::<f64>() - row.1;
         let left = all.iter().map(|row| bounded(halo(row))).sum::<f64>();
@@ -183,6 +187,33 @@ fn lit_only(picture: &Radiance, dark: &[bool]) -> Radiance {
     lit
 }
 
+/// Rows times the inverse root of 1 + u uᵀ, the covariance of blocks with independent errors of one and a common one of
+/// `u`.
+fn whitened(rows: &[Weighted], u: &[f64]) -> Vec<Weighted> {
+    let square: f64 = u.iter().map(|u| u * u).sum();
+    if !(square > 0.0 && square.is_finite()) {
+        return rows.to_vec();
+    }
+    let less = (1.0 - 1.0 / (1.0 + square).sqrt()) / square;
+    let along = |value: &dyn Fn(&Weighted) -> f64| less * rows.iter().zip(u).map(|(r, u)| u * value(r)).sum::<f64>();
+    let halos: [f64; RADII_PX.len()] = std::array::from_fn(|k| along(&|r| r.0[k]));
+    let seen = along(&|r| r.1);
+    let one = |(row, u): (&Weighted, &f64)| (std::array::from_fn(|k| row.0[k] - u * halos[k]), row.1 - u * seen);
+    rows.iter().zip(u).map(one).collect()
+}
+
+/// The mean of a picture over the block with this middle; 0 where the picture does not reach.
+fn block_mean(picture: &Radiance, middle: [f64; 2]) -> f64 {
+    let n = SEEN_BLOCK_PX;
+    let [x, y] = middle.map(|m| (m - 0.5 * (n as f64 - 1.0)) as usize);
+    let rect = picture.rect;
+    if x < rect.x || y < rect.y || x + n > rect.x + rect.width || y + n > rect.y + rect.height {
+        return 0.0;
+    }
+    let pixels = (0..n * n).map(|k| picture.at(x + k % n, y + k / n));
+    pixels.map(|k| luminance([0, 1, 2].map(|c| picture.value[k + c]))).sum::<f64>() / (n * n) as f64
+}
+
 /// Middle, mean and its variance of each block of dark pixels that were all measured.
 fn dark_blocks(picture: &Radiance, dark: &[bool]) -> Vec<([f64; 2], f64, f64)> {
     let rect = picture.rect;
@@ -217,7 +248,7 @@ fn fit_without_outliers(mut rows: Vec<Weighted>) -> Option<([f64; RADII_PX.len()
         if rows.len() < LEAST_BLOCKS {
             return None;
         }
-        let (shares, sd) = non_negative(&rows)?;
+        let (shares, sd) = non_negative(&rows, SIGNIFICANCE)?;
         let miss = |row: &Weighted| (row.0.iter().zip(&shares).map(|(h, s)| h * s).sum::<f64>() - row.1).abs();
         let mut misses: Vec<f64> = rows.iter().map(miss).collect();
         let middle = misses.len() / 2;
@@ -232,8 +263,9 @@ fn fit_without_outliers(mut rows: Vec<Weighted>) -> Option<([f64; RADII_PX.len()
     }
 }
 
-/// Non-negative least squares by leaving out what comes out negative, and the standard deviation of the sum.
-fn non_negative(rows: &[Weighted]) -> Option<([f64; RADII_PX.len()], f64)> {
+/// Non-negative least squares by leaving out what comes out negative, or less than `least` standard deviations above 0
+/// beside others, and the standard deviation of the sum.
+fn non_negative(rows: &[Weighted], least: f64) -> Option<([f64; RADII_PX.len()], f64)> {
     let mut kept: Vec<usize> = (0..RADII_PX.len()).collect();
     loop {
         let n = kept.len();
@@ -256,11 +288,19 @@ fn non_negative(rows: &[Weighted]) -> Option<([f64; RADII_PX.len()], f64)> {
             .map(|r| ((0..n).map(|c| a[(r, c)] * x[(c, 0)]).sum::<f64>() - b[(r, 0)]).powi(2))
             .sum::<f64>()
             / (rows.len() - n).max(1) as f64;
-        // The variance of the sum: 1ᵀ (AᵀA)⁻¹ 1, the residual's scale at least that of the noise.
+        // (AᵀA)⁻¹, the residual's scale at least that of the noise.
         let normal = a.transpose() * &a;
-        let ones = Mat::<f64>::from_fn(n, 1, |_, _| 1.0);
-        let solved = normal.col_piv_qr().solve_lstsq(&ones);
-        let variance: f64 = (0..n).map(|c| solved[(c, 0)]).sum::<f64>() * residual.max(1.0);
+        let inverse = normal.col_piv_qr().solve_lstsq(&Mat::<f64>::identity(n, n));
+        let scale = residual.max(1.0);
+        // A part that alone is not significant is left out: a narrow one is seen by the blocks next to the sample only,
+        // and takes what the others miss there for a share of all light.
+        let significance = |c: usize| x[(c, 0)] / (inverse[(c, c)] * scale).max(f64::MIN_POSITIVE).sqrt();
+        let weakest = (0..n).min_by(|&i, &j| significance(i).total_cmp(&significance(j)))?;
+        if n > 1 && significance(weakest) < least {
+            kept.remove(weakest);
+            continue;
+        }
+        let variance: f64 = (0..n).flat_map(|i| (0..n).map(move |j| (i, j))).map(|at| inverse[at]).sum::<f64>() * scale;
         let mut shares = [0.0; RADII_PX.len()];
         kept.iter().enumerate().for_each(|(c, &k)| shares[k] = x[(c, 0)]);
         return Some((shares, variance.max(0.0).sqrt()));

@@ -58,11 +58,15 @@ pub enum RadianceWarning {
         measured_secs: f64,
         /// Relative standard deviation of that.
         relative_sd: f64,
+        /// What the light of all rows alike may be off by for such times (a standard deviation of itself).
+        scale_sd: f64,
     },
     /// No stack relates these exposure settings to the others: their scales rest on the nominal times alone.
     ExposuresUnlinked {
         /// Nominal times of each group that stacks do link, s.
         groups: Vec<Vec<f64>>,
+        /// What the light of all rows alike may be off by for it (a standard deviation of itself); 0 where nothing tells.
+        scale_sd: f64,
     },
     /// The rig's folder cannot be written: the estimated response curve is used but not kept.
     CurveNotSaved {
@@ -120,20 +124,25 @@ impl fmt::Display for RadianceWarning {
                 "{} found (up to {strongest_dn_per_sec:.0} DN/s; {stuck} saturated in every black exposure) and replaced by the neighbours",
                 count(*photosites, "hot photosite")
             ),
-            Self::ExposureRatios { nominal_secs, measured_secs, relative_sd } => write!(
+            Self::ExposureRatios { nominal_secs, measured_secs, relative_sd, scale_sd } => write!(
                 f,
-                "the nominal exposure of {nominal_secs:.6} s is {measured_secs:.6} s ({:+.2} % ± {:.2} %) in the photographs",
+                "the nominal exposure of {nominal_secs:.6} s is {measured_secs:.6} s ({:+.2} % ± {:.2} %) in the photographs: for times so far off all rows together may be by {:.1} %",
                 100.0 * (measured_secs / nominal_secs - 1.0),
-                100.0 * relative_sd
+                100.0 * relative_sd,
+                100.0 * scale_sd
             ),
-            Self::ExposuresUnlinked { groups } => {
+            Self::ExposuresUnlinked { groups, scale_sd } => {
                 let list = |g: &Vec<f64>| g.iter().map(|s| format!("{s:.6}")).collect::<Vec<_>>().join(", ");
                 let groups: Vec<String> = groups.iter().map(list).collect();
                 write!(
                     f,
                     "no stack links the exposures of {} s: their common scale relies on the nominal times",
                     groups.join(" s and ")
-                )
+                )?;
+                if *scale_sd > 0.0 {
+                    write!(f, ", by which all rows together may be off by {:.1} %", 100.0 * scale_sd)?;
+                }
+                Ok(())
             }
             Self::CurveNotSaved { file, reason } => {
                 write!(f, "{file}: the estimated response curve could not be saved: {reason}")
@@ -161,7 +170,7 @@ catalogue!(RadianceWarning {
     Self::ExposureRatios { nominal_secs, relative_sd, .. } => "exposure-ratios", Warning, Exposures, Told,
         vec![exposure(*nominal_secs)],
         bound("measured_secs / nominal_secs - 1", TIME_TOLERANCE.max(TIME_SIGMA * relative_sd), "");
-    Self::ExposuresUnlinked { groups } => "exposures-unlinked", Warning, Exposures, Told,
+    Self::ExposuresUnlinked { groups, .. } => "exposures-unlinked", Warning, Exposures, Told,
         groups.iter().filter_map(|g| g.first()).map(|secs| exposure(*secs)).collect(), None;
     Self::CurveNotSaved { file, .. } => "curve-not-saved", Warning, Files, Told, vec![photograph(file)], None;
     Self::Flicker { .. } => "flicker", Note, Light, Corrected, vec![part("lamp")], None;

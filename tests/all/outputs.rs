@@ -166,6 +166,45 @@ fn an_output_in_an_input_or_around_one_is_refused() {
 }
 
 #[test]
+fn only_matrices_go_to_object_stores_and_none_without_the_feature() {
+    let bench = Bench::new();
+    for line in [
+        "run capture --out s3://lab/results",
+        "simulate gs://lab/capture --grid 3x2 --window 5x3 --exposures 2",
+        "patterns --rig capture/calibration --slab-mm 20x15 --projector-px-per-mm 5 --grid 3x2 --window 5 --out s3://lab/p",
+        "factor m.rd.zarr --out s3://lab/m.safetensors",
+        "factor m.rd.zarr --out m2.safetensors --tasks s3://lab/tasks",
+        "tradeoff m.rd.zarr --out s3://lab/trade",
+        "relight m.safetensors --light uniform --out https://lab/r.exr",
+        "export m.safetensors --to exr --out gs://lab/m.exr",
+        "prepare capture --out s3://lab/c.prepared",
+        "build-matrix s3://lab/capture",
+        "check gs://lab/capture",
+        "prepare s3://lab/capture --out c.prepared",
+        "run https://lab/capture --out results",
+        "relight m.safetensors --light s3://lab/x.exr --out x.exr",
+        "export s3://lab/x.safetensors --to npz --out x.npz",
+        "clean s3://lab",
+    ] {
+        bench.refused(line, &["only matrices"]);
+    }
+    if cfg!(feature = "cloud") {
+        return;
+    }
+    for line in [
+        "factor s3://lab/x.rd.zarr --out x.safetensors",
+        "evaluate m.safetensors gs://lab/x.rd.zarr",
+        "evaluate https://lab/x.rd.zarr m.rd.zarr",
+        "tradeoff s3://lab/x.rd.zarr --out trade",
+        "relight s3://lab/x.rd.zarr --light uniform --out r.exr",
+        "build-matrix capture --out s3://lab/x.rd.zarr",
+        "import-matrix s3://lab/x.npz --out gs://lab/x.rd.zarr",
+    ] {
+        bench.refused(line, &["feature `cloud`", "--features cloud"]);
+    }
+}
+
+#[test]
 fn a_name_that_ends_as_another_format_does_is_refused() {
     let bench = Bench::new();
     for line in [

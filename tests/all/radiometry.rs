@@ -3,6 +3,8 @@
 use crate::common;
 use crate::common::compare;
 use acquire::capture::{ExposureFrom, ResponseCurve, Rig};
+use acquire::evaluate::evaluate;
+use acquire::material::Source;
 use acquire::pipeline::{BuildOptions, BuildReport, build_matrix};
 use acquire::progress::Progress;
 use acquire::radiance::Curve;
@@ -72,6 +74,26 @@ fn curve_error(dir: &Path) -> f64 {
     errors.iter().map(|e| (e - mean).abs()).fold(0.0, f64::max)
 }
 
+/// The stated error of all rows alike (green), after a look that they are not off by more than three of it.
+fn albedo_sd_that_holds(matrix: &Path, dir: &Path) -> f64 {
+    let (source, truth) = (Source::open(matrix).unwrap(), MatrixReader::open(&dir.join("truth.rd.zarr")).unwrap());
+    let found = evaluate(&source, &truth, &Progress::silent()).unwrap();
+    let (bias, sd) = (found.albedo_bias.unwrap(), found.albedo_bias_sd.unwrap());
+    assert!((0..3).all(|c| bias[c].abs() < 3.0 * sd[c]), "{bias:?} ± {sd:?}");
+    sd[1]
+}
+
+#[test]
+fn nominal_times_are_counted_in_the_error_of_all_rows() {
+    for link_exposures in [false, true] {
+        let (_folder, dir) = common::capture(&SimulateOptions { nominal_times: true, link_exposures, ..bench() });
+        let (matrix, _) = build(&dir, ExposureFrom::Exif);
+        let sd = albedo_sd_that_holds(&matrix, &dir);
+        // 1/125 for 1/128 s and the like: some per cent, and a tenth of one without them.
+        assert!((0.01..0.15).contains(&sd), "{sd}");
+    }
+}
+
 #[test]
 fn times_that_exif_gives_wrong_by_an_eighth_of_a_stop_are_measured_to_half_a_percent() {
     let (_folder, dir) = common::capture(&SimulateOptions { exif_stops_error: 0.125, link_exposures: true, ..bench() });
@@ -84,6 +106,7 @@ fn times_that_exif_gives_wrong_by_an_eighth_of_a_stop_are_measured_to_half_a_per
     );
     let lied = compare(&matrix, &dir.join("truth.rd.zarr"));
     assert!(lied.rel_rmse > 0.03, "{lied:?}");
+    albedo_sd_that_holds(&matrix, &dir);
 
     let (matrix, report) = build(&dir, ExposureFrom::Estimate);
     assert!(!report.warnings.iter().any(|w| matches!(
@@ -116,15 +139,18 @@ fn true_times_and_a_steady_lamp_raise_no_warning() {
 #[test]
 fn settings_that_no_stack_links_are_named() {
     let (_folder, dir) = common::capture(&SimulateOptions { exif_stops_error: 0.125, ..bench() });
-    let (_, report) = build(&dir, ExposureFrom::Estimate);
+    let (matrix, report) = build(&dir, ExposureFrom::Estimate);
     let groups = report.warnings.iter().find_map(|w| match w {
-        Warning::Radiance(RadianceWarning::ExposuresUnlinked { groups }) => {
+        Warning::Radiance(RadianceWarning::ExposuresUnlinked { groups, scale_sd }) => {
+            // Times are off by an eighth of a stop, 8.7 %, RMS: about 8.7 % (1/2 + 1/5)^½, by what few settings tell.
+            assert!((0.02..0.3).contains(scale_sd), "{scale_sd}");
             Some(groups.iter().map(Vec::len).collect::<Vec<_>>())
         }
         _ => None,
     });
     // Two exposures of the references, five of the lattice.
     assert_eq!(groups, Some(vec![2, 5]));
+    albedo_sd_that_holds(&matrix, &dir);
 }
 
 #[test]

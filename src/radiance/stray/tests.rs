@@ -39,7 +39,7 @@ fn dark() -> Vec<bool> {
 fn a_halo_is_found_on_the_frame_and_taken_out_of_the_sample() {
     for radius_px in [17.0, 20.0, 30.0] {
         let seen = picture(0.02, radius_px);
-        let found = StrayLight::estimate(std::slice::from_ref(&seen), &dark()).unwrap();
+        let found = StrayLight::estimate(std::slice::from_ref(&seen), &dark(), None).unwrap();
         // Radii between those tried are mixtures: the shape's stated error.
         assert!((found.share / 0.02 - 1.0).abs() < 2.0 * SHAPE_SD, "{radius_px}: {found:?}");
         assert!(found.share_sd >= 0.1 * found.share, "a tenth of it at the least: {found:?}");
@@ -59,11 +59,57 @@ fn a_halo_is_found_on_the_frame_and_taken_out_of_the_sample() {
 #[test]
 fn without_a_halo_nothing_is_taken_out() {
     let seen = picture(0.0, 20.0);
-    let found = StrayLight::estimate(std::slice::from_ref(&seen), &dark()).unwrap();
+    let found = StrayLight::estimate(std::slice::from_ref(&seen), &dark(), None).unwrap();
     assert!(found.halos.is_empty(), "{found:?}");
     let mut windows = vec![seen.clone()];
     found.remove(&mut windows, SIZE);
     assert_eq!(windows[0], seen);
+}
+
+/// What the projector's black makes of frame and sample: brighter to the left, a picture of the lamp at its mean.
+fn black_light() -> Radiance {
+    let mut ambient = picture(0.0, 20.0);
+    for (k, value) in ambient.value.iter_mut().enumerate() {
+        *value = 1.0 - 0.002 * (k / 3 % SIZE[0]) as f32;
+    }
+    ambient
+}
+
+#[test]
+fn black_light_that_changes_with_the_lamp_is_no_halo_and_hides_none() {
+    let ambient = black_light();
+    for share in [0.0, 0.02] {
+        let flickers = |by: f32| {
+            let mut seen = picture(share, 20.0);
+            seen.value.iter_mut().zip(&ambient.value).for_each(|(v, a)| *v += by * a);
+            seen
+        };
+        let pictures = [0.012, -0.006, 0.009, 0.002].map(flickers);
+        let found = StrayLight::estimate(&pictures, &dark(), Some((&ambient, 0.01))).unwrap();
+        // The shape's stated error, and nothing of the light that changes.
+        assert!((found.share - share).abs() <= 2.0 * SHAPE_SD * share, "{share}: {found:?}");
+        let steady = StrayLight::estimate(&pictures, &dark(), None).unwrap();
+        assert!(share > 0.0 || steady.share > 0.0 || steady.even.is_some(), "taken for something: {steady:?}");
+    }
+}
+
+#[test]
+fn a_part_of_the_halo_that_alone_is_not_significant_is_left_out() {
+    // Three blocks see the narrowest part; errors of one.
+    let rows = |excess: f64| -> Vec<Weighted> {
+        let row = |i: usize| {
+            // The others have a block each, in which nothing is seen.
+            let mut halos = std::array::from_fn(|k| if i == 20 + k { 0.01 } else { 0.0 });
+            (halos[0], halos[3]) = (if i < 3 { 1.0 } else { 0.0 }, 10.0 / (1.0 + i as f64).sqrt());
+            (halos, 2.0 * halos[3] + excess * halos[0])
+        };
+        (0..60).map(row).collect()
+    };
+    // Beside the other, by the inverse of the normal matrix, a standard deviation of .73: 2.1 and 5.5 of them.
+    let (shares, _) = non_negative(&rows(1.5), SIGNIFICANCE).unwrap();
+    assert!(shares[0] == 0.0 && (shares[3] - 2.0).abs() < 0.3, "{shares:?}");
+    let (shares, _) = non_negative(&rows(4.0), SIGNIFICANCE).unwrap();
+    assert!((shares[0] - 4.0).abs() < 1e-9 && (shares[3] - 2.0).abs() < 1e-9, "{shares:?}");
 }
 
 #[test]
@@ -73,17 +119,17 @@ fn a_lit_dot_on_the_frame_is_no_halo() {
         let k = seen.at(x, y);
         seen.value[k..k + 3].fill(300.0);
     }
-    let found = StrayLight::estimate(std::slice::from_ref(&seen), &dark()).unwrap();
+    let found = StrayLight::estimate(std::slice::from_ref(&seen), &dark(), None).unwrap();
     assert!(found.halos.is_empty(), "{found:?}");
 }
 
 #[test]
 fn too_little_of_the_frame_tells_nothing() {
-    assert!(StrayLight::estimate(&[picture(0.0, 20.0)], &vec![false; SIZE[0] * SIZE[1]]).is_none());
-    assert!(StrayLight::estimate(&[], &dark()).is_none());
+    assert!(StrayLight::estimate(&[picture(0.0, 20.0)], &vec![false; SIZE[0] * SIZE[1]], None).is_none());
+    assert!(StrayLight::estimate(&[], &dark(), None).is_none());
     let mut unmeasured = picture(0.0, 20.0);
     unmeasured.used.fill(0);
-    assert!(StrayLight::estimate(&[unmeasured], &dark()).is_none());
+    assert!(StrayLight::estimate(&[unmeasured], &dark(), None).is_none());
 }
 
 /// An even picture at (3, 2) of three channels, in two rectangles that overlap.
@@ -164,7 +210,7 @@ fn shares_are_those_of_least_squares_and_never_negative() {
     };
     let mut rows: Vec<Weighted> = (0..RADII_PX.len()).map(|k| row(k, 100.0, 0.1 * k as f64)).collect();
     rows.push(row(3, 50.0, 0.3));
-    let (shares, sd) = non_negative(&rows).unwrap();
+    let (shares, sd) = non_negative(&rows, 0.0).unwrap();
     for (k, share) in shares.iter().enumerate() {
         // (100 · 0.3 + 50 · 0.3) / 12,500 for the fourth.
         let expected = if k == 3 { 45.0 / 12_500.0 } else { 1e-3 * k as f64 };
@@ -173,7 +219,7 @@ fn shares_are_those_of_least_squares_and_never_negative() {
     // Independent: 8 of 1/100² and one of 1/12,500; the residual is below that of the noise.
     assert!((sd - (8e-4f64 + 1.0 / 12_500.0).sqrt()).abs() < 1e-9, "{sd}");
     rows[5].1 = -3.0;
-    let (shares, _) = non_negative(&rows).unwrap();
+    let (shares, _) = non_negative(&rows, 0.0).unwrap();
     assert_eq!(shares[5], 0.0);
     assert!((shares[8] - 8e-3).abs() < 1e-12);
 }
@@ -300,7 +346,7 @@ fn residuals_beyond_the_noise_make_the_share_less_certain() {
     // Ten blocks for each of 9 halos, off by ±3 noises: 9 · 90 over 81 degrees of freedom are 10 times the noise's
     // variance.
     let rows: Vec<Weighted> = (0..90).map(|k| (alone(k / 10), if k % 2 == 0 { 4.0 } else { -2.0 })).collect();
-    let (shares, sd) = non_negative(&rows).unwrap();
+    let (shares, sd) = non_negative(&rows, 0.0).unwrap();
     assert!(shares.iter().all(|s| (s - 0.01).abs() < 1e-12), "{shares:?}");
     // Each share has a variance of 10 / (10 · 100²).
     assert!((sd - (9.0 * 10.0 / (10.0 * 1e4_f64)).sqrt()).abs() < 1e-12, "{sd}");
