@@ -39,11 +39,14 @@ impl ScratchFolder {
         leftovers::remove_and_remember(parent);
         let failed = |e| Error::io("create", target)(e);
         loop {
-            let folder = tempfile::Builder::new().prefix(PREFIX).tempdir_in(parent).map_err(failed)?;
-            // A run that cleans up may find it before it is locked; then another is made.
-            let Some(lock) = claim(folder.path(), target).map_err(failed)? else { continue };
-            let path = folder.keep();
-            return Ok(Self::of(path, lock));
+            let make = || {
+                let folder = tempfile::Builder::new().prefix(PREFIX).tempdir_in(parent)?;
+                // A run that cleans up may find it before it is locked; then another is made.
+                Ok(claim(folder.path(), target)?.map(|lock| (folder.keep(), lock)))
+            };
+            let made = Unfinished::made(make, |(path, _)| path).map_err(failed)?;
+            let Some((_unfinished, (path, lock))) = made else { continue };
+            return Ok(Self { path, kept: AtomicBool::new(false), _unfinished, _lock: lock });
         }
     }
 
@@ -55,19 +58,12 @@ impl ScratchFolder {
     pub(crate) fn go_on(parent: &Path, target: &Path) -> Result<Self> {
         match leftovers::with_work(parent, target) {
             // What was kept once is lost by no error.
-            Some((path, lock)) => Ok(Self::of(path, lock).kept()),
+            Some((path, _lock)) => {
+                let _unfinished = Unfinished::new(&path);
+                Ok(Self { path, kept: AtomicBool::new(true), _unfinished, _lock })
+            }
             None => Self::new(parent, target),
         }
-    }
-
-    fn kept(self) -> Self {
-        self.keep();
-        self
-    }
-
-    fn of(path: PathBuf, lock: File) -> Self {
-        let _unfinished = Unfinished::new(&path);
-        Self { path, kept: AtomicBool::new(false), _unfinished, _lock: lock }
     }
 
     /// From now on the folder stays when it is dropped, if it has finished work for a next run.

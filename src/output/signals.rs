@@ -15,9 +15,24 @@ static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 pub(super) struct Unfinished(PathBuf);
 
 impl Unfinished {
+    /// Of a path that is there already.
     pub(super) fn new(path: &Path) -> Self {
+        Self::listed(&mut list(), path)
+    }
+
+    /// Of the path that `make` makes, if it makes one: no signal comes between making and knowing it.
+    pub(super) fn made<T>(
+        make: impl FnOnce() -> std::io::Result<Option<T>>,
+        path: impl FnOnce(&T) -> &Path,
+    ) -> std::io::Result<Option<(Self, T)>> {
+        let mut list = list();
+        let Some(made) = make()? else { return Ok(None) };
+        Ok(Some((Self::listed(&mut list, path(&made)), made)))
+    }
+
+    fn listed(list: &mut BTreeSet<PathBuf>, path: &Path) -> Self {
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-        list().insert(path.clone());
+        list.insert(path.clone());
         Self(path)
     }
 }

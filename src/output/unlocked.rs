@@ -38,8 +38,10 @@ impl Unlocked {
         // As any file that is made here: temporary ones are their owner's alone.
         #[cfg(unix)]
         named.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let file = named.tempfile_in(folder_of(path)).map_err(Error::io("create", path))?;
-        let _unfinished = Unfinished::new(file.path());
+        let made = Unfinished::made(|| named.tempfile_in(folder_of(path)).map(Some), |file| file.path());
+        let Some((_unfinished, file)) = made.map_err(Error::io("create", path))? else {
+            return Err(Error::internal("no file was made"));
+        };
         Ok(Self { path: path.to_path_buf(), file, _unfinished })
     }
 

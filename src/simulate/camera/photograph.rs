@@ -352,7 +352,7 @@ mod tests {
             [(FileFormat::Png, "a.png"), (FileFormat::Tiff, "a.tif"), (FileFormat::TiffDeflate, "b.tif")]
         {
             let path = dir.path().join(name);
-            let codes: Vec<u16> = (0..3 * width * height).map(|i| (i as u64 * 2_654_435_761 >> 7) as u16).collect();
+            let codes: Vec<u16> = (0..3 * width * height).map(|i| ((i as u64 * 2_654_435_761) >> 7) as u16).collect();
             let time = ExposureTime::one_over(4);
             let mut file = PhotographFile::create(&path, format, [width, height], time, 0).unwrap();
             let mut rows = file.rows().unwrap();
