@@ -31,8 +31,8 @@ pub enum Error {
         /// The feature.
         feature: &'static str,
     },
-    /// A place in an object store for what is not a matrix.
-    #[error("{}: expected a path on this machine: only matrices are read from and written to object stores", path.display())]
+    /// A place in an object store for what is read and written on disks only.
+    #[error("{}: expected a path on this machine: of object stores only captures and matrices are read, and only matrices written", path.display())]
     NotLocal {
         /// The place.
         path: PathBuf,

@@ -1,4 +1,4 @@
-//! Matrices in object stores, on loopback: a local S3 server (moto, from PyPI) where there is one, and a plain server of
+//! Captures and matrices in object stores, on loopback: a local S3 server (moto, from PyPI) where there is one, and a plain server of
 //! this test's own. `cargo test --release --features cloud --test cloud`; `scripts/test_cloud.sh` installs the server
 //! before that.
 
@@ -43,17 +43,28 @@ impl S3 {
             assert!(!ended && start.elapsed() < Duration::from_secs(120), "{program} does not answer on port {port}");
             std::thread::sleep(Duration::from_millis(100));
         }
-        assert_eq!(s3.ask("PUT", "").0, 200, "a bucket");
+        s3.put("", &[]);
         Some(s3)
+    }
+
+    /// Makes an object of the bucket; without a name, the bucket.
+    fn put(&self, object: &str, bytes: &[u8]) {
+        assert_eq!(self.request("PUT", object, bytes).0, 200, "{object}");
     }
 
     /// Status and body of a request for an object of the bucket.
     fn ask(&self, method: &str, object: &str) -> (u32, Vec<u8>) {
+        self.request(method, object, &[])
+    }
+
+    fn request(&self, method: &str, object: &str, bytes: &[u8]) -> (u32, Vec<u8>) {
         let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
         let head = format!(
-            "{method} /lab/{object} HTTP/1.0\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\nAuthorization: {AUTHORIZATION}\r\n\r\n"
+            "{method} /lab/{object} HTTP/1.0\r\nHost: 127.0.0.1\r\nContent-Length: {}\r\nAuthorization: {AUTHORIZATION}\r\n\r\n",
+            bytes.len()
         );
         stream.write_all(head.as_bytes()).unwrap();
+        stream.write_all(bytes).unwrap();
         let mut answer = Vec::new();
         stream.read_to_end(&mut answer).unwrap();
         let end = answer.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
@@ -134,7 +145,7 @@ fn a_matrix_is_written_read_and_replaced_in_an_object_store_as_in_a_folder() {
     let again = format!("build-matrix {captures} --out s3://lab/slab.rd.zarr");
     refused(run(&again), &["s3://lab/slab.rd.zarr", "--force"]);
     done(run(&format!("{again} --force")));
-    assert_eq!(s3.ask("PUT", "slab.rd.zarr/notes.txt").0, 200);
+    s3.put("slab.rd.zarr/notes.txt", &[]);
     refused(run(&format!("{again} --force")), &["s3://lab/slab.rd.zarr/notes.txt"]);
     s3.ask("DELETE", "slab.rd.zarr/notes.txt");
     // A chunk that is gone, and a store that is not finished.
@@ -145,6 +156,59 @@ fn a_matrix_is_written_read_and_replaced_in_an_object_store_as_in_a_folder() {
     );
     s3.ask("DELETE", "slab.rd.zarr/zarr.json");
     refused(run("factor s3://lab/slab.rd.zarr"), &["a Zarr group", "no zarr.json"]);
+}
+
+/// The example's capture and rig, file by file, by their names below the project.
+fn example() -> Vec<(String, Vec<u8>)> {
+    let project = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let files = |folder: &'static str| {
+        common::files(&project.join(folder)).into_iter().map(move |(name, bytes)| (format!("{folder}/{name}"), bytes))
+    };
+    files("captures").chain(files("calibration")).collect()
+}
+
+#[test]
+fn a_capture_in_an_object_store_gives_the_matrix_that_it_gives_in_a_folder() {
+    let Some(s3) = S3::start() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let run = |line: &str| s3.acquire(folder.path(), line);
+    let captures = Path::new(env!("CARGO_MANIFEST_DIR")).join("captures");
+    let files = example();
+    files.iter().for_each(|(name, bytes)| s3.put(name, bytes));
+    let matrix = |name: &str| common::files(&folder.path().join(name));
+    done(run(&format!("build-matrix {} --out here.rd.zarr", captures.display())));
+    done(run("build-matrix s3://lab/captures --out there.rd.zarr"));
+    assert!(matrix("here.rd.zarr") == matrix("there.rd.zarr"));
+    let findings = |capture: &str| {
+        let told: serde_json::Value = serde_json::from_str(&done(run(&format!("check {capture} --json")))).unwrap();
+        told["findings"].clone()
+    };
+    assert_eq!(findings("s3://lab/captures/"), findings(&captures.display().to_string()));
+    // By tasks. A photograph that was written again, with the same bytes, is read again and is the same one.
+    let (photograph, bytes) = files.iter().find(|(name, _)| name.contains("lattice")).unwrap();
+    done(run("prepare s3://lab/captures --out common.prepared"));
+    std::fs::create_dir(folder.path().join("parts")).unwrap();
+    for part in ["1", "2"] {
+        done(run(&format!("extract common.prepared --part {part}/2 --out parts/{part}.part")));
+    }
+    std::thread::sleep(Duration::from_millis(1100)); // the store's clock counts seconds
+    s3.put(photograph, bytes);
+    done(run("assemble s3://lab/captures parts --out parts.rd.zarr"));
+    assert!(matrix("here.rd.zarr") == matrix("parts.rd.zarr"));
+    refused(run("build-matrix s3://lab/captures --out s3://lab --force"), &["holds the input s3://lab/captures"]);
+    refused(run("build-matrix s3://lab/captures --out s3://lab/captures/calibration/x"), &["lies in the input"]);
+    // Cut, of no bytes, not there; no capture; no rig.
+    let url = format!("s3://lab/{photograph}");
+    for cut in [bytes.len() / 2, 0] {
+        s3.put(photograph, &bytes[..cut]);
+        refused(run("build-matrix s3://lab/captures --out x.rd.zarr"), &[&url]);
+    }
+    s3.ask("DELETE", photograph);
+    refused(run("build-matrix s3://lab/captures --out x.rd.zarr"), &[&url, "missing"]);
+    refused(run("build-matrix s3://lab/nothing --out x.rd.zarr"), &["s3://lab/nothing: no capture.toml"]);
+    s3.ask("DELETE", "calibration/rig.toml");
+    refused(run("check s3://lab/captures"), &["s3://lab/captures/calibration, s3://lab/calibration"]);
+    assert!(!folder.path().join("x.rd.zarr").exists());
 }
 
 #[test]
@@ -214,4 +278,19 @@ fn a_matrix_is_read_from_a_plain_server_whose_connections_break() {
     refused(run(&format!("build-matrix {} --out {url}", captures.display())), &["read only", &url]);
     std::fs::remove_file(folder.path().join("slab.rd.zarr/response/c.0.0.0.0.0")).unwrap();
     refused(run(&format!("factor {url}")), &[&url, "array response: chunk c.0.0.0.0.0 is missing"]);
+}
+
+#[test]
+fn a_capture_is_read_from_a_plain_server_whose_connections_break() {
+    let folder = tempfile::tempdir().unwrap();
+    let project = Path::new(env!("CARGO_MANIFEST_DIR")).to_path_buf();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let captures = project.join("captures").display().to_string();
+    std::thread::spawn(move || serve(project, listener));
+    let url = format!("http://127.0.0.1:{port}/captures");
+    for (name, from) in [("here", &captures), ("there", &url)] {
+        done(common::outcome(&mut common::command_in(folder.path(), &format!("build-matrix {from} --out {name}"))));
+    }
+    assert!(common::files(&folder.path().join("here")) == common::files(&folder.path().join("there")));
 }

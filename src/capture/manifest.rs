@@ -210,11 +210,11 @@ impl Manifest {
     /// [`Error::NoManifest`], [`Error::Field`] (syntax, a missing or unknown field, a value out of range),
     /// [`Error::DotOutsideSlab`] for a dot outside the grid. Files of photographs are not looked at.
     pub fn read(dir: &Path) -> Result<Self> {
-        crate::files::check_local(dir)?;
+        crate::files::check_readable(dir)?;
         let path = dir.join("capture.toml");
         let text = match crate::files::read_to_string(&path) {
             Ok(text) => text,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound && dir.is_dir() => {
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound && crate::files::is_folder(dir) => {
                 return Err(Error::NoManifest { path: dir.to_path_buf() });
             }
             Err(e) => return Err(Error::io("read", &path)(e)),

@@ -238,7 +238,7 @@ pub(crate) fn decode_jpeg(bytes: &[u8], most_px: usize) -> Decoded {
 }
 
 /// Size and bits of a PNG, from its head; `None` when the file is none.
-fn png_size(file: std::io::BufReader<std::fs::File>) -> Result<Option<([usize; 2], u8)>, String> {
+fn png_size(file: std::io::BufReader<crate::files::File>) -> Result<Option<([usize; 2], u8)>, String> {
     let Some(decoder) = png_decoder(file).map_err(|e| e.to_string())? else { return Ok(None) };
     let reader = decoder.read_info().map_err(|e| e.to_string())?;
     let (width, height) = reader.info().size();

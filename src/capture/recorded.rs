@@ -12,8 +12,11 @@ pub(crate) const CHECKSUMS: &str = "photographs.b3";
 /// BLAKE3 of a file, read piece by piece.
 ///
 /// # Errors
-/// Those of the system.
+/// Those of the system or the store.
 pub(crate) fn hash(path: &Path) -> std::io::Result<blake3::Hash> {
+    if crate::files::is_url(path) {
+        return crate::files::hash_object(path);
+    }
     let mut hasher = blake3::Hasher::new();
     hasher.update_reader(crate::files::open(path)?)?;
     Ok(hasher.finalize())

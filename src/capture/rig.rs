@@ -219,12 +219,18 @@ impl Rig {
         let places = match calibration {
             Some(dir) => vec![dir.to_path_buf()],
             None => {
-                let beside = capture_dir.canonicalize().ok().and_then(|d| Some(d.parent()?.join("calibration")));
+                let beside = crate::files::canonical(capture_dir).ok().and_then(|d| Some(d.parent()?.join("calibration")));
+                // Above a bucket there is nothing.
+                let beside = beside.filter(|p| crate::files::is_url(p) == crate::files::is_url(capture_dir));
                 [Some(capture_dir.join("calibration")), beside].into_iter().flatten().collect()
             }
         };
-        let found = places.iter().map(|p| p.join("rig.toml")).find(|p| p.is_file());
-        found.ok_or_else(|| Error::NoRig {
+        for path in places.iter().map(|p| p.join("rig.toml")) {
+            if crate::files::is_file(&path).map_err(Error::io("read", &path))? {
+                return Ok(path);
+            }
+        }
+        Err(Error::NoRig {
             path: capture_dir.to_path_buf(),
             looked: places.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", "),
         })
@@ -258,8 +264,8 @@ impl Rig {
     pub fn copy(path: &Path, to: &Path) -> Result<()> {
         let one = |from: &Path, name: &str| {
             let copy = to.join(name);
-            crate::files::read(from).map_err(Error::io("read", from))?;
-            std::fs::copy(from, &copy).map(|_| ()).map_err(Error::io("write", &copy))
+            let bytes = crate::files::read(from).map_err(Error::io("read", from))?;
+            std::fs::write(&copy, bytes).map_err(Error::io("write", &copy))
         };
         if let ResponseCurve::File(name) = &Self::read(path)?.camera.response_curve {
             one(&path.with_file_name(name), name)?;

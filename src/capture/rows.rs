@@ -5,7 +5,7 @@ use super::photograph::raw;
 use super::photograph::{Format, MOST_BYTES, UNKNOWN_ENDING, decode_jpeg};
 use super::samples::{Samples, Sampling};
 use super::tiff_bands::TiffBands;
-use std::fs::File;
+use crate::files::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
@@ -290,7 +290,7 @@ pub(super) mod tests {
     }
 
     pub(in crate::capture) fn save_tiff(path: &Path, compression: Compression, rows_per_strip: u32) {
-        let mut encoder = TiffEncoder::new(File::create(path).unwrap()).unwrap().with_compression(compression);
+        let mut encoder = TiffEncoder::new(std::fs::File::create(path).unwrap()).unwrap().with_compression(compression);
         let [w, h] = SIZE_PX.map(|s| s as u32);
         let mut image = encoder.new_image::<colortype::RGB16>(w, h).unwrap();
         image.rows_per_strip(rows_per_strip).unwrap();

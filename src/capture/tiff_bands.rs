@@ -3,7 +3,7 @@
 use super::photograph::MOST_BYTES;
 use super::rows::{channels_to_rgb, rgb_of};
 use super::samples::Samples;
-use std::fs::File;
+use crate::files::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use tiff::decoder::{ChunkType, Decoder, DecodingResult};
 use tiff::tags::Tag;
@@ -201,7 +201,7 @@ impl Plain {
         channels: usize,
         strip_rows: usize,
     ) -> Result<(), String> {
-        let len = decoder.inner().get_ref().metadata().map_err(|e| e.to_string())?.len();
+        let len = decoder.inner().get_ref().len().map_err(|e| e.to_string())?;
         let line = (width * channels) as u64 * u64::from(self.bits / 8);
         for strip in 0..height.div_ceil(strip_rows) {
             let rows = strip_rows.min(height - strip * strip_rows) as u64;
@@ -237,7 +237,7 @@ mod tests {
         let path = dir.path().join("a.tif");
         for strip in [23, 7] {
             save_tiff(&path, Compression::Uncompressed, strip);
-            let mut bands = TiffBands::new(BufReader::new(File::open(&path).unwrap())).unwrap();
+            let mut bands = TiffBands::new(BufReader::new(crate::files::open(&path).unwrap())).unwrap();
             // As if they were large.
             let plain = Plain::of(&mut bands.decoder).unwrap().unwrap();
             let (size_px, rows_of) = (bands.size_px, bands.chunk_rows);
@@ -255,7 +255,7 @@ mod tests {
             assert_eq!(band, rows(18..19));
         }
         save_tiff(&path, Compression::Lzw, 23);
-        let mut bands = TiffBands::new(BufReader::new(File::open(&path).unwrap())).unwrap();
+        let mut bands = TiffBands::new(BufReader::new(crate::files::open(&path).unwrap())).unwrap();
         assert!(Plain::of(&mut bands.decoder).unwrap().is_none(), "compressed");
     }
 }

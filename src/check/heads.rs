@@ -31,7 +31,7 @@ pub(super) fn read(dir: &Path, manifest: &Manifest, rig: &Rig) -> Vec<Head> {
             if finding.is_none() && exposure_secs.is_none() {
                 finding = Some(CheckWarning::NoExposure { file: entry.file.clone() });
             }
-            let bytes = std::fs::metadata(&path).ok().map(|m| m.len());
+            let bytes = crate::files::state(&path).ok().map(|state| state.bytes);
             Head { taken: Taken { shot, file: entry.file.clone(), exposure_secs, settings }, bytes, finding }
         })
         .collect()
@@ -66,7 +66,7 @@ fn cut_short(path: &Path) -> Result<(), String> {
         return if whole && (end[4..8] == *b"IEND" || contains_end_chunk(&mut file)) { Ok(()) } else { short };
     }
     if start.starts_with(b"II*\0") || start.starts_with(b"MM\0*") {
-        let bytes = file.metadata().map_err(say)?.len();
+        let bytes = file.len().map_err(say)?;
         file.seek(SeekFrom::Start(0)).map_err(say)?;
         return if tiff_end(file).is_some_and(|end| end > bytes) { short } else { Ok(()) };
     }
@@ -81,7 +81,7 @@ fn cut_short(path: &Path) -> Result<(), String> {
 }
 
 /// Where the last strip or tile of a TIFF's first image ends; `None` when it does not say.
-fn tiff_end(file: std::fs::File) -> Option<u64> {
+fn tiff_end(file: crate::files::File) -> Option<u64> {
     use tiff::tags::Tag;
     let mut decoder = tiff::decoder::Decoder::new(std::io::BufReader::new(file)).ok()?;
     let mut read = |tag| decoder.find_tag_unsigned_vec::<u64>(tag).ok().flatten();
@@ -92,7 +92,7 @@ fn tiff_end(file: std::fs::File) -> Option<u64> {
     offsets.iter().zip(counts).map(|(o, n)| o.saturating_add(n)).max()
 }
 
-fn contains_end_chunk(file: &mut std::fs::File) -> bool {
+fn contains_end_chunk(file: &mut crate::files::File) -> bool {
     let mut all = Vec::new();
     let read = file.seek(SeekFrom::Start(0)).and_then(|_| file.read_to_end(&mut all));
     // With its check sum behind it.

@@ -161,7 +161,7 @@ impl CheckReport {
         let calibration = options.build.calibration.as_deref();
         {
             let stage = progress.stage("files", 2);
-            if dir.is_dir() {
+            if crate::files::is_folder(dir) {
                 let manifest = Manifest::read(dir)?;
                 let rig = Rig::read(&Rig::find(dir, calibration)?)?;
                 self.heads(dir, &manifest, &rig);

@@ -11,30 +11,27 @@ use std::path::{Component, Path, PathBuf};
 /// [`Error::Setting`], [`Error::Io`].
 pub(crate) fn check_apart<P: AsRef<Path>>(setting: &'static str, out: &Path, inputs: &[P]) -> Result<()> {
     if is_url(out) {
-        let same = inputs.iter().find(|input| input.as_ref() == out);
-        return match same {
-            Some(_) => Err(Error::Setting {
-                setting,
-                expected: "a place apart from the inputs".into(),
-                found: format!("{}, which is the input", out.display()),
-            }),
-            None => Ok(()),
-        };
+        return inputs.iter().try_for_each(|input| refuse_within(setting, out, input.as_ref(), out, input.as_ref()));
     }
     let place = real(out).map_err(Error::io("create", out))?;
     for input in inputs {
         let input = input.as_ref();
         let Ok(there) = input.canonicalize() else { continue };
-        let how = match (place.starts_with(&there), there.starts_with(&place)) {
-            (true, true) => "is",
-            (true, false) => "lies in",
-            (false, true) => "holds",
-            _ => continue,
-        };
-        let found = format!("{}, which {how} the input {}", out.display(), input.display());
-        return Err(Error::Setting { setting, expected: "a place apart from the inputs".into(), found });
+        refuse_within(setting, out, input, &place, &there)?;
     }
     Ok(())
+}
+
+/// `place` and `there` are where `out` and `input` lead.
+fn refuse_within(setting: &'static str, out: &Path, input: &Path, place: &Path, there: &Path) -> Result<()> {
+    let how = match (place.starts_with(there), there.starts_with(place)) {
+        (true, true) => "is",
+        (true, false) => "lies in",
+        (false, true) => "holds",
+        _ => return Ok(()),
+    };
+    let found = format!("{}, which {how} the input {}", out.display(), input.display());
+    Err(Error::Setting { setting, expected: "a place apart from the inputs".into(), found })
 }
 
 /// Where a path leads, of which the last parts may not be there yet.

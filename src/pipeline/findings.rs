@@ -185,7 +185,7 @@ fn provenance(
 ) -> Result<serde_json::Value> {
     let capture = scene.capture;
     let hash_file =
-        |p: &Path| Ok::<_, Error>(blake3::hash(&std::fs::read(p).map_err(Error::io("read", p))?).to_string());
+        |p: &Path| Ok::<_, Error>(blake3::hash(&crate::files::read(p).map_err(Error::io("read", p))?).to_string());
     let found = stages.before.noise;
     let noise = serde_json::json!({
         "used": found.noise,

@@ -7,6 +7,7 @@ use crate::radiance::{
     Bracket, Brightness, Disagreement, Exposure, Radiance, Sensor, decode_shot, disagreements, merge_keeping,
     merge_shot, pile_up,
 };
+use crate::files::FileState;
 use crate::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -44,14 +45,6 @@ pub(super) struct Heard {
     hashes: Vec<(PathBuf, String)>,
     strangers: Vec<([usize; 2], Disagreement)>,
     piles: Vec<([usize; 2], f64)>,
-}
-
-/// By what a file is known that was read before, where reading it again would cost too much.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-pub(super) struct FileState {
-    bytes: u64,
-    /// When it was changed last, in nanoseconds since 1970.
-    modified_ns: u64,
 }
 
 /// Pixels of a shot in which its photographs are compared.
@@ -142,12 +135,12 @@ impl<'a> Photographs<'a> {
         size_px: [usize; 2],
         sensor: &Sensor,
     ) -> Result<Radiance> {
-        self.remember(shot)?;
         loop {
             let kept = self.kept(shot)?;
             let bracket: Vec<Photograph> = kept.iter().map(|&k| read(&self.brackets[shot][k])).collect();
             let (merged, rows) = merge_keeping(&bracket, size_px, sensor, COMPARED_PX)?;
             if self.compare(shot, &kept, &[rows.exposures()], sensor)?.is_empty() {
+                self.remember(shot)?;
                 return Ok(merged);
             }
         }
@@ -155,7 +148,6 @@ impl<'a> Photographs<'a> {
 
     /// Decodes a shot and keeps the pixels of `rects`.
     pub(super) fn decode(&self, shot: usize, rects: &[Rect]) -> Result<Vec<Bracket>> {
-        self.remember(shot)?;
         let kept = self.kept(shot)?;
         let bracket: Vec<Photograph> = kept.iter().map(|&k| self.brackets[shot][k].clone()).collect();
         let mut brackets = decode_shot(&bracket, rects, self.capture.rig.camera.size_px)?;
@@ -163,6 +155,7 @@ impl<'a> Photographs<'a> {
         for place in self.compare(shot, &kept, &parts, &self.sensor)?.into_iter().rev() {
             brackets.iter_mut().for_each(|b| b.leave_out(place));
         }
+        self.remember(shot)?;
         Ok(brackets)
     }
 
@@ -225,7 +218,8 @@ impl<'a> Photographs<'a> {
         (photograph, self.fine.full.rig.camera.size_px)
     }
 
-    /// Hashes the files of a shot that were not read before.
+    /// Hashes the files of a shot that were not hashed before. After they were decoded: what was read of an object is
+    /// hashed then.
     fn remember(&self, shot: usize) -> Result<()> {
         for photograph in &self.brackets[shot] {
             let known = self.hashes.lock().map_err(Error::internal)?.contains_key(&photograph.path);
@@ -293,10 +287,7 @@ impl<'a> Photographs<'a> {
     /// The files of a shot's photographs as they are now.
     pub(super) fn file_states(&self, shot: usize) -> Result<Vec<FileState>> {
         let state = |photograph: &Photograph| {
-            let failed = |e| Error::io("read", &photograph.path)(e);
-            let file = std::fs::metadata(&photograph.path).map_err(failed)?;
-            let since = file.modified().map_err(failed)?.duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
-            Ok(FileState { bytes: file.len(), modified_ns: since.as_nanos() as u64 })
+            crate::files::state(&photograph.path).map_err(Error::io("read", &photograph.path))
         };
         self.brackets[shot].iter().map(state).collect()
     }

@@ -6,7 +6,8 @@
 //! photographs are known by their BLAKE3.
 
 use super::lattice::{LightCorrections, ShotResult};
-use super::photographs::{FileState, Said};
+use super::photographs::Said;
+use crate::files::FileState;
 use super::scene::Scene;
 use super::sink::RowSink;
 use crate::output::{Earlier, WorkLog, key_of};

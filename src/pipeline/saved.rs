@@ -62,10 +62,10 @@ pub(crate) fn check_prepared(path: &Path) -> Result<()> {
 pub fn prepare(dir: &Path, options: &BuildOptions, out: &Path, progress: &Progress) -> Result<u64> {
     check_prepared(out)?;
     // Tasks may work in other folders.
-    let dir = dir.canonicalize().map_err(Error::io("read", dir))?;
+    let dir = crate::files::canonical(dir).map_err(Error::io("read", dir))?;
     let capture = open(&dir, options, progress)?;
     let save = |before: &Before<'_>, prepared: &Prepared<'_>| {
-        let rig_path = capture.rig_path.canonicalize().map_err(Error::io("read", &capture.rig_path))?;
+        let rig_path = crate::files::canonical(&capture.rig_path).map_err(Error::io("read", &capture.rig_path))?;
         let saved = Saved {
             program: PROGRAM.into(),
             manifest_and_rig: hashes(&dir, &rig_path)?,

@@ -7,9 +7,6 @@ mod chunk_writer;
 pub mod common;
 mod earlier;
 pub mod normalize;
-#[cfg_attr(feature = "cloud", path = "objects.rs")]
-#[cfg_attr(not(feature = "cloud"), path = "no_objects.rs")]
-mod objects;
 mod open;
 mod part;
 mod positioned;

@@ -1,8 +1,7 @@
 //! The files of a store, by their names in it: all that a reader asks of the place where a matrix is.
 
-use super::objects::Objects;
 use super::positioned::read_exact_at;
-use crate::files::is_url;
+use crate::files::{Objects, is_url};
 use crate::{Error, Result};
 use std::collections::BTreeSet;
 use std::io::{self, ErrorKind};
@@ -44,7 +43,7 @@ impl StoreFiles {
             Self::Objects(objects) => return objects.read_at(name, offset, len),
         };
         let mut bytes = vec![0; len];
-        read_exact_at(&crate::files::open(&root.join(name))?, &mut bytes, offset)?;
+        read_exact_at(&crate::files::open_local(&root.join(name))?, &mut bytes, offset)?;
         Ok(bytes)
     }
 
@@ -54,7 +53,7 @@ impl StoreFiles {
             Self::Folder(root) => root,
             Self::Objects(objects) => return objects.read_end(name, len),
         };
-        let file = crate::files::open(&root.join(name))?;
+        let file = crate::files::open_local(&root.join(name))?;
         let all = file.metadata()?.len();
         let len = usize::try_from(all).map_or(len, |all| all.min(len));
         let mut bytes = vec![0; len];

@@ -1,12 +1,11 @@
 //! Writing a matrix: rows wait until all are there, then the store is written and takes its place.
 
 use super::chunk_writer::{Chunking, RowsArray};
-use super::objects::Objects;
 use super::part::RowsAt;
 use super::scratch_rows::ScratchRows;
 use super::store::{COMMON, FORMAT, MatrixHeader, Row, RowBlock};
 use super::{CHANNELS, checksum, earlier};
-use crate::files::is_url;
+use crate::files::{Objects, is_url};
 use crate::output::{Earlier, ScratchFolder, WorkLog, put};
 use crate::{Error, FindingRecord, Result, Warning};
 use rayon::prelude::*;

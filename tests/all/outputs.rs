@@ -166,7 +166,7 @@ fn an_output_in_an_input_or_around_one_is_refused() {
 }
 
 #[test]
-fn only_matrices_go_to_object_stores_and_none_without_the_feature() {
+fn only_captures_and_matrices_lie_in_object_stores_and_none_without_the_feature() {
     let bench = Bench::new();
     for line in [
         "run capture --out s3://lab/results",
@@ -178,15 +178,11 @@ fn only_matrices_go_to_object_stores_and_none_without_the_feature() {
         "relight m.safetensors --light uniform --out https://lab/r.exr",
         "export m.safetensors --to exr --out gs://lab/m.exr",
         "prepare capture --out s3://lab/c.prepared",
-        "build-matrix s3://lab/capture",
-        "check gs://lab/capture",
-        "prepare s3://lab/capture --out c.prepared",
-        "run https://lab/capture --out results",
         "relight m.safetensors --light s3://lab/x.exr --out x.exr",
         "export s3://lab/x.safetensors --to npz --out x.npz",
         "clean s3://lab",
     ] {
-        bench.refused(line, &["only matrices"]);
+        bench.refused(line, &["only captures and matrices"]);
     }
     if cfg!(feature = "cloud") {
         return;
@@ -199,6 +195,12 @@ fn only_matrices_go_to_object_stores_and_none_without_the_feature() {
         "relight s3://lab/x.rd.zarr --light uniform --out r.exr",
         "build-matrix capture --out s3://lab/x.rd.zarr",
         "import-matrix s3://lab/x.npz --out gs://lab/x.rd.zarr",
+        "build-matrix s3://lab/capture",
+        "check gs://lab/capture",
+        "prepare s3://lab/capture --out c.prepared",
+        "extract s3://lab/capture --part 1/2 --out 1.part",
+        "run https://lab/capture --out results",
+        "build-matrix capture --calibration s3://lab/rig",
     ] {
         bench.refused(line, &["feature `cloud`", "--features cloud"]);
     }

@@ -43,10 +43,10 @@ pub fn open_arrays(path: &Path, full: bool, instead: &Map<String, Value>) -> Res
         return from_zarr(path, full, instead);
     }
     let mut start = [0; 6];
-    let mut file = crate::files::open(path).map_err(Error::io("read", path))?;
+    let mut file = crate::files::open_local(path).map_err(Error::io("read", path))?;
     let read = file.read(&mut start).map_err(Error::io("read", path))?;
     if &start[..read] == b"\x93NUMPY" {
-        let mut file = BufReader::new(crate::files::open(path).map_err(Error::io("read", path))?);
+        let mut file = BufReader::new(crate::files::open_local(path).map_err(Error::io("read", path))?);
         let response = npy(path, "response", &mut file, |v| v as f32)?;
         return Ok(ArraysInput::Arrays(Box::new(alone(path, response))));
     }
@@ -54,7 +54,7 @@ pub fn open_arrays(path: &Path, full: bool, instead: &Map<String, Value>) -> Res
         let found = "a file of another kind".into();
         return Err(refused(path, "file", "an .npy or .npz of NumPy, or a Zarr group", found));
     }
-    let file = BufReader::new(crate::files::open(path).map_err(Error::io("read", path))?);
+    let file = BufReader::new(crate::files::open_local(path).map_err(Error::io("read", path))?);
     let zip = ZipArchive::new(file).map_err(|e| refused(path, "archive", "a whole NPZ archive", e.to_string()))?;
     let arrays = by_name(path, &mut Npz { path, zip })?;
     Ok(ArraysInput::Arrays(Box::new(arrays)))

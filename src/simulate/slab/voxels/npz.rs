@@ -16,7 +16,7 @@ pub(super) struct Archive {
 
 impl Archive {
     pub(super) fn open(path: &Path) -> Result<Self> {
-        let file = crate::files::open(path).map_err(Error::io("read", path))?;
+        let file = crate::files::open_local(path).map_err(Error::io("read", path))?;
         let broken = |e: ZipError| refused(path, "archive", "an NPZ archive or a Zarr group", e);
         Ok(Self { path: path.to_path_buf(), zip: ZipArchive::new(BufReader::new(file)).map_err(broken)? })
     }
@@ -42,7 +42,7 @@ impl Arrays for Archive {
     }
 
     fn blake3(&mut self) -> Result<String> {
-        let file = crate::files::open(&self.path).map_err(Error::io("read", &self.path))?;
+        let file = crate::files::open_local(&self.path).map_err(Error::io("read", &self.path))?;
         let mut hasher = blake3::Hasher::new();
         hasher.update_reader(file).map_err(Error::io("read", &self.path))?;
         Ok(hasher.finalize().to_string())

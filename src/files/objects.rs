@@ -1,6 +1,8 @@
-//! Stores in object stores: `s3://bucket/key`, `gs://bucket/key`, and `https://host/path` for reading. Credentials are
+//! Object stores: `s3://bucket/key`, `gs://bucket/key`, and `https://host/path` for reading. Credentials are
 //! those of the usual environment (`AWS_*`, `GOOGLE_*`).
 
+use super::FileState;
+use super::object_file::Part;
 use crate::{Error, Result};
 use futures::TryStreamExt;
 use object_store::aws::AmazonS3Builder;
@@ -32,11 +34,11 @@ const METADATA: [&str; 4] = ["zarr.json", ".zarray", ".zgroup", ".zattrs"];
 
 /// The objects whose keys begin with that of a store.
 #[derive(Debug, Clone)]
-pub(super) struct Objects(Arc<Place>);
+pub(crate) struct Objects(Arc<Place>);
 
 #[derive(Debug)]
 struct Place {
-    store: Box<dyn ObjectStore>,
+    store: Arc<dyn ObjectStore>,
     root: Key,
     /// Whether there is a way to ask which objects there are; plain servers have none.
     lists: bool,
@@ -51,33 +53,16 @@ impl Objects {
     ///
     /// # Errors
     /// [`Error::Io`] for a URL that names no bucket, or an environment that no client can be made of.
-    pub(super) fn open(path: &Path) -> Result<Self> {
+    pub(crate) fn open(path: &Path) -> Result<Self> {
         let invalid = |reason: String| Error::io("read", path)(io::Error::new(ErrorKind::InvalidInput, reason));
-        let url = path.to_str().unwrap_or_default();
+        // Joined by the system's rules.
+        let url = path.to_str().unwrap_or_default().replace(std::path::MAIN_SEPARATOR, "/");
         let (scheme, rest) = url.split_once("://").unwrap_or_default();
         let (host, key) = rest.split_once('/').unwrap_or((rest, ""));
         if host.is_empty() {
             return Err(invalid("expected a bucket or a host, found none".into()));
         }
-        let store: object_store::Result<Box<dyn ObjectStore>> = match scheme {
-            "s3" => AmazonS3Builder::from_env()
-                .with_bucket_name(host)
-                .with_retry(retry())
-                .build()
-                .map(|store| Box::new(store) as _),
-            "gs" => GoogleCloudStorageBuilder::from_env()
-                .with_bucket_name(host)
-                .with_retry(retry())
-                .build()
-                .map(|store| Box::new(store) as _),
-            _ => HttpBuilder::new()
-                .with_url(format!("{scheme}://{host}"))
-                .with_client_options(ClientOptions::new().with_allow_http(scheme == "http"))
-                .with_retry(retry())
-                .build()
-                .map(|store| Box::new(store) as _),
-        };
-        let store = store.map_err(|e| invalid(words(&e)))?;
+        let store = client(scheme, host).map_err(|e| invalid(words(&e)))?;
         let root = Key::parse(key.trim_end_matches('/')).map_err(|e| invalid(e.to_string()))?;
         let lists = ["s3", "gs"].contains(&scheme);
         Ok(Self(Arc::new(Place { store, root, lists, metadata: Mutex::default(), lost: Mutex::default() })))
@@ -101,11 +86,11 @@ impl Objects {
     }
 
     /// The last request that was given up after its repetitions.
-    pub(super) fn lost(&self) -> Option<String> {
+    pub(crate) fn lost(&self) -> Option<String> {
         self.0.lost.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    pub(super) fn read(&self, name: &str) -> io::Result<Vec<u8>> {
+    pub(crate) fn read(&self, name: &str) -> io::Result<Vec<u8>> {
         if !METADATA.contains(&name.rsplit('/').next().unwrap_or_default()) {
             return self.read_all(name);
         }
@@ -130,7 +115,7 @@ impl Objects {
         Ok(bytes.map_err(self.failed(name))?.to_vec())
     }
 
-    pub(super) fn read_at(&self, name: &str, offset: u64, len: usize) -> io::Result<Vec<u8>> {
+    pub(crate) fn read_at(&self, name: &str, offset: u64, len: usize) -> io::Result<Vec<u8>> {
         if len == 0 {
             return Ok(Vec::new());
         }
@@ -139,7 +124,7 @@ impl Objects {
         if bytes.len() == len { Ok(bytes.to_vec()) } else { Err(ErrorKind::UnexpectedEof.into()) }
     }
 
-    pub(super) fn read_end(&self, name: &str, len: usize) -> io::Result<(Vec<u8>, u64)> {
+    pub(crate) fn read_end(&self, name: &str, len: usize) -> io::Result<(Vec<u8>, u64)> {
         let key = self.key(name);
         let options = GetOptions { range: Some(GetRange::Suffix(len as u64)), ..GetOptions::default() };
         let read = async {
@@ -150,13 +135,32 @@ impl Objects {
         wait(read)?.map_err(self.failed(name))
     }
 
-    pub(super) fn len(&self, name: &str) -> io::Result<u64> {
-        let key = self.key(name);
-        Ok(wait(self.0.store.head(&key))?.map_err(self.failed(name))?.size)
+    pub(crate) fn len(&self, name: &str) -> io::Result<u64> {
+        Ok(self.state(name)?.bytes)
+    }
+
+    /// Length and time of the last change.
+    pub(crate) fn state(&self, name: &str) -> io::Result<FileState> {
+        let found = wait(self.0.store.head(&self.key(name)))?.map_err(self.failed(name))?;
+        let modified_ns = found.last_modified.timestamp_nanos_opt().unwrap_or_default().max(0) as u64;
+        Ok(FileState { bytes: found.size, modified_ns })
+    }
+
+    /// Up to `len` bytes, at least one, of the object that the URL itself names, from `from` on; `as_before`: the tag of
+    /// an earlier part, without which nothing is given.
+    pub(crate) fn part(&self, from: u64, len: u64, as_before: Option<&str>) -> io::Result<Part> {
+        let range = Some(GetRange::Bounded(from..from.saturating_add(len)));
+        let options = GetOptions { range, if_match: as_before.map(str::to_owned), ..GetOptions::default() };
+        let read = async {
+            let found = self.0.store.get_opts(&self.0.root, options).await?;
+            let (all, tag) = (found.meta.size, found.meta.e_tag.clone());
+            Ok(Part { bytes: found.bytes().await?.to_vec(), all, tag })
+        };
+        wait(read)?.map_err(self.failed(""))
     }
 
     /// The objects below a folder, from the store on, with their bytes.
-    pub(super) fn all(&self, folder: &str) -> io::Result<BTreeMap<String, u64>> {
+    pub(crate) fn all(&self, folder: &str) -> io::Result<BTreeMap<String, u64>> {
         if !self.0.lists {
             return Err(io::Error::new(ErrorKind::Unsupported, "a plain server does not tell which objects it has"));
         }
@@ -169,19 +173,24 @@ impl Objects {
     }
 
     /// Writes the files of a folder, its `zarr.json` last: until then the store has no metadata. What was there before
-    /// goes, its `zarr.json` first.
-    pub(super) fn replace(&self, folder: &Path, earlier: bool) -> io::Result<()> {
+    /// goes, its `zarr.json` first. Where that fails, what it wrote is deleted again as far as the store lets it.
+    pub(crate) fn replace(&self, folder: &Path, earlier: bool) -> io::Result<()> {
         const ROOT: &str = "zarr.json";
         let old = if earlier { self.all("")? } else { BTreeMap::new() };
         if old.contains_key(ROOT) {
             self.delete([ROOT])?;
         }
         let new = crate::files::below(folder)?;
-        for name in new.keys().filter(|name| *name != ROOT) {
-            self.put(name, &folder.join(name))?;
+        let names = || new.keys().map(String::as_str).filter(|name| *name != ROOT);
+        let written = names()
+            .try_for_each(|name| self.put(name, &folder.join(name)))
+            .and_then(|()| self.delete(old.keys().map(String::as_str).filter(|name| !new.contains_key(*name))))
+            .and_then(|()| self.put(ROOT, &folder.join(ROOT)));
+        if written.is_err() && !earlier {
+            // The first failure is the one to tell; a server that is away is not asked for every object.
+            let _ = self.delete(names());
         }
-        self.delete(old.keys().map(String::as_str).filter(|name| !new.contains_key(*name)))?;
-        self.put(ROOT, &folder.join(ROOT))
+        written
     }
 
     fn delete<'a>(&self, names: impl IntoIterator<Item = &'a str>) -> io::Result<()> {
@@ -206,13 +215,41 @@ impl Objects {
             let upload = self.0.store.put_multipart(&key).await.map_err(self.failed(name))?;
             let mut upload = WriteMultipart::new_with_chunk_size(upload, PART_BYTES);
             while !part.is_empty() {
-                upload.wait_for_capacity(PARTS_AT_ONCE).await.map_err(self.failed(name))?;
+                if let Err(e) = upload.wait_for_capacity(PARTS_AT_ONCE).await {
+                    // Parts of an upload that nobody ends are kept, and paid for.
+                    let _ = upload.abort().await;
+                    return Err(self.failed(name)(e));
+                }
                 upload.write(&part);
-                next(&mut part)?;
+                if let Err(e) = next(&mut part) {
+                    let _ = upload.abort().await;
+                    return Err(e);
+                }
             }
+            // Aborts by itself where it fails.
             upload.finish().await.map(|_| ()).map_err(self.failed(name))
         })?
     }
+}
+
+/// One client for each bucket or host, so that requests share its connections.
+fn client(scheme: &str, host: &str) -> object_store::Result<Arc<dyn ObjectStore>> {
+    static CLIENTS: Mutex<BTreeMap<String, Arc<dyn ObjectStore>>> = Mutex::new(BTreeMap::new());
+    let mut clients = CLIENTS.lock().unwrap_or_else(PoisonError::into_inner);
+    let url = format!("{scheme}://{host}");
+    if let Some(client) = clients.get(&url) {
+        return Ok(Arc::clone(client));
+    }
+    let made: Arc<dyn ObjectStore> = match scheme {
+        "s3" => Arc::new(AmazonS3Builder::from_env().with_bucket_name(host).with_retry(retry()).build()?),
+        "gs" => Arc::new(GoogleCloudStorageBuilder::from_env().with_bucket_name(host).with_retry(retry()).build()?),
+        _ => {
+            let options = ClientOptions::new().with_allow_http(scheme == "http");
+            Arc::new(HttpBuilder::new().with_url(&url).with_client_options(options).with_retry(retry()).build()?)
+        }
+    };
+    clients.insert(url, Arc::clone(&made));
+    Ok(made)
 }
 
 fn retry() -> RetryConfig {
