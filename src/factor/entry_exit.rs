@@ -19,16 +19,8 @@ use std::ops::Range;
 pub(super) const ROUNDS: usize = 6;
 /// The same where terms are to be fitted anew.
 pub(super) const ROUNDS_BETWEEN: usize = 2;
-/// Where this share of the largest exitance leaves, or of the largest albedo enters, a map is half way to its value
-/// from one: the terms say so little there that their ratio to what was measured is noise. What that leaves of the
-/// exitance's misfit is a millionth of it where the slab is bright, and less than this share of the largest where it is
-/// dark.
-const DIM: f64 = 1e-3;
 /// Differences below this share of the largest exitance are not seen: 80 dB.
 const UNSEEN: f64 = 1e-4;
-/// A map never changes light by more than this.
-const MOST: f64 = 30.0;
-
 /// Marginals over a row, their variances, and where it was measured, if not everywhere.
 type RowSums = ([f64; 3], [f64; 3], Option<Vec<u8>>);
 
@@ -74,7 +66,7 @@ pub(super) struct MarginalSums {
     exitance_variance: [Band; 3],
 }
 
-/// What the maps are fitted to.
+/// What the maps are fitted to, as far as it was measured.
 pub(super) struct Marginals {
     quadrature: Quadrature,
     /// Even light, and its square.
@@ -234,33 +226,17 @@ impl Marginals {
             material.entry_map = vec![1.0; planes * material.header.rows()];
             material.exit_map = vec![1.0; planes * samples];
         }
-        let (exitance, sums) = self.filled(material);
-        let wanted: Vec<Vec<f64>> = shared(&exitance.planes, planes);
+        let (exitance, rows) = self.filled(material);
+        let (quadrature, flux) = (self.quadrature.clone(), self.flux.clone());
+        let wanted = acquire_material::Marginals { quadrature, flux, exitance, rows };
         for _ in 0..rounds {
-            self.enter(material, &sums, planes);
-            // What leaves without the exit map.
+            // From one, where the terms say nearly nothing.
+            material.entry_map.fill(1.0);
+            wanted.enter(material, row_sums);
             material.exit_map.fill(1.0);
-            let inside = acquire_material::relight(material, &self.quadrature, &self.flux, &|_| {})?;
-            for (plane, (wanted, inside)) in wanted.iter().zip(shared(&inside[0].planes, planes)).enumerate() {
-                let map = ratios(wanted, &inside);
-                let to = &mut material.exit_map[plane * samples..][..samples];
-                to.iter_mut().zip(map).for_each(|(to, e)| *to = e as f32);
-            }
+            wanted.leave(material)?;
         }
         Ok(())
-    }
-
-    /// Entry maps under which rows have their sums.
-    fn enter(&self, material: &mut Material, sums: &[[f64; 3]], planes: usize) {
-        material.entry_map.fill(1.0);
-        let rows = material.header.rows();
-        let found = row_sums(material);
-        let channel = |of: &[[f64; 3]], c: usize| of.iter().map(|v| v[c]).collect::<Vec<f64>>();
-        let by_plane = |of: &[[f64; 3]]| shared(&[0, 1, 2].map(|c| channel(of, c)), planes);
-        for (plane, (wanted, found)) in by_plane(sums).iter().zip(by_plane(&found)).enumerate() {
-            let to = &mut material.entry_map[plane * rows..][..rows];
-            to.iter_mut().zip(ratios(wanted, &found)).for_each(|(to, a)| *to = a as f32);
-        }
     }
 }
 
@@ -292,26 +268,6 @@ fn excess(wanted: &[f64], found: &[f64], variance: &[f64], unseen: f64) -> f64 {
     let (sum, count) = terms.fold((0.0, 0_usize), |(s, n), t| (s + t, n + 1));
     let mean = sum / count.max(1) as f64;
     mean / (1.0 + 5.0 * (2.0 / count.max(1) as f64).sqrt())
-}
-
-/// Three channels, or their sum where one map is for all of them.
-fn shared(channels: &[Vec<f64>; 3], planes: usize) -> Vec<Vec<f64>> {
-    if planes == 3 {
-        return channels.to_vec();
-    }
-    let [r, g, b] = channels;
-    vec![r.iter().zip(g).zip(b).map(|((r, g), b)| r + g + b).collect()]
-}
-
-/// What `found` is to be multiplied by to become `wanted`, drawn towards one where there is nearly nothing.
-fn ratios(wanted: &[f64], found: &[f64]) -> Vec<f64> {
-    let dim = DIM * found.iter().fold(0.0_f64, |a, v| a.max(v.abs()));
-    let ratio = |(&wanted, &found): (&f64, &f64)| {
-        let ratio = (wanted * found + dim * dim) / (found * found + dim * dim);
-        // Light that the terms would have below zero is not turned over: nothing is left of it.
-        if ratio.is_finite() { ratio.clamp(1.0 / MOST, MOST) } else { 1.0 }
-    };
-    wanted.iter().zip(found).map(ratio).collect()
 }
 
 #[cfg(test)]
@@ -388,16 +344,6 @@ mod tests {
             assert!(with[0] < 5e-3 && with[1] < 5e-3, "{with:?}, {without:?} without maps");
             assert!(without[0] > 0.02 && without[1] > 0.02, "{without:?}");
         }
-    }
-
-    #[test]
-    fn ratios_are_those_asked_for_where_there_is_light_and_one_where_there_is_none() {
-        let found = ratios(&[2.0, 0.5, 1e-9, 0.0], &[1.0, 1.0, 3e-9, 0.0]);
-        // A millionth is what the dim share leaves.
-        assert!((found[0] - 2.0).abs() < 2e-6 && (found[1] - 0.5).abs() < 2e-6, "{found:?}");
-        assert!((found[2] - 1.0).abs() < 1e-2 && found[3] == 1.0, "{found:?}");
-        assert_eq!(ratios(&[1.0], &[-1.0]), [1.0 / MOST], "light is not turned over");
-        assert_eq!(ratios(&[0.0; 3], &[0.0; 3]), [1.0; 3]);
     }
 
     #[test]

@@ -21,6 +21,7 @@ use npyz::WriterBuilder;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::{Arc, Mutex, Weak};
+use std::time::Instant;
 
 /// (option or subcommand before it, word, what it is here). An empty first entry fits everywhere.
 const STANDS_FOR: &[(&str, &str, &str)] = &[
@@ -155,14 +156,15 @@ impl Bench {
 
     /// Runs the blocks and fails with all commands that failed.
     fn runs(&self, blocks: &[Block]) {
-        let (mut failures, mut count) = (Vec::new(), 0);
+        let (mut failures, mut took) = (Vec::new(), Vec::new());
         for block in blocks {
             let folder = self.folder();
             for (place, line) in block {
                 for words in commands(line) {
                     make_room(folder.path(), &words);
+                    let start = Instant::now();
                     let output = run(folder.path(), &words);
-                    count += 1;
+                    took.push((start.elapsed(), words.join(" ")));
                     if !output.status.success() {
                         let stderr = String::from_utf8_lossy(&output.stderr);
                         failures.push(format!("{place}: {line}\n  ran: acquire {}\n{stderr}", words.join(" ")));
@@ -170,7 +172,10 @@ impl Bench {
                 }
             }
         }
-        println!("{count} commands");
+        let count = took.len();
+        took.sort();
+        println!("{count} commands; those that took longest:");
+        took.iter().rev().take(12).for_each(|(time, words)| println!("{:.1} s: acquire {words}", time.as_secs_f64()));
         assert!(failures.is_empty(), "{} of {count} commands failed\n\n{}", failures.len(), failures.join("\n"));
     }
 }

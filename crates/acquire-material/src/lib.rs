@@ -36,6 +36,7 @@ mod lattice;
 mod layout;
 pub mod legendre;
 mod light;
+mod marginals;
 #[cfg(test)]
 mod naive;
 mod parallel;
@@ -53,6 +54,7 @@ pub use exitance::{Canvas, Exitance, Shape};
 pub use file::Precision;
 pub use layout::Layout;
 pub use light::{FIXED_SET, Light, LightImage, linear_from_srgb, srgb_from_linear};
+pub use marginals::Marginals;
 pub use placement::{ImagePlacement, Stretch};
 pub use quadrature::{LitArea, Quadrature};
 pub use relight::relight;

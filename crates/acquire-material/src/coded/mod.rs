@@ -10,6 +10,7 @@
 
 mod entropy;
 mod exact;
+mod falloff;
 mod maps;
 mod measure;
 mod planes;
@@ -18,13 +19,13 @@ mod symbols;
 mod text;
 mod transform;
 
-use crate::{Error, Material, MaterialHeader, OffsetFactors, Result};
+use crate::{Error, Marginals, Material, MaterialHeader, OffsetFactors, Result};
 use maps::Price;
 
 /// The first bytes of every coded material.
 const MAGIC: [u8; 4] = *b"\x89ACQ";
 /// Version of the format. Anything that changes a decoder's result needs a new one.
-const VERSION: u16 = 1;
+const VERSION: u16 = 2;
 /// Magic, version, bytes of the header's stream, checksum.
 const PREAMBLE: usize = 4 + 2 + 4 + 8;
 
@@ -70,6 +71,8 @@ const LAMBDA: f64 = 0.08;
 /// The step that about gives an error, both against ‖R̂‖: where a search begins.
 const STEP_OF_ERROR: f64 = 0.02;
 const MOST_POSITION_ERROR: f64 = 0.02;
+/// Entry and exit maps that were fitted again may make the error of R̂_d so many times larger: even light is worth that.
+const MOST_WORSE: f64 = 1.2;
 /// Encodings that a search may try.
 const ATTEMPTS: usize = 14;
 /// A result this close to what was asked ends the search.
@@ -92,14 +95,24 @@ pub fn encode(material: &Material, options: &EncodeOptions) -> Result<Coded> {
     });
     let material = own.as_ref().unwrap_or(material);
     let sample = measure::Sample::of(material);
+    // Polynomials are fitted to the responses themselves.
+    let fits = material.header.exit_grid.is_some() && material.header.degree.is_none();
+    let mut marginals = fits.then(|| Marginals::of(material)).transpose()?;
     let first = match options.quality {
         Quality::AddedError(error) => STEP_OF_ERROR * error,
         Quality::MaxBytes(_) => 1e-4,
     };
     let mut search = Search { step: first * sample.norm().max(1e-30), good: None, bad: None };
     let mut best: Option<Coded> = None;
-    for _ in 0..ATTEMPTS {
-        let coded = encode_at(material, options, search.step, &sample)?;
+    for attempt in 0..ATTEMPTS {
+        let mut coded = encode_at(material, options, search.step, &sample, marginals.as_ref())?;
+        if attempt == 0 && marginals.is_some() {
+            // Where sums are nearly nothing beside what they are sums of, they tell nothing of the maps.
+            let as_they_were = encode_at(material, options, search.step, &sample, None)?;
+            if coded.added_error > MOST_WORSE * as_they_were.added_error {
+                (coded, marginals) = (as_they_were, None);
+            }
+        }
         // Above 1 is too much.
         let used = match options.quality {
             Quality::AddedError(error) => coded.added_error / error,
@@ -182,12 +195,18 @@ fn unreachable_quality(quality: Quality) -> Error {
 }
 
 /// One encoding, decoded again and measured.
-fn encode_at(material: &Material, options: &EncodeOptions, step: f64, sample: &measure::Sample) -> Result<Coded> {
+fn encode_at(
+    material: &Material,
+    options: &EncodeOptions,
+    step: f64,
+    sample: &measure::Sample,
+    marginals: Option<&Marginals>,
+) -> Result<Coded> {
     let price = Price { step, lambda: LAMBDA };
     let norm = sample.norm();
     let expected = step / (norm.max(1e-30) * STEP_OF_ERROR);
     let position_error = options.position_error_px.unwrap_or(expected.clamp(1e-6, MOST_POSITION_ERROR));
-    let maps = stream::write_maps(material, norm, price, position_error).map_err(Error::internal)?;
+    let maps = stream::write_maps(material, marginals, norm, price, position_error).map_err(Error::internal)?;
     let plain = stream::read_maps(&maps, rounded(&material.header)).map_err(Error::internal)?;
     let added_error = sample.relative_error(&plain);
     let mut header = rounded(&material.header);

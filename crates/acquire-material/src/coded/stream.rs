@@ -1,11 +1,13 @@
 //! The two streams of a coded material: the header's text, and everything that is a number.
 
 use super::entropy::{Bits, Reader, Writer};
+use super::falloff::Falloff;
 use super::exact::{positions, raw, shifts, weights};
 use super::maps::{Group, Price, step_index};
 use super::measure::{energy, refit_weights, slope, stride};
 use super::planes::{ColorBasis, Rotation, moments};
 use super::text::code_text;
+use crate::marginals::{Marginals, row_sums};
 use crate::parallel::*;
 use crate::{CHANNELS, Material, MaterialHeader, Responses, offset_plane};
 
@@ -50,6 +52,8 @@ struct Scales<'a> {
     weights: &'a [f32],
     /// \[B\]\[samples\], or empty.
     profile: &'a [Vec<f64>],
+    /// What maps are divided by, by sample.
+    falloff: &'a [f64],
 }
 
 impl Scales<'_> {
@@ -68,18 +72,22 @@ impl Scales<'_> {
         }
     }
 
-    /// h from g·m·h.
+    /// h from g·m·h over the falloff.
     fn unscaled(&self, term: usize, plane: usize, map: &[f64]) -> Vec<f64> {
         let g = f64::from(self.weights[term]);
         let profile = self.profile.get(plane);
-        let one = |(e, v): (usize, &f64)| if *v == 0.0 { 0.0 } else { v / (g * profile.map_or(1.0, |m| m[e])) };
+        let one = |(e, v): (usize, &f64)| match *v {
+            0.0 => 0.0,
+            v => v * self.falloff[e] / (g * profile.map_or(1.0, |m| m[e])),
+        };
         map.iter().enumerate().map(one).collect()
     }
 }
 
-/// Everything but the header; `norm` is ‖R̂‖.
+/// Everything but the header; `norm` is ‖R̂‖. With `marginals` entry and exit maps are fitted again, to give these.
 pub(super) fn write_maps(
     material: &Material,
+    marginals: Option<&Marginals>,
     norm: f64,
     price: Price,
     position_error_px: f64,
@@ -89,7 +97,7 @@ pub(super) fn write_maps(
     let singular: Vec<f64> = h.singular_values.iter().map(|&v| f64::from(v as f32)).collect();
     weights(&mut w, &material.weights, &singular, h.terms)?;
     shifts(&mut w, &material.shift, h.points)?;
-    positions(&mut w, &material.lit_mm, h.points, 2.0 * position_error_px * h.pitch_mm)?;
+    let lit_mm = positions(&mut w, &material.lit_mm, h.points, 2.0 * position_error_px * h.pitch_mm)?;
     let no_negative = |values: &[f32]| values.iter().all(|v| *v >= 0.0);
     let non_negative = NonNegative {
         incident: no_negative(&material.incident_factors),
@@ -101,26 +109,28 @@ pub(super) fn write_maps(
     raw(&mut w, (first - LOWEST_STEP) as u64, 16)?;
     let slope = slope(material);
     let profile = write_profile(&mut w, material, slope, price, first, non_negative.profile)?;
-    let scales = Scales { weights: &material.weights, profile: &profile };
+    let falloff = Falloff::of(material, &offset_energy(material)).code(&mut w)?;
+    let falloff = falloff.values(h.extended[0], h.layout().len());
+    let scales = Scales { weights: &material.weights, profile: &profile, falloff: &falloff };
     let (scaled, seen) = write_offsets(&mut w, material, &scales, slope, price, first, non_negative.offset)?;
     let incident = write_incident(&mut w, material, &scaled, &seen, slope, price, first, non_negative.incident)?;
+    // What is left to code is fitted again, to the terms as a decoder sees them.
+    let mut decoded = Material {
+        header: h.clone(),
+        weights: material.weights.clone(),
+        incident_factors: incident_tensor(h, &material.weights, &incident, non_negative.incident)?,
+        offset_factors: offset_tensor(&scales, &seen)?.into(),
+        profile: to_f32("profile", &profile.concat())?,
+        lit_mm,
+        shift: material.shift.clone(),
+        color_coefficients: Vec::new(),
+        entry_map: material.entry_map.clone(),
+        exit_map: material.exit_map.clone(),
+    };
     if let Some(degree) = h.degree {
-        // The polynomials are fitted again, to the intensity as a decoder sees it.
-        let decoded = Material {
-            header: h.clone(),
-            weights: material.weights.clone(),
-            incident_factors: incident_tensor(h, &material.weights, &incident, non_negative.incident)?,
-            offset_factors: offset_tensor(&scales, &seen)?.into(),
-            profile: to_f32("profile", &profile.concat())?,
-            lit_mm: Vec::new(),
-            shift: Vec::new(),
-            color_coefficients: Vec::new(),
-            entry_map: Vec::new(),
-            exit_map: Vec::new(),
-        };
         write_colors(&mut w, material, &decoded, degree, price, first)?;
     }
-    write_through(&mut w, material, norm, price, first)?;
+    write_through(&mut w, &mut decoded, marginals, norm, price, first)?;
     Ok(w.finish())
 }
 
@@ -128,17 +138,32 @@ pub(super) fn write_maps(
 /// leaves at a place.
 const THROUGH_FINER: f64 = 4.0;
 
-/// Writes entry and exit maps: their sensitivity is the root of the squared response that a sample of theirs
-/// multiplies, in the mean. `norm` is ‖R̂‖.
-fn write_through(w: &mut Writer, material: &Material, norm: f64, price: Price, first: i32) -> Result<(), String> {
-    let Some(grid) = material.header.exit_grid else { return Ok(()) };
-    for (map, size) in [(&material.entry_map, material.header.points), (&material.exit_map, grid.size)] {
+/// Writes entry and exit maps; with `marginals` fitted again to the terms as a decoder sees them, the exit map to the entry
+/// map as a decoder sees it, too. `norm` is ‖R̂‖.
+fn write_through(
+    w: &mut Writer,
+    decoded: &mut Material,
+    marginals: Option<&Marginals>,
+    norm: f64,
+    price: Price,
+    first: i32,
+) -> Result<(), String> {
+    let Some(grid) = decoded.header.exit_grid else { return Ok(()) };
+    // The sensitivity is the root of the squared response that a sample multiplies, in the mean.
+    let mut write = |map: &[f32], size: [usize; 2]| -> Result<Vec<f32>, String> {
         let mut group = Group::new(size, grid.planes, first);
         let sensitivity = THROUGH_FINER * norm / (map.len() as f64).sqrt();
-        for plane in map.chunks_exact(size[0] * size[1]) {
-            group.encode(w, &to_f64(plane), sensitivity, price)?;
-        }
-    }
+        let planes = map.chunks_exact(size[0] * size[1]);
+        let seen: Result<Vec<_>, _> = planes.map(|plane| group.encode(w, &to_f64(plane), sensitivity, price)).collect();
+        to_f32("maps", &seen?.concat())
+    };
+    let leave = |decoded: &mut Material| marginals.map_or(Ok(()), |m| m.leave(decoded)).map_err(|e| e.to_string());
+    // One round: they were right for the terms before, and of what is left a fifth remains.
+    leave(decoded)?;
+    marginals.inspect(|m| m.enter(decoded, row_sums));
+    decoded.entry_map = write(&decoded.entry_map, decoded.header.points)?;
+    leave(decoded)?;
+    write(&decoded.exit_map, grid.size)?;
     Ok(())
 }
 
@@ -233,7 +258,9 @@ fn write_offsets(
                 let map = &offset_plane(&all, h, k)[j * samples..][..samples];
                 let profile = material.profile_plane(k);
                 let g = f64::from(material.weights[j]);
-                let one = |(e, &v): (usize, &f32)| g * f64::from(v) * profile.map_or(1.0, |m| f64::from(m[e]));
+                let one = |(e, &v): (usize, &f32)| {
+                    g * f64::from(v) * profile.map_or(1.0, |m| f64::from(m[e])) / scales.falloff[e]
+                };
                 map.iter().enumerate().map(one).collect()
             };
             (0..h.offset_planes).map(plane).collect()
@@ -260,6 +287,25 @@ fn write_offsets(
         seen.push(planes);
     }
     Ok((scaled, seen))
+}
+
+/// Σ (g m h)² over terms and planes at each sample, each times the energy of what it is multiplied by.
+fn offset_energy(material: &Material) -> Vec<f64> {
+    let (h, all) = (&material.header, material.offset_factors.all());
+    let samples = h.layout().len();
+    let mut energy = vec![0.0; samples];
+    for k in 0..h.offset_planes {
+        let profile = material.profile_plane(k);
+        for j in 0..h.terms {
+            let g = f64::from(material.weights[j]);
+            let map = &offset_plane(&all, h, k)[j * samples..][..samples];
+            let rows = incident_energy(material, k.min(h.incident_planes - 1), j);
+            for (e, (sum, &v)) in energy.iter_mut().zip(map).enumerate() {
+                *sum += rows * (g * f64::from(v) * profile.map_or(1.0, |m| f64::from(m[e]))).powi(2);
+            }
+        }
+    }
+    energy
 }
 
 fn incident_energy(material: &Material, plane: usize, term: usize) -> f64 {
@@ -348,7 +394,8 @@ pub(super) fn read_maps(bytes: &[u8], header: MaterialHeader) -> Result<Material
         clip_below_zero(&mut map, clip.profile);
         profile.push(as_stored(&map));
     }
-    let scales = Scales { weights: &weights, profile: &profile };
+    let falloff = Falloff::none().code(&mut r)?.values(h.extended[0], h.layout().len());
+    let scales = Scales { weights: &weights, profile: &profile, falloff: &falloff };
     let offset_factors = read_offsets(&mut r, h, &scales, first, clip.offset)?;
     let incident_factors = read_incident(&mut r, h, &weights, first, clip.incident)?;
     let color_coefficients = h.degree.map_or(Ok(Vec::new()), |degree| read_colors(&mut r, h, degree, first))?;

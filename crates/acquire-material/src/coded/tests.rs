@@ -272,3 +272,51 @@ fn qualities_beyond_what_a_file_can_hold_are_refused() {
     let options = EncodeOptions { quality: Quality::MaxBytes(0), ..EncodeOptions::default() };
     assert!(encode(&example(), &options).is_err());
 }
+
+#[test]
+fn entry_and_exit_maps_make_up_for_what_coding_takes_from_the_terms() {
+    let mut rng = Pcg64::seed_from_u64(3);
+    let mut material = made(&mut rng, 0, [14, 11], [9, 7], 3);
+    let h = &mut material.header;
+    (h.pitch_mm, h.lit_pitch_mm) = (1.0, [1.0; 2]);
+    let grid = crate::ExitGrid { origin_mm: [-5.0; 2], size: [24, 21], planes: 3 };
+    h.exit_grid = Some(grid);
+    let (width, samples) = (h.extended[0], h.layout().len());
+    let factor = |k: usize| {
+        let (j, e) = (k / samples % 3, k % samples);
+        let [x, y] = [(e % width) as f32 - 5.0, (e / width) as f32 - 4.0];
+        (-x.hypot(y) / 1.5).exp() * (1.0 + j as f32 * 0.3 * (x + 0.7 * y).sin())
+    };
+    material.offset_factors = (0..9 * samples).map(factor).collect::<Vec<_>>().into();
+    material.incident_factors =
+        (0..3 * 154).map(|k| if k % 3 == 0 { 1.0 } else { 0.2 * (k as f32 * 0.3).sin() }).collect();
+    material.entry_map = (0..3 * 154).map(|k| 1.0 + 0.3 * (k as f32 * 0.2).sin()).collect();
+    material.exit_map = (0..3 * 24 * 21).map(|k| 1.0 + 0.2 * (k as f32 * 0.15).cos()).collect();
+    let wanted = Marginals::of(&material).unwrap();
+    // Of sums and exitance, relative to their size.
+    let off = |m: &Material| {
+        let found = crate::relight(m, &wanted.quadrature, &wanted.flux, &|_| {}).unwrap();
+        let image = found[0].planes.iter().flatten().zip(wanted.exitance.planes.iter().flatten());
+        let rows = crate::marginals::row_sums(m);
+        let rows = rows.iter().flatten().zip(wanted.rows.iter().flatten());
+        let relative = |pairs: &mut dyn Iterator<Item = (&f64, &f64)>| {
+            let (d, all) = pairs.fold((0.0, 0.0), |(d, all), (a, b)| (d + (a - b).powi(2), all + b * b));
+            (d / all).sqrt()
+        };
+        [relative(&mut image.into_iter()), relative(&mut rows.into_iter())]
+    };
+    let norm = measure::Sample::of(&material).norm();
+    for step in [2e-3, 8e-3] {
+        let price = Price { step: step * norm, lambda: LAMBDA };
+        let coded = |marginals| {
+            let bytes = stream::write_maps(&material, marginals, norm, price, 1e-3).unwrap();
+            (bytes.len(), stream::read_maps(&bytes, material.header.clone()).unwrap())
+        };
+        let ((bytes, with), (bytes_before, without)) = (coded(Some(&wanted)), coded(None));
+        let (off_with, off_without) = (off(&with), off(&without));
+        // What is left is the maps' own coding, which on so few points is most of it.
+        let both = |off: [f64; 2]| off[0].hypot(off[1]);
+        assert!(both(off_with) < 0.8 * both(off_without), "{step}: {off_with:?}, before {off_without:?}");
+        assert!(bytes < bytes_before * 13 / 10, "{bytes} {bytes_before}");
+    }
+}
