@@ -219,7 +219,8 @@ impl Rig {
         let places = match calibration {
             Some(dir) => vec![dir.to_path_buf()],
             None => {
-                let beside = crate::files::canonical(capture_dir).ok().and_then(|d| Some(d.parent()?.join("calibration")));
+                let beside =
+                    crate::files::canonical(capture_dir).ok().and_then(|d| Some(d.parent()?.join("calibration")));
                 // Above a bucket there is nothing.
                 let beside = beside.filter(|p| crate::files::is_url(p) == crate::files::is_url(capture_dir));
                 [Some(capture_dir.join("calibration")), beside].into_iter().flatten().collect()

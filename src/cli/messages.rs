@@ -47,7 +47,7 @@ pub(super) fn hint(error: &Error) -> Option<String> {
             "choose an output path in a folder that exists and can be written, with --out"
         }
         Error::Io { path, .. } if is_url(path) => {
-            "check the address, the connection and the credentials (AWS_*, GOOGLE_*); captures and matrices are read from object stores, other files from disks"
+            "check the address, the connection and the credentials (AWS_*, GOOGLE_*); only captures and matrices are read from object stores"
         }
         Error::Io { .. } => "check the path and its permissions",
         Error::NotLocal { .. } => "copy it from or to the object store with the store's own tools",

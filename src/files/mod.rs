@@ -1,5 +1,6 @@
 //! Files that people name, on disks and in object stores, opened only where they are files.
 
+#[cfg_attr(not(feature = "cloud"), expect(unreachable_code, reason = "there are no objects"))]
 mod object_file;
 #[cfg_attr(feature = "cloud", path = "objects.rs")]
 #[cfg_attr(not(feature = "cloud"), path = "no_objects.rs")]

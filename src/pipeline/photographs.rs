@@ -2,12 +2,12 @@
 
 use super::radiometry::Radiometry;
 use crate::capture::{Camera, Capture, Pattern, Photograph, Rect, Reduction, Samples};
+use crate::files::FileState;
 use crate::geometry::{CameraView, Homography, Lens};
 use crate::radiance::{
     Bracket, Brightness, Disagreement, Exposure, Radiance, Sensor, decode_shot, disagreements, merge_keeping,
     merge_shot, pile_up,
 };
-use crate::files::FileState;
 use crate::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;

@@ -7,9 +7,9 @@
 
 use super::lattice::{LightCorrections, ShotResult};
 use super::photographs::Said;
-use crate::files::FileState;
 use super::scene::Scene;
 use super::sink::RowSink;
+use crate::files::FileState;
 use crate::output::{Earlier, WorkLog, key_of};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};

@@ -2,10 +2,10 @@
 //! iterative proportional fitting (`DemingStephan1940`, `SinkhornKnopp1967`).
 
 use crate::exitance::Exitance;
+use crate::parallel::*;
 use crate::quadrature::Quadrature;
 use crate::relight::relight;
 use crate::response::Responses;
-use crate::parallel::*;
 use crate::{CHANNELS, Light, LitArea, Material, Result};
 
 /// Where this share of the largest exitance leaves, or of the largest albedo enters, a map goes half the way to its value:

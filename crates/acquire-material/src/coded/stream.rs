@@ -1,8 +1,8 @@
 //! The two streams of a coded material: the header's text, and everything that is a number.
 
 use super::entropy::{Bits, Reader, Writer};
-use super::falloff::Falloff;
 use super::exact::{positions, raw, shifts, weights};
+use super::falloff::Falloff;
 use super::maps::{Group, Price, step_index};
 use super::measure::{energy, refit_weights, slope, stride};
 use super::planes::{ColorBasis, Rotation, moments};
