@@ -112,7 +112,7 @@ def simulate(cluster, task, lengths, seed=1):
     now, ended, restarts, lost = 0.0, 0, 0, 0.0
     handed_out_at = 0.0
     limited = {"cores": 0.0, "network": 0.0, "server": 0.0}
-    events = []  # (when, number, what, node)
+    events = []  # (when, number of the node, what)
     if math.isfinite(cluster.mean_secs_to_failure):
         for k in range(len(nodes)):
             heapq.heappush(events, (rng.expovariate(1 / cluster.mean_secs_to_failure), k, "dies"))
@@ -175,18 +175,18 @@ def sweep_task(photographs):
     return Task(START_SECS + photographs * PHOTOGRAPH_SECS, START_BYTES + photographs * PHOTOGRAPH_BYTES)
 
 
-def sweep(cluster, photographs, spread=0.03, seed=1, total=PHOTOGRAPHS):
+def sweep(cluster, photographs, spread=0.03, seed=1):
     """The tasks of `extract`; their lengths differ by `spread`, as four parts of one capture did (1.52 to 1.66 s)."""
     rng = random.Random(seed)
-    lengths = [math.exp(rng.gauss(0, spread)) for _ in range(math.ceil(total / photographs))]
+    lengths = [math.exp(rng.gauss(0, spread)) for _ in range(math.ceil(PHOTOGRAPHS / photographs))]
     return simulate(cluster, sweep_task(photographs), lengths, seed)
 
 
-def bound(cluster, total=PHOTOGRAPHS):
+def bound(cluster):
     """What no schedule can be quicker than, and why."""
-    read = total * PHOTOGRAPH_BYTES
+    read = PHOTOGRAPHS * PHOTOGRAPH_BYTES
     return max(
-        (total * PHOTOGRAPH_SECS / (cluster.nodes * cluster.cores), "cores"),
+        (PHOTOGRAPHS * PHOTOGRAPH_SECS / (cluster.nodes * cluster.cores), "cores"),
         (read / (cluster.nodes * cluster.network), "network"),
         (read / cluster.server, "server"),
     )
@@ -219,8 +219,8 @@ def tables():
         print(f"| {nodes}, {name} | " + " | ".join(f"{mean(size):.2f}" for size in sizes) + " |")
 
 
-def run_here(program, prepared, folder, parts, workers, kill_after=None):
-    """Wall seconds of all parts, by `workers` at once; one task is killed and run again."""
+def run_here(program, prepared, folder, parts, workers):
+    """Wall seconds of all parts, by `workers` at once."""
     for part in folder.glob("*.part"):
         part.unlink()
     waiting, running = list(range(1, parts + 1)), []
@@ -229,21 +229,17 @@ def run_here(program, prepared, folder, parts, workers, kill_after=None):
         while waiting and len(running) < workers:
             k = waiting.pop(0)
             command = [program, "--quiet", "--threads", "1", "extract", prepared, "--part", f"{k}/{parts}", "--out", folder / f"{k}.part"]
-            running.append((k, subprocess.Popen(list(map(str, command)))))
-        if kill_after is not None and time.perf_counter() - start >= kill_after:
-            kill_after = None
-            running[0][1].kill()
+            running.append(subprocess.Popen(list(map(str, command))))
         time.sleep(0.002)
-        for k, process in list(running):
-            if process.poll() is not None:
-                running.remove((k, process))
-                if process.returncode:
-                    waiting.append(k)
+        for process in [process for process in running if process.poll() is not None]:
+            running.remove(process)
+            if process.returncode:
+                sys.exit(f"error: acquire extract: exit status {process.returncode}")
     return time.perf_counter() - start
 
 
 def check(program, folder):
-    """One and two workers with few parts give the two figures of the model; it foretells all others."""
+    """One worker with 1 and with 33 parts gives the two figures of the model; it foretells all else."""
     capture, prepared = folder / "capture", folder / "common.prepared"
     simulated = "--material chessboard-4x4 --grid 26x22 --window 25x21 --lit-pitch-mm 1.5 --seed 1"
     subprocess.run([program, "--quiet", "simulate", capture, *simulated.split()], check=True)

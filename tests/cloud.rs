@@ -1,5 +1,5 @@
-//! Captures and matrices in object stores, on loopback: a local S3 server (moto, from PyPI) where there is one, and a plain server of
-//! this test's own. `cargo test --release --features cloud --test cloud`; `scripts/test_cloud.sh` installs the server
+//! Captures and matrices in object stores, on loopback: a local S3 server (moto, from PyPI) where there is one, and a
+//! plain server of this test's own. `cargo test --release --features cloud --test cloud`; `scripts/test_cloud.sh` installs the server
 //! before that.
 
 #[path = "common/mod.rs"]

@@ -51,7 +51,6 @@ impl Capture {
     /// [`Error::BrokenPhotograph`], [`Error::NoExposure`], [`Error::SameExposure`]; [`Error::Field`] for a photograph
     /// of another size or a shot that is needed and not there.
     pub fn open_with(dir: &Path, calibration: Option<&Path>, exposure_from: ExposureFrom) -> Result<Self> {
-        crate::files::check_readable(dir)?;
         if !crate::files::is_folder(dir) {
             let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "there is no such folder");
             return Err(Error::io("read", dir)(missing));

@@ -32,7 +32,7 @@ pub use manifest::{
 };
 pub use photograph::Photograph;
 pub(crate) use photograph::decode_jpeg;
-pub(crate) use recorded::{hash, read_checksums, write_checksums};
+pub(crate) use recorded::{read_checksums, write_checksums};
 pub use reduction::{LightOfCodes, PhotographRows, Photosite, Reduction};
 pub use rig::{Board, Camera, FrameMarks, Noise, Projector, ResponseCurve, Rig, WhiteReference};
 pub(crate) use rows::decode_png_bytes;

@@ -110,7 +110,7 @@ impl Photograph {
     /// # Errors
     /// Those of reading it.
     pub fn hash(&self) -> Result<blake3::Hash> {
-        super::hash(&self.path).map_err(|e| self.unreadable(e))
+        crate::files::hash(&self.path).map_err(|e| self.unreadable(e))
     }
 
     /// Width and height from the file's head, without decoding or reducing it.

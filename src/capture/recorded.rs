@@ -9,19 +9,6 @@ use std::path::Path;
 /// named.
 pub(crate) const CHECKSUMS: &str = "photographs.b3";
 
-/// BLAKE3 of a file, read piece by piece.
-///
-/// # Errors
-/// Those of the system or the store.
-pub(crate) fn hash(path: &Path) -> std::io::Result<blake3::Hash> {
-    if crate::files::is_url(path) {
-        return crate::files::hash_object(path);
-    }
-    let mut hasher = blake3::Hasher::new();
-    hasher.update_reader(crate::files::open(path)?)?;
-    Ok(hasher.finalize())
-}
-
 /// Writes the checksums of photographs by their names in the folder `dir`.
 ///
 /// # Errors
@@ -59,7 +46,8 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         assert!(read_checksums(dir.path()).unwrap().is_empty());
         std::fs::write(dir.path().join("a  b.png"), "a picture").unwrap();
-        let written = BTreeMap::from([("a  b.png".to_owned(), hash(&dir.path().join("a  b.png")).unwrap())]);
+        let written =
+            BTreeMap::from([("a  b.png".to_owned(), crate::files::hash(&dir.path().join("a  b.png")).unwrap())]);
         assert_eq!(written["a  b.png"], blake3::hash(b"a picture"));
         write_checksums(dir.path(), &written).unwrap();
         assert_eq!(read_checksums(dir.path()).unwrap(), written);

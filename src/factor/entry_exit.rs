@@ -11,6 +11,7 @@ use crate::Result;
 use crate::material::{ExitGrid, Exitance, Light, Material, Quadrature, Responses, lit_area_of, splat, splat_entries};
 use crate::output::numbers;
 use crate::transport::{MatrixReader, RowBlock};
+use acquire_material::{fit_entry_map, fit_exit_map};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -227,14 +228,13 @@ impl Marginals {
             material.exit_map = vec![1.0; planes * samples];
         }
         let (exitance, rows) = self.filled(material);
-        let (quadrature, flux) = (self.quadrature.clone(), self.flux.clone());
-        let wanted = acquire_material::Marginals { quadrature, flux, exitance, rows };
         for _ in 0..rounds {
             // From one, where the terms say nearly nothing.
             material.entry_map.fill(1.0);
-            wanted.enter(material, row_sums);
+            let found = row_sums(material);
+            fit_entry_map(material, &rows, &found);
             material.exit_map.fill(1.0);
-            wanted.leave(material)?;
+            fit_exit_map(material, &exitance, &self.quadrature, &self.flux)?;
         }
         Ok(())
     }

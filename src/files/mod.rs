@@ -8,9 +8,7 @@ mod objects;
 
 pub(crate) use objects::Objects;
 
-pub(crate) use object_file::hash_object;
-
-use object_file::ObjectFile;
+use object_file::{ObjectFile, hash_object};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::{Error, ErrorKind, Read, Result, Seek, SeekFrom};
@@ -178,6 +176,19 @@ pub(crate) fn open_local(path: &Path) -> Result<std::fs::File> {
         false if kind.is_dir() => Err(Error::new(ErrorKind::IsADirectory, "expected a file, found a folder")),
         false => Err(Error::new(ErrorKind::InvalidInput, "expected a file, found a pipe or a device")),
     }
+}
+
+/// BLAKE3 of a file, read piece by piece; of an object only what this process has not read yet.
+///
+/// # Errors
+/// Those of [`open`].
+pub(crate) fn hash(path: &Path) -> Result<blake3::Hash> {
+    if is_url(path) {
+        return hash_object(path);
+    }
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(open_local(path)?)?;
+    Ok(hasher.finalize())
 }
 
 /// All bytes of a file.

@@ -24,15 +24,15 @@ static HASHED: Mutex<BTreeMap<PathBuf, Hashed>> = Mutex::new(BTreeMap::new());
 
 enum Hashed {
     Whole(blake3::Hash),
-    Begun(Box<ObjectHash>),
+    /// And the tag of the object.
+    Begun(Box<ObjectHash>, Option<String>),
 }
 
 /// BLAKE3 of the first bytes of an object.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Default)]
 struct ObjectHash {
     hasher: blake3::Hasher,
     bytes: u64,
-    tag: Option<String>,
 }
 
 impl ObjectHash {
@@ -54,7 +54,7 @@ pub(crate) fn hash_object(path: &Path) -> io::Result<blake3::Hash> {
     let known = HASHED.lock().unwrap_or_else(PoisonError::into_inner).remove(path);
     let mut file = match known {
         Some(Hashed::Whole(hash)) => return Ok(hash),
-        Some(Hashed::Begun(hash)) => ObjectFile::go_on(path, *hash)?,
+        Some(Hashed::Begun(hash, tag)) => ObjectFile::go_on(path, *hash, tag.as_deref())?,
         None => ObjectFile::open(path)?,
     };
     while file.hash.bytes < file.len {
@@ -107,15 +107,15 @@ impl ObjectFile {
             part => part?,
         };
         OPENED.set(Some((path.to_path_buf(), part.clone())));
-        let mut hash = ObjectHash { tag: part.tag.clone(), ..ObjectHash::default() };
+        let mut hash = ObjectHash::default();
         hash.update(&part.bytes, 0);
         Ok(Self::of(path, object, part, 0, hash))
     }
 
     /// Opens an object behind what is hashed of it.
-    fn go_on(path: &Path, mut hash: ObjectHash) -> io::Result<Self> {
+    fn go_on(path: &Path, mut hash: ObjectHash, tag: Option<&str>) -> io::Result<Self> {
         let object = object(path)?;
-        let part = object.part(hash.bytes, MOST_BYTES, hash.tag.as_deref())?;
+        let part = object.part(hash.bytes, MOST_BYTES, tag)?;
         let begin = hash.bytes;
         hash.update(&part.bytes, begin);
         Ok(Self::of(path, object, part, begin, hash))
@@ -155,7 +155,7 @@ impl Drop for ObjectFile {
         let hashed = match hash.bytes {
             0 => return,
             bytes if bytes == self.len => Hashed::Whole(hash.hasher.finalize()),
-            bytes if bytes > FIRST_BYTES => Hashed::Begun(Box::new(hash)),
+            bytes if bytes > FIRST_BYTES => Hashed::Begun(Box::new(hash), self.tag.take()),
             _ => return,
         };
         let path = std::mem::take(&mut self.path);

@@ -214,19 +214,20 @@ impl Objects {
         wait(async {
             let upload = self.0.store.put_multipart(&key).await.map_err(self.failed(name))?;
             let mut upload = WriteMultipart::new_with_chunk_size(upload, PART_BYTES);
-            while !part.is_empty() {
-                if let Err(e) = upload.wait_for_capacity(PARTS_AT_ONCE).await {
-                    // Parts of an upload that nobody ends are kept, and paid for.
-                    let _ = upload.abort().await;
-                    return Err(self.failed(name)(e));
+            let written = async {
+                while !part.is_empty() {
+                    upload.wait_for_capacity(PARTS_AT_ONCE).await.map_err(self.failed(name))?;
+                    upload.write(&part);
+                    next(&mut part)?;
                 }
-                upload.write(&part);
-                if let Err(e) = next(&mut part) {
-                    let _ = upload.abort().await;
-                    return Err(e);
-                }
+                Ok(())
+            };
+            let written: io::Result<()> = written.await;
+            if written.is_err() {
+                // Parts of an upload that nobody ends are kept, and paid for; `finish` forgets them by itself.
+                let _ = upload.abort().await;
+                return written;
             }
-            // Aborts by itself where it fails.
             upload.finish().await.map(|_| ()).map_err(self.failed(name))
         })?
     }

@@ -10,7 +10,7 @@ mod fit;
 pub use files::{Found, Listing, by_number, by_time, list};
 pub use fit::{fit, same_settings};
 
-use crate::capture::{Capture, PhotographEntry, Rig, hash, write_checksums};
+use crate::capture::{Capture, PhotographEntry, Rig, write_checksums};
 use crate::output::{NewFolder, ScratchFolder};
 use crate::patterns::Plan;
 use crate::progress::Progress;
@@ -185,7 +185,7 @@ fn write(
             _ => Error::io(if link { "link" } else { "copy" }, from)(e),
         })?;
         // Of the source: a copy that differs is found when it is read.
-        let hash = hash(from).map_err(Error::io("read", from))?;
+        let hash = crate::files::hash(from).map_err(Error::io("read", from))?;
         stage.advance(1);
         Ok((name(s, n), hash))
     };

@@ -184,8 +184,7 @@ fn provenance(
     flicker_variance: f64,
 ) -> Result<serde_json::Value> {
     let capture = scene.capture;
-    let hash_file =
-        |p: &Path| Ok::<_, Error>(blake3::hash(&crate::files::read(p).map_err(Error::io("read", p))?).to_string());
+    let hash_file = |p: &Path| crate::files::hash(p).map(|hash| hash.to_string()).map_err(Error::io("read", p));
     let found = stages.before.noise;
     let noise = serde_json::json!({
         "used": found.noise,

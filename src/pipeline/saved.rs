@@ -14,7 +14,7 @@ use super::references::References;
 use super::register::Registered;
 use super::scene::Scene;
 use super::{Before, BuildOptions, Judged, Prepared, Resolution, Working, finish, in_memory, open, with_prepared};
-use crate::capture::{Capture, ExposureFrom, Manifest, Photograph, Rig, hash, read_checksums};
+use crate::capture::{Capture, ExposureFrom, Manifest, Photograph, Rig, read_checksums};
 use crate::output::{PROGRAM, TaskFile};
 use crate::progress::Progress;
 use crate::radiance::HotPixel;
@@ -87,7 +87,7 @@ pub fn prepare(dir: &Path, options: &BuildOptions, out: &Path, progress: &Progre
 }
 
 fn hashes(dir: &Path, rig_path: &Path) -> Result<[String; 2]> {
-    let of = |path: &Path| hash(path).map(|hash| hash.to_string()).map_err(Error::io("read", path));
+    let of = |path: &Path| crate::files::hash(path).map(|hash| hash.to_string()).map_err(Error::io("read", path));
     Ok([of(&dir.join("capture.toml"))?, of(rig_path)?])
 }
 

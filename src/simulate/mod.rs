@@ -41,7 +41,8 @@ pub use slab::{Beyond, Optics, SlabMaterial, SlabRecord, Volume};
 
 use crate::{
     Error, Result, SimulateWarning,
-    capture::{hash, write_checksums},
+    capture::write_checksums,
+    files::hash,
     geometry::{CameraView, Homography, Lens, Point},
     output::{Earlier, NewFolder, key_of},
     progress::Progress,

@@ -3,9 +3,8 @@
 
 use super::entropy::Bits;
 use super::exact::raw;
-use crate::Material;
 
-/// Squared errors count by the response to this power less: as in the fit of `joint` (`--profile-power`).
+/// Errors are weighed by the response to minus this power, as in the fit of `joint` (`--profile-power`).
 const POWER: f64 = 0.25;
 /// Distances at which the logarithm is kept, samples.
 const RADII: [f64; 14] = [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0];
@@ -26,9 +25,8 @@ impl Falloff {
         Self { middle: [0; 2], knots: [0; RADII.len()] }
     }
 
-    /// That of a material, from the energy of its terms at each sample, \[y\]\[x\]; it never rises.
-    pub(super) fn of(material: &Material, energy: &[f64]) -> Self {
-        let [width, height] = material.header.extended;
+    /// That of terms with this energy at each sample of a common window, \[y\]\[x\]; it never rises.
+    pub(super) fn of(energy: &[f64], [width, height]: [usize; 2]) -> Self {
         let largest = energy.iter().enumerate().fold((0, 0.0), |a, (k, &v)| if v > a.1 { (k, v) } else { a });
         if width * height != energy.len() || largest.1 <= 0.0 {
             return Self::none();
@@ -61,15 +59,15 @@ impl Falloff {
         Ok(found)
     }
 
-    /// The falloff at each sample of a common window of `width` and so many samples, \[y\]\[x\]; 1 at its middle.
-    pub(super) fn values(&self, width: usize, samples: usize) -> Vec<f64> {
+    /// The falloff at each sample of a common window, \[y\]\[x\]; 1 at its middle.
+    pub(super) fn values(&self, [width, height]: [usize; 2]) -> Vec<f64> {
         let value = |k: usize| {
             let (at, part) = between(self.middle, k, width);
             let [a, b] = [at, at + 1].map(|k| f64::from(self.knots[k.min(RADII.len() - 1)]));
             // libm: the same digits on every machine
             libm::exp(-(a + part * (b - a)) / STEPS)
         };
-        (0..samples).map(value).collect()
+        (0..width * height).map(value).collect()
     }
 }
 
@@ -86,20 +84,18 @@ fn between(middle: [usize; 2], k: usize, width: usize) -> (usize, f64) {
 mod tests {
     use super::super::entropy::{Reader, Writer};
     use super::*;
-    use crate::file::tests::example;
 
     #[test]
     fn a_falloff_is_the_fourth_root_of_the_responses_by_distance_and_comes_back() {
-        let mut material = example();
-        material.header.extended = [41, 33];
+        let size = [41, 33];
         let distance = |k: usize| ((k % 41) as f64 - 17.0).hypot((k / 41) as f64 - 20.0);
         let energy: Vec<f64> = (0..41 * 33).map(|k| 7.0 * (-2.0 * distance(k) / 3.0).exp()).collect();
-        let falloff = Falloff::of(&material, &energy);
+        let falloff = Falloff::of(&energy, size);
         let mut writer = Writer::default();
         assert_eq!(falloff.code(&mut writer).as_ref(), Ok(&falloff));
         let found = Falloff::none().code(&mut Reader::new(&writer.finish()).unwrap()).unwrap();
         assert_eq!(found, falloff);
-        for (k, v) in found.values(41, 41 * 33).into_iter().enumerate() {
+        for (k, v) in found.values(size).into_iter().enumerate() {
             // A line by distance, to a step of 1/16 and what straight pieces smooth; behind 12 samples it is known from few.
             let expected = (-POWER * distance(k) / 3.0).exp();
             let most = if distance(k) < 12.0 { 0.1 } else { 0.4 };
@@ -109,13 +105,12 @@ mod tests {
 
     #[test]
     fn where_nothing_leaves_or_all_alike_there_is_no_falloff() {
-        let mut material = example();
-        material.header.extended = [5, 3];
-        assert_eq!(Falloff::of(&material, &[0.0; 15]), Falloff::none());
-        assert_eq!(Falloff::of(&material, &[1e-30; 15]).values(5, 15), [1.0; 15]);
-        // A rise is none, a fall of 300 decades ends at e^(−255/16).
+        let size = [5, 3];
+        assert_eq!(Falloff::of(&[0.0; 15], size), Falloff::none());
+        assert_eq!(Falloff::of(&[1e-30; 15], size).values(size), [1.0; 15]);
+        // The falloff is kept in 255 steps of 1/16: an energy that drops by 300 decades is limited to e^(−255/16).
         let steep: Vec<f64> = (0..15).map(|k| if k == 7 { 1e150 } else { 1e-150 }).collect();
-        let values = Falloff::of(&material, &steep).values(5, 15);
+        let values = Falloff::of(&steep, size).values(size);
         assert_eq!(values[7], 1.0);
         assert!(values.iter().all(|v| *v >= (-256.0_f64 / 16.0).exp()), "{values:?}");
     }

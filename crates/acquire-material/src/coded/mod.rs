@@ -17,10 +17,12 @@ mod planes;
 mod stream;
 mod symbols;
 mod text;
+mod through;
 mod transform;
 
-use crate::{Error, Marginals, Material, MaterialHeader, OffsetFactors, Result};
+use crate::{Error, Material, MaterialHeader, OffsetFactors, Result};
 use maps::Price;
+use through::EvenLight;
 
 /// The first bytes of every coded material.
 const MAGIC: [u8; 4] = *b"\x89ACQ";
@@ -97,7 +99,7 @@ pub fn encode(material: &Material, options: &EncodeOptions) -> Result<Coded> {
     let sample = measure::Sample::of(material);
     // Polynomials are fitted to the responses themselves.
     let fits = material.header.exit_grid.is_some() && material.header.degree.is_none();
-    let mut marginals = fits.then(|| Marginals::of(material)).transpose()?;
+    let mut even = fits.then(|| EvenLight::of(material)).transpose()?;
     let first = match options.quality {
         Quality::AddedError(error) => STEP_OF_ERROR * error,
         Quality::MaxBytes(_) => 1e-4,
@@ -105,12 +107,12 @@ pub fn encode(material: &Material, options: &EncodeOptions) -> Result<Coded> {
     let mut search = Search { step: first * sample.norm().max(1e-30), good: None, bad: None };
     let mut best: Option<Coded> = None;
     for attempt in 0..ATTEMPTS {
-        let mut coded = encode_at(material, options, search.step, &sample, marginals.as_ref())?;
-        if attempt == 0 && marginals.is_some() {
+        let mut coded = encode_at(material, options, search.step, &sample, even.as_ref())?;
+        if attempt == 0 && even.is_some() {
             // Where sums are nearly nothing beside what they are sums of, they tell nothing of the maps.
             let as_they_were = encode_at(material, options, search.step, &sample, None)?;
             if coded.added_error > MOST_WORSE * as_they_were.added_error {
-                (coded, marginals) = (as_they_were, None);
+                (coded, even) = (as_they_were, None);
             }
         }
         // Above 1 is too much.
@@ -200,13 +202,13 @@ fn encode_at(
     options: &EncodeOptions,
     step: f64,
     sample: &measure::Sample,
-    marginals: Option<&Marginals>,
+    even: Option<&EvenLight>,
 ) -> Result<Coded> {
     let price = Price { step, lambda: LAMBDA };
     let norm = sample.norm();
     let expected = step / (norm.max(1e-30) * STEP_OF_ERROR);
     let position_error = options.position_error_px.unwrap_or(expected.clamp(1e-6, MOST_POSITION_ERROR));
-    let maps = stream::write_maps(material, marginals, norm, price, position_error).map_err(Error::internal)?;
+    let maps = stream::write_maps(material, even, norm, price, position_error).map_err(Error::internal)?;
     let plain = stream::read_maps(&maps, rounded(&material.header)).map_err(Error::internal)?;
     let added_error = sample.relative_error(&plain);
     let mut header = rounded(&material.header);

@@ -7,7 +7,7 @@ use super::maps::{Group, Price, step_index};
 use super::measure::{energy, refit_weights, slope, stride};
 use super::planes::{ColorBasis, Rotation, moments};
 use super::text::code_text;
-use crate::marginals::{Marginals, row_sums};
+use super::through::{EvenLight, read_through, write_through};
 use crate::parallel::*;
 use crate::{CHANNELS, Material, MaterialHeader, Responses, offset_plane};
 
@@ -84,10 +84,10 @@ impl Scales<'_> {
     }
 }
 
-/// Everything but the header; `norm` is ‖R̂‖. With `marginals` entry and exit maps are fitted again, to give these.
+/// Everything but the header; `norm` is ‖R̂‖. Entry and exit maps are fitted again to `even`.
 pub(super) fn write_maps(
     material: &Material,
-    marginals: Option<&Marginals>,
+    even: Option<&EvenLight>,
     norm: f64,
     price: Price,
     position_error_px: f64,
@@ -109,8 +109,7 @@ pub(super) fn write_maps(
     raw(&mut w, (first - LOWEST_STEP) as u64, 16)?;
     let slope = slope(material);
     let profile = write_profile(&mut w, material, slope, price, first, non_negative.profile)?;
-    let falloff = Falloff::of(material, &offset_energy(material)).code(&mut w)?;
-    let falloff = falloff.values(h.extended[0], h.layout().len());
+    let falloff = Falloff::of(&offset_energy(material), h.extended).code(&mut w)?.values(h.extended);
     let scales = Scales { weights: &material.weights, profile: &profile, falloff: &falloff };
     let (scaled, seen) = write_offsets(&mut w, material, &scales, slope, price, first, non_negative.offset)?;
     let incident = write_incident(&mut w, material, &scaled, &seen, slope, price, first, non_negative.incident)?;
@@ -130,51 +129,8 @@ pub(super) fn write_maps(
     if let Some(degree) = h.degree {
         write_colors(&mut w, material, &decoded, degree, price, first)?;
     }
-    write_through(&mut w, &mut decoded, marginals, norm, price, first)?;
+    write_through(&mut w, &mut decoded, even, norm, price, first)?;
     Ok(w.finish())
-}
-
-/// How many times finer than other maps entry and exit maps are kept: an error of theirs is one of all that enters or
-/// leaves at a place.
-const THROUGH_FINER: f64 = 4.0;
-
-/// Writes entry and exit maps; with `marginals` fitted again to the terms as a decoder sees them, the exit map to the entry
-/// map as a decoder sees it, too. `norm` is ‖R̂‖.
-fn write_through(
-    w: &mut Writer,
-    decoded: &mut Material,
-    marginals: Option<&Marginals>,
-    norm: f64,
-    price: Price,
-    first: i32,
-) -> Result<(), String> {
-    let Some(grid) = decoded.header.exit_grid else { return Ok(()) };
-    // The sensitivity is the root of the squared response that a sample multiplies, in the mean.
-    let mut write = |map: &[f32], size: [usize; 2]| -> Result<Vec<f32>, String> {
-        let mut group = Group::new(size, grid.planes, first);
-        let sensitivity = THROUGH_FINER * norm / (map.len() as f64).sqrt();
-        let planes = map.chunks_exact(size[0] * size[1]);
-        let seen: Result<Vec<_>, _> = planes.map(|plane| group.encode(w, &to_f64(plane), sensitivity, price)).collect();
-        to_f32("maps", &seen?.concat())
-    };
-    let leave = |decoded: &mut Material| marginals.map_or(Ok(()), |m| m.leave(decoded)).map_err(|e| e.to_string());
-    // One round: they were right for the terms before, and of what is left a fifth remains.
-    leave(decoded)?;
-    marginals.inspect(|m| m.enter(decoded, row_sums));
-    decoded.entry_map = write(&decoded.entry_map, decoded.header.points)?;
-    leave(decoded)?;
-    write(&decoded.exit_map, grid.size)?;
-    Ok(())
-}
-
-fn read_through(r: &mut Reader, h: &MaterialHeader, first: i32) -> Result<[Vec<f32>; 2], String> {
-    let Some(grid) = h.exit_grid else { return Ok([Vec::new(), Vec::new()]) };
-    let mut read = |name: &str, size: [usize; 2]| {
-        let mut group = Group::new(size, grid.planes, first);
-        let planes: Vec<Vec<f64>> = (0..grid.planes).map(|_| group.decode(r)).collect::<Result<_, _>>()?;
-        to_f32(name, &planes.concat())
-    };
-    Ok([read("entry_map", h.points)?, read("exit_map", grid.size)?])
 }
 
 fn write_colors(
@@ -276,11 +232,7 @@ fn write_offsets(
         let mut planes = planes.clone();
         rotation.forward(&mut planes);
         for (k, plane) in planes.iter_mut().enumerate() {
-            let norm: f64 = match (h.incident_planes, h.offset_planes) {
-                (CHANNELS, CHANNELS) => incident_energy(material, k, j),
-                (planes, _) => (0..planes).map(|k| incident_energy(material, k, j)).sum(),
-            };
-            *plane = group.encode(w, plane, slope * norm.sqrt(), price)?;
+            *plane = group.encode(w, plane, slope * incident_energy(material, k, j).sqrt(), price)?;
         }
         rotation.inverse(&mut planes);
         planes.iter_mut().enumerate().for_each(|(k, plane)| scales.clean(j, k, plane, clip));
@@ -299,7 +251,7 @@ fn offset_energy(material: &Material) -> Vec<f64> {
         for j in 0..h.terms {
             let g = f64::from(material.weights[j]);
             let map = &offset_plane(&all, h, k)[j * samples..][..samples];
-            let rows = incident_energy(material, k.min(h.incident_planes - 1), j);
+            let rows = incident_energy(material, k, j);
             for (e, (sum, &v)) in energy.iter_mut().zip(map).enumerate() {
                 *sum += rows * (g * f64::from(v) * profile.map_or(1.0, |m| f64::from(m[e]))).powi(2);
             }
@@ -308,8 +260,16 @@ fn offset_energy(material: &Material) -> Vec<f64> {
     energy
 }
 
-fn incident_energy(material: &Material, plane: usize, term: usize) -> f64 {
-    (0..material.header.rows()).map(|i| f64::from(material.incident(plane, i)[term]).powi(2)).sum()
+/// Energy of the incident factors that multiply the offset factors of a plane.
+fn incident_energy(material: &Material, offset_plane: usize, term: usize) -> f64 {
+    let h = &material.header;
+    let planes = match (h.incident_planes, h.offset_planes) {
+        (CHANNELS, CHANNELS) => offset_plane..offset_plane + 1,
+        (planes, _) => 0..planes,
+    };
+    let of_plane =
+        |plane| (0..h.rows()).map(move |i| f64::from(material.incident(plane, i)[term]).powi(2)).sum::<f64>();
+    planes.map(of_plane).sum()
 }
 
 #[expect(clippy::too_many_arguments, reason = "one step of write_maps, split off for its length")]
@@ -394,7 +354,7 @@ pub(super) fn read_maps(bytes: &[u8], header: MaterialHeader) -> Result<Material
         clip_below_zero(&mut map, clip.profile);
         profile.push(as_stored(&map));
     }
-    let falloff = Falloff::none().code(&mut r)?.values(h.extended[0], h.layout().len());
+    let falloff = Falloff::none().code(&mut r)?.values(h.extended);
     let scales = Scales { weights: &weights, profile: &profile, falloff: &falloff };
     let offset_factors = read_offsets(&mut r, h, &scales, first, clip.offset)?;
     let incident_factors = read_incident(&mut r, h, &weights, first, clip.incident)?;
@@ -520,7 +480,7 @@ fn clip_below_zero(map: &mut [f64], clip: bool) {
     map.iter_mut().filter(|v| clip && **v < 0.0).for_each(|v| *v = 0.0);
 }
 
-fn to_f64(values: &[f32]) -> Vec<f64> {
+pub(super) fn to_f64(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&v| f64::from(v)).collect()
 }
 
@@ -529,7 +489,7 @@ fn as_stored(values: &[f64]) -> Vec<f64> {
     values.iter().map(|&v| f64::from(v as f32)).collect()
 }
 
-fn to_f32(name: &str, values: &[f64]) -> Result<Vec<f32>, String> {
+pub(super) fn to_f32(name: &str, values: &[f64]) -> Result<Vec<f32>, String> {
     match values.iter().position(|v| !(v.abs() <= LARGEST)) {
         Some(at) => Err(format!("{name}: expected numbers up to {LARGEST:e}, found {} at {at}", values[at])),
         None => Ok(values.iter().map(|&v| v as f32).collect()),

@@ -292,12 +292,12 @@ fn entry_and_exit_maps_make_up_for_what_coding_takes_from_the_terms() {
         (0..3 * 154).map(|k| if k % 3 == 0 { 1.0 } else { 0.2 * (k as f32 * 0.3).sin() }).collect();
     material.entry_map = (0..3 * 154).map(|k| 1.0 + 0.3 * (k as f32 * 0.2).sin()).collect();
     material.exit_map = (0..3 * 24 * 21).map(|k| 1.0 + 0.2 * (k as f32 * 0.15).cos()).collect();
-    let wanted = Marginals::of(&material).unwrap();
+    let wanted = EvenLight::of(&material).unwrap();
     // Of sums and exitance, relative to their size.
     let off = |m: &Material| {
         let found = crate::relight(m, &wanted.quadrature, &wanted.flux, &|_| {}).unwrap();
         let image = found[0].planes.iter().flatten().zip(wanted.exitance.planes.iter().flatten());
-        let rows = crate::marginals::row_sums(m);
+        let rows = through::row_sums(m);
         let rows = rows.iter().flatten().zip(wanted.rows.iter().flatten());
         let relative = |pairs: &mut dyn Iterator<Item = (&f64, &f64)>| {
             let (d, all) = pairs.fold((0.0, 0.0), |(d, all), (a, b)| (d + (a - b).powi(2), all + b * b));
@@ -308,8 +308,8 @@ fn entry_and_exit_maps_make_up_for_what_coding_takes_from_the_terms() {
     let norm = measure::Sample::of(&material).norm();
     for step in [2e-3, 8e-3] {
         let price = Price { step: step * norm, lambda: LAMBDA };
-        let coded = |marginals| {
-            let bytes = stream::write_maps(&material, marginals, norm, price, 1e-3).unwrap();
+        let coded = |even| {
+            let bytes = stream::write_maps(&material, even, norm, price, 1e-3).unwrap();
             (bytes.len(), stream::read_maps(&bytes, material.header.clone()).unwrap())
         };
         let ((bytes, with), (bytes_before, without)) = (coded(Some(&wanted)), coded(None));
